@@ -1,0 +1,169 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What a calibration returns: a `Calibration`, or a `NotCalibrated` that says why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+
+#: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
+MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'unknown')
+
+
+@dataclass(frozen=True)
+class FixedPoints:
+    """
+    Fixed image points of planar motion, in undistorted pixels (thesis 5.1).
+
+    Attributes
+    ----------
+    horizon : ndarray, shape (3,)
+        Vanishing line l of the planes of motion.
+    vanishing_point : ndarray, shape (3,)
+        Vanishing point v of the rotation axis.
+    circular_point : ndarray of complex, shape (3,)
+        Image i of a circular point; the other, j, is its conjugate.
+
+    """
+
+    horizon: np.ndarray
+    vanishing_point: np.ndarray
+    circular_point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """
+    Camera path and structure, up to scale, in a world frame whose z axis is the rotation axis.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+    cam_from_world : ndarray, shape (V, 3, 4)
+        [R | t] of each frame.
+    tracks : ndarray of int, shape (P,)
+    points : ndarray, shape (P, 4)
+        Homogeneous world points; the last entry may be zero (at infinity).
+
+    """
+
+    frames: np.ndarray
+    cam_from_world: np.ndarray
+    tracks: np.ndarray
+    points: np.ndarray
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """
+    A calibrated camera with the uncertainty of every parameter; true in a condition.
+
+    Attributes
+    ----------
+    camera : Camera
+    covariance : ndarray, shape (9, 9)
+        Of `PARAMETER_NAMES`; zero rows for held parameters.
+    status : dict
+        Per parameter 'estimated', 'held' or 'unobservable'.
+    held_by : dict
+        Per held parameter, the fact that holds it.
+    motion : str
+        One of `MOTIONS`.
+    facts : CameraFacts
+    frames : tuple of int
+        Frames that were used.
+    reprojection_rms_px : float
+    noise_sigma_px : float
+        Estimated standard deviation of one image coordinate.
+    observation_count, outlier_count : int
+    reconstruction : Reconstruction
+    fixed_points : FixedPoints, optional
+    notes : tuple of str
+        What a user should know, one sentence each.
+    software : str
+
+    """
+
+    camera: Camera
+    covariance: np.ndarray
+    status: dict
+    held_by: dict
+    motion: str
+    facts: CameraFacts
+    frames: tuple
+    reprojection_rms_px: float
+    noise_sigma_px: float
+    observation_count: int
+    outlier_count: int
+    reconstruction: Reconstruction
+    fixed_points: FixedPoints | None = None
+    notes: tuple = ()
+    software: str = ''
+    residuals: np.ndarray | None = field(default=None, repr=False)
+
+    def __bool__(self) -> bool:
+        """Be true: there is a calibration."""
+        return True
+
+    @property
+    def sigma(self) -> dict:
+        """Standard deviation of each of `PARAMETER_NAMES`, zero where held."""
+        return dict(zip(PARAMETER_NAMES, np.sqrt(np.diag(self.covariance)).tolist()))
+
+
+@dataclass(frozen=True)
+class NotCalibrated:
+    """
+    Why there is no calibration; false in a condition.
+
+    Attributes
+    ----------
+    reason : str
+        One sentence.
+    advice : str
+        What motion, fact or data would help; may be empty.
+    motion : str
+        One of `MOTIONS`, as far as it could be told.
+    frames : tuple of int
+    facts : CameraFacts
+    status : dict
+        Per parameter 'held' or 'unobservable', as far as it is known.
+
+    """
+
+    reason: str
+    advice: str = ''
+    motion: str = 'unknown'
+    frames: tuple = ()
+    facts: CameraFacts = CameraFacts()
+    status: dict = field(default_factory=dict)
+    software: str = ''
+
+    def __bool__(self) -> bool:
+        """Be false: there is no calibration."""
+        return False
+
+    def __str__(self) -> str:
+        """Say why, and what would help."""
+        return f'Not calibrated: {self.reason}' + (f' {self.advice}' if self.advice else '')
+
+    def __getattr__(self, name):
+        """Refuse to be used as a calibration."""
+        if name.startswith('_'):
+            raise AttributeError(name)
+        raise AttributeError(f'There is no {name!r}: {self}')

@@ -1,0 +1,175 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Point tracks: the one thing that calibration needs from images."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+import os
+from pathlib import Path
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """
+    Image positions of scene points over frames, one row an observation.
+
+    Parameters
+    ----------
+    frame : array_like of int, shape (N,)
+        Frame index of each observation.
+    track : array_like of int, shape (N,)
+        Identity of the scene point; (frame, track) pairs are unique.
+    xy : array_like of float, shape (N, 2)
+        Pixels, (0, 0) at the centre of the top-left pixel.
+    image_size : (int, int), optional
+        Width and height in pixels.
+    stamps_ns : dict of int to int, optional
+        Acquisition time of each frame index.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, a value is not finite, or a (frame, track) pair occurs twice.
+
+    """
+
+    frame: np.ndarray
+    track: np.ndarray
+    xy: np.ndarray
+    image_size: tuple[int, int] | None = None
+    stamps_ns: dict[int, int] | None = None
+
+    def __post_init__(self):
+        """Check the rows and sort them by track, then frame."""
+        frame = np.asarray(self.frame).ravel()
+        track = np.asarray(self.track).ravel()
+        xy = np.asarray(self.xy, dtype=float)
+        if xy.ndim != 2 or xy.shape[1] != 2 or not frame.size == track.size == len(xy):
+            raise InputError('Tracks need frame (N,), track (N,) and xy (N, 2) of one length; got '
+                             f'{frame.shape}, {track.shape} and {xy.shape}.')
+        if not np.isfinite(xy).all():
+            bad = int(np.flatnonzero(~np.isfinite(xy).all(axis=1))[0])
+            raise InputError(f'Track observation {bad} (frame {frame[bad]}, track {track[bad]}) '
+                             'is not finite; remove such rows.')
+        frame, track = frame.astype(np.int64), track.astype(np.int64)
+        order = np.lexsort((frame, track))
+        frame, track, xy = frame[order], track[order], np.ascontiguousarray(xy[order])
+        twice = (np.diff(frame) == 0) & (np.diff(track) == 0)
+        if twice.any():
+            k = int(np.flatnonzero(twice)[0])
+            raise InputError(f'Track {track[k]} has two observations in frame {frame[k]}; '
+                             'keep one.')
+        size = self.image_size
+        if size is not None:
+            size = (int(size[0]), int(size[1]))
+            if min(size) <= 0:
+                raise InputError(f'The image size must be positive, not {size}.')
+        for array in (frame, track, xy):
+            array.flags.writeable = False
+        object.__setattr__(self, 'frame', frame)
+        object.__setattr__(self, 'track', track)
+        object.__setattr__(self, 'xy', xy)
+        object.__setattr__(self, 'image_size', size)
+
+    def __len__(self) -> int:
+        """Count the observations."""
+        return len(self.frame)
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Frame indices that occur, ascending."""
+        return np.unique(self.frame)
+
+    def select(self, mask: np.ndarray) -> Tracks:
+        """Keep the observations where mask (N,) is true."""
+        return Tracks(self.frame[mask], self.track[mask], self.xy[mask], self.image_size,
+                      self.stamps_ns)
+
+    def in_frames(self, frames) -> Tracks:
+        """Keep the observations of the given frames."""
+        return self.select(np.isin(self.frame, np.asarray(list(frames))))
+
+    def with_at_least(self, views: int) -> Tracks:
+        """Keep the tracks that have at least so many observations."""
+        _, inverse, counts = np.unique(self.track, return_inverse=True, return_counts=True)
+        return self.select(counts[inverse] >= views)
+
+    def matches(self, frame_a: int, frame_b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return the points seen in both frames.
+
+        Returns
+        -------
+        track : ndarray of int, shape (M,)
+        xy_a, xy_b : ndarray, shape (M, 2)
+
+        """
+        in_a = np.flatnonzero(self.frame == frame_a)
+        in_b = np.flatnonzero(self.frame == frame_b)
+        track, a, b = np.intersect1d(self.track[in_a], self.track[in_b], assume_unique=True,
+                                     return_indices=True)
+        return track, self.xy[in_a[a]], self.xy[in_b[b]]
+
+    @classmethod
+    def from_csv(cls, path, image_size: tuple[int, int] | None = None) -> Tracks:
+        """
+        Read a CSV file with the columns frame, track, x, y.
+
+        Raises
+        ------
+        InputError
+            If the header or a row is wrong; the sentence names the line.
+
+        """
+        path = Path(path)
+        rows = []
+        with path.open(newline='', encoding='utf-8', errors='replace') as stream:
+            reader = csv.reader(stream)
+            header = [name.strip().lower() for name in next(reader, [])]
+            if header[:4] != ['frame', 'track', 'x', 'y']:
+                raise InputError(f'{path} must start with the columns frame,track,x,y, '
+                                 f'not {",".join(header)[:80]!r}.')
+            for line, row in enumerate(reader, start=2):
+                if not row:
+                    continue
+                try:
+                    rows.append((int(row[0]), int(row[1]), float(row[2]), float(row[3])))
+                except (ValueError, IndexError):
+                    raise InputError(f'{path}, line {line}: expected frame,track,x,y as two '
+                                     f'integers and two numbers, not {",".join(row)[:80]!r}.'
+                                     ) from None
+                if not (np.isfinite(rows[-1][2]) and np.isfinite(rows[-1][3])):
+                    raise InputError(f'{path}, line {line}: the position is not finite; '
+                                     'remove the row.')
+        if not rows:
+            raise InputError(f'{path} holds no observations.')
+        frame, track, x, y = zip(*rows)
+        return cls(frame, track, np.column_stack([x, y]), image_size)
+
+    def to_csv(self, path) -> None:
+        """Write the columns frame, track, x, y; the file appears whole or not at all."""
+        path = Path(path)
+        temporary = path.with_name(path.name + '.part')
+        with temporary.open('w', newline='', encoding='utf-8') as stream:
+            writer = csv.writer(stream)
+            writer.writerow(['frame', 'track', 'x', 'y'])
+            for frame, track, (x, y) in zip(self.frame, self.track, self.xy):
+                writer.writerow([int(frame), int(track), repr(float(x)), repr(float(y))])
+        os.replace(temporary, path)
