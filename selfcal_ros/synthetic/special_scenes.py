@@ -1,0 +1,169 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Point scenes by name: the degenerate relatives of sequence SI, and long drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.synthetic.scenes import (double_tsai_grid, mount_from_axis, observe,
+                                          pitched_mount, planar_poses, planar_sequence,
+                                          PointSequence, sequence_si, si_axis, SI_POSITIONS)
+
+
+def level_horizon(rng, noise_px: float = 0.1, pitch_deg: float = 20.0,
+                  **options) -> PointSequence:
+    """SI seen by a camera pitched down without roll; pitch 0 puts the axis along image y."""
+    return sequence_si(rng, noise_px, axis=pitched_mount(np.radians(pitch_deg))[:, 2], **options)
+
+
+def circular_motion(rng, noise_px: float = 0.1, views: int = 3, step_deg: float = 10.0,
+                    **options) -> PointSequence:
+    """SI on a turntable: the camera circles the axis through the grid's centre, facing it."""
+    mount = mount_from_axis(si_axis() if options.get('axis') is None else options['axis'])
+    radius = 4.0 * (mount.T[:2, 2] @ mount.T[:2, 2]) ** 0.5
+    angles = np.radians(step_deg) * np.arange(views)
+    positions = radius * np.column_stack([1 - np.cos(angles), -np.sin(angles)])
+    return sequence_si(rng, noise_px, views, step_deg, positions=positions, **options)
+
+
+def nearly_equal_positions(rng, noise_px: float = 0.1, scale: float = 1e-3,
+                           step_deg: float = 10.0, **options) -> PointSequence:
+    """SI with its translations shrunk, so that the three positions are almost one."""
+    return sequence_si(rng, noise_px, step_deg=step_deg,
+                       positions=scale * np.array(SI_POSITIONS), **options)
+
+
+def pure_translation(rng, noise_px: float = 0.1, **options) -> PointSequence:
+    """SI without its rotation."""
+    return sequence_si(rng, noise_px, step_deg=0.0, **options)
+
+
+def pure_rotation(rng, noise_px: float = 0.1, views: int = 3, **options) -> PointSequence:
+    """SI without its translation."""
+    return sequence_si(rng, noise_px, views, positions=np.zeros((views, 2)), **options)
+
+
+def few_points(rng, noise_px: float = 0.1, count: int = 4, **options) -> PointSequence:
+    """SI with so few of its points, spread over the grid."""
+    grid = double_tsai_grid()
+    chosen = np.linspace(0, len(grid) - 1, count).round().astype(int)
+    return sequence_si(rng, noise_px, points=grid[chosen], **options)
+
+
+def coplanar_points(rng, noise_px: float = 0.1, **options) -> PointSequence:
+    """SI with all fifty points in one plane, oblique to the axis and to the image."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(-0.6, 0.6, 10),
+                                           np.linspace(-0.6, 0.6, 5)))
+    first, second = np.array([-0.5, 0.8, 0.2]), np.array([-0.4, -0.2, 0.9])
+    return sequence_si(rng, noise_px, points=np.outer(u, first) + np.outer(v, second), **options)
+
+
+def general_motion(rng, noise_px: float = 0.1, step_deg: float = 10.0,
+                   **options) -> PointSequence:
+    """SI's points seen from three views turned about different axes, out of any one plane."""
+    still = sequence_si(rng, 0.0, **options)
+    turns = np.radians(step_deg) * np.array([[0, 0, 0], [0.7, 0.1, 0.4], [-0.4, 0.6, -0.9]])
+    places = np.array([[0, 0, 4.0], [0.3, -0.25, 3.7], [-0.2, 0.3, 4.4]])
+    x, y, z = turns.T
+    zero = np.zeros_like(x)
+    cross = np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), -1, 0)
+    # Cayley's form: exactly orthogonal, no angle functions
+    turn = np.linalg.solve(np.eye(3) + cross / 2, np.eye(3) - cross / 2)
+    rotation = turn @ still.cam_from_world[0, :, :3]
+    shift = places - rotation @ still.points.mean(axis=0)
+    poses = np.concatenate([rotation, shift[:, :, None]], axis=-1)
+    return observe(rng, still.camera, poses, still.points, noise_px)
+
+
+def with_outliers(sequence: PointSequence, rng, share: float) -> PointSequence:
+    """
+    Replace a share of the observations by points anywhere in the image.
+
+    Parameters
+    ----------
+    sequence : PointSequence
+        Its camera must have an image size.
+    rng : numpy.random.Generator
+    share : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    PointSequence
+        `outliers` marks the replaced rows.
+
+    """
+    tracks = sequence.tracks
+    bad = np.zeros(len(tracks), bool)
+    bad[rng.choice(len(tracks), int(round(share * len(tracks))), replace=False)] = True
+    xy = tracks.xy.copy()
+    size = np.array([sequence.camera.width, sequence.camera.height])
+    xy[bad] = rng.uniform(-0.5, size - 0.5, (int(bad.sum()), 2))
+    return replace(sequence, outliers=bad, tracks=Tracks(tracks.frame, tracks.track, xy,
+                                                         tracks.image_size, tracks.stamps_ns))
+
+
+def drive(rng, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
+          track_length: int = 24, camera: Camera | None = None, pitch_deg: float = 20.0,
+          roll_deg: float = 0.0) -> PointSequence:
+    """
+    Drive a winding path with a camera pitched down; points come into and go out of sight.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    noise_px : float
+    views : int
+    tracks : int
+        Number of scene points, spread evenly over the drive.
+    track_length : int
+        Each point is seen in at most so many consecutive views, and where it lies in the image.
+    camera : Camera, optional
+        With an image size; by default 640 x 480, f = 520, principal point (320, 240).
+    pitch_deg, roll_deg : float
+        Mounting of the camera; see `pitched_mount`.
+
+    Returns
+    -------
+    PointSequence
+
+    """
+    if camera is None:
+        camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], (), 640, 480)
+    mount = pitched_mount(np.radians(pitch_deg), np.radians(roll_deg))
+    step = np.arange(views)
+    heading = np.radians(24.0) * np.sin(2 * np.pi * step / 26.0) + np.radians(0.5) * step
+    course = heading + np.radians(6.0) * np.sin(0.9 * step)
+    stride = 0.16 * (1 + 0.4 * np.sin(0.7 * step + 1.0))
+    positions = np.cumsum(stride[:, None] * np.column_stack([np.cos(course), np.sin(course)]),
+                          axis=0)
+    poses = planar_poses(mount, heading, positions)
+    # each point is placed by the pixel and the depth at which one view of its window sees it
+    start = np.linspace(1 - track_length / 2, views - track_length / 2, tracks).round().astype(int)
+    anchor = np.clip(start + track_length // 2, 0, views - 1)
+    pixel = rng.uniform(0, [camera.width - 1, camera.height - 1], (tracks, 2))
+    depth = rng.uniform(3.0, 10.0, tracks)
+    ray = camera.normalised(pixel)
+    ray = np.where(np.isfinite(ray), ray, 0.0)
+    local = depth[:, None] * np.column_stack([ray, np.ones(tracks)])
+    rotation, shift = poses[anchor, :, :3], poses[anchor, :, 3]
+    points = np.einsum('pji,pj->pi', rotation, local - shift)
+    seen = (step[:, None] >= start) & (step[:, None] < start + track_length)
+    return planar_sequence(rng, camera, mount, heading, positions, points, noise_px,
+                           only_inside=True, seen=seen)
