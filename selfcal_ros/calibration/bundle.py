@@ -1,0 +1,496 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Motion-constrained bundle adjustment: the last refinement and the covariance of every method.
+
+The world frame lies in the plane of motion, its z axis along the rotation axis. View i is
+
+    X_camera = A (S(tilt_i) R_z(angle_i) Y + w (p_i, h_i)),    Y, w a homogeneous world point,
+
+with one mount rotation A for all views. In planar motion the tilts and heights are zero, so that
+v ~ K A e3 and the circular points ~ K A (1, ±i, 0) are in the parameters themselves; nearly
+planar motion gives tilt and height a prior, general motion leaves them free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
+from selfcal_ros.geometry.optimise import (huber_cost, huber_weights, PointBlocks, ReducedSystem,
+                                           solve_damped)
+from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix, twist_matrix
+
+#: Internal parameters: focal length f, aspect ratio ζ = fy / fx, and the rest.
+INTRINSIC_NAMES = ('f', 'aspect', 'cx', 'cy', 'skew', 'k1', 'k2', 'p1', 'p2')
+F, ASPECT, CX, CY, SKEW, K1, K2, P1, P2 = range(9)
+SHARED = 11      # nine intrinsics and two of the axis direction
+PER_VIEW = 6     # angle, p1, p2, tilt1, tilt2, height
+#: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
+HUBER_SIGMAS = 2.0
+#: Depth below which a point counts as behind the camera, relative to its distance.
+MINIMUM_DEPTH = 1e-6
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """
+    How far the motion may leave the plane.
+
+    Attributes
+    ----------
+    tilt_sigma_rad, height_sigma : float
+        Standard deviations of the out-of-plane rotation and translation of each view, the latter
+        in units of the root mean square distance between successive views. 0: exactly planar;
+        infinity: general motion.
+
+    """
+
+    tilt_sigma_rad: float = 0.0
+    height_sigma: float = 0.0
+
+    @property
+    def is_planar(self) -> bool:
+        """Tell whether tilt and height are held at zero."""
+        return self.tilt_sigma_rad == 0 and self.height_sigma == 0
+
+
+@dataclass(frozen=True)
+class BundleState:
+    """
+    A point in the space of the unknowns.
+
+    Attributes
+    ----------
+    intrinsics : ndarray, shape (9,)
+        `INTRINSIC_NAMES`.
+    mount : ndarray, shape (3, 3)
+        A, camera from world rotation of a view with angle and tilt zero.
+    views : ndarray, shape (V, 6)
+        Angle (rad), in-plane translation (2), tilt (2, rad), height.
+    points : ndarray, shape (P, 4)
+        Unit homogeneous world points.
+
+    """
+
+    intrinsics: np.ndarray
+    mount: np.ndarray
+    views: np.ndarray
+    points: np.ndarray
+
+    def camera(self, width=0, height=0) -> Camera:
+        """Return the camera."""
+        f, aspect, *rest = self.intrinsics
+        return Camera.from_parameters([f, aspect * f, *rest], width, height)
+
+    def rotations(self) -> np.ndarray:
+        """Return world-to-view rotations before the mount, shape (V, 3, 3)."""
+        return rotation_matrix(pad(self.views[:, 3:5])) @ twist_matrix(self.views[:, 0])
+
+    def cam_from_world(self) -> np.ndarray:
+        """Return [R | t] of every view, shape (V, 3, 4)."""
+        translations = self.views[:, [1, 2, 5]]
+        poses = np.concatenate([self.rotations(), translations[..., None]], axis=2)
+        return self.mount @ poses
+
+    def step_length(self) -> float:
+        """Root mean square distance between the camera centres of successive views."""
+        R = self.rotations()
+        centres = -np.einsum('vji,vj->vi', R, self.views[:, [1, 2, 5]])
+        return float(np.sqrt(np.mean(np.sum(np.diff(centres, axis=0)**2, axis=1)))) or 1.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One measurement of an internal parameter: value and sigma (0: held)."""
+
+    value: float
+    sigma: float
+
+
+def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
+    """Translate facts to measurements of the internal parameters; sigma 0 holds one."""
+    priors = {}
+    if facts.aspect_ratio is not None:
+        priors[ASPECT] = Prior(facts.aspect_ratio, facts.aspect_ratio_sigma)
+    if facts.skew is not None:
+        priors[SKEW] = Prior(facts.skew, facts.skew_sigma_px)
+    if facts.principal_point is not None:
+        priors[CX] = Prior(facts.principal_point[0], facts.principal_point_sigma_px)
+        priors[CY] = Prior(facts.principal_point[1], facts.principal_point_sigma_px)
+    for name in ('k1', 'k2', 'p1', 'p2'):
+        if name not in DISTORTION_MODELS[facts.distortion]:
+            priors[PARAMETER_NAMES.index(name)] = Prior(0.0, 0.0)
+    return priors
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Residuals (N, 2) in pixels and their Jacobians; `ahead` (N,) is false behind the camera."""
+
+    residual: np.ndarray
+    ahead: np.ndarray
+    shared: np.ndarray
+    view: np.ndarray
+    point: np.ndarray
+
+
+class Bundle:
+    """
+    Bundle adjustment of a set of observations.
+
+    Parameters
+    ----------
+    view, point : ndarray of int, shape (N,)
+        Indices from zero, sorted by point, then view.
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    motion : MotionModel
+    priors : dict of int to Prior
+        Of the internal parameters; those with sigma 0 are held.
+    sigma_px : float
+        Standard deviation of an image coordinate that the priors and the loss are weighed by.
+
+    """
+
+    def __init__(self, view, point, xy, *, motion: MotionModel, priors: dict[int, Prior],
+                 sigma_px: float):
+        self.blocks = PointBlocks(point, view)
+        self.view, self.point, self.xy = view, point, xy
+        self.motion, self.priors, self.sigma_px = motion, priors, sigma_px
+        views = self.blocks.view_count
+        free = np.ones(SHARED + PER_VIEW * views, dtype=bool)
+        per_view = free[SHARED:].reshape(views, PER_VIEW)
+        per_view[0, [0, 1, 2, 5]] = False      # the world frame is that of the first view
+        if motion.tilt_sigma_rad == 0:
+            per_view[:, 3:5] = False
+        elif not np.isfinite(motion.tilt_sigma_rad):
+            per_view[0, 3:5] = False           # no prior: the tilt of view 0 is gauge
+        if motion.height_sigma == 0:
+            per_view[:, 5] = False
+        for index, prior in priors.items():
+            free[index] = prior.sigma > 0
+        self.free = free
+
+    # ------------------------------------------------------------------ model
+
+    def linearise(self, state: BundleState, jacobians: bool = True) -> Linearisation:
+        """Project every observation and differentiate."""
+        f, aspect, cx, cy, skew, k1, k2, p1, p2 = state.intrinsics
+        rotations = state.rotations()
+        translations = state.views[:, [1, 2, 5]]
+        R = rotations[self.view]
+        Y = state.points[self.point]
+        turned = np.einsum('nij,nj->ni', R, Y[:, :3])
+        Z = turned + translations[self.view] * Y[:, 3:]
+        # a homogeneous point has no sign: take the one that most of its views see ahead
+        X = Z @ state.mount.T
+        sign = np.sign(self.blocks.sum_over_points(np.sign(X[:, 2])))[self.point]
+        depth = X[:, 2]
+        ahead = depth * np.where(sign == 0, 1, sign) > MINIMUM_DEPTH
+        depth = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
+        x, y = X[:, 0] / depth, X[:, 1] / depth
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * k2)
+        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        residual = np.stack([f * xd + skew * yd + cx, f * aspect * yd + cy], axis=1) - self.xy
+        if not jacobians:
+            empty = np.empty(0)
+            return Linearisation(residual, ahead, empty, empty, empty)
+
+        slope = 2 * (k1 + 2 * k2 * r2)
+        cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
+        dxx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+        dyy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+        du_dx, du_dy = f * dxx + skew * cross, f * cross + skew * dyy
+        dv_dx, dv_dy = f * aspect * cross, f * aspect * dyy
+        n = len(x)
+        J_X = np.empty((n, 2, 3))
+        J_X[:, 0, 0], J_X[:, 0, 1] = du_dx / depth, du_dy / depth
+        J_X[:, 1, 0], J_X[:, 1, 1] = dv_dx / depth, dv_dy / depth
+        J_X[:, 0, 2] = -(du_dx * x + du_dy * y) / depth
+        J_X[:, 1, 2] = -(dv_dx * x + dv_dy * y) / depth
+
+        shared = np.zeros((n, 2, SHARED))
+        shared[:, 0, F], shared[:, 1, F] = xd, aspect * yd
+        shared[:, 1, ASPECT] = f * yd
+        shared[:, 0, CX] = shared[:, 1, CY] = 1
+        shared[:, 0, SKEW] = yd
+        bases = {K1: (x * r2, y * r2), K2: (x * r2 * r2, y * r2 * r2),
+                 P1: (2 * x * y, r2 + 2 * y * y), P2: (r2 + 2 * x * x, 2 * x * y)}
+        for index, (bx, by) in bases.items():
+            if self.free[index]:
+                shared[:, 0, index] = f * bx + skew * by
+                shared[:, 1, index] = f * aspect * by
+        J_Z = J_X @ state.mount
+        shared[:, :, 9] = _along_cross(J_Z, np.array([1.0, 0, 0]), Z)
+        shared[:, :, 10] = _along_cross(J_Z, np.array([0, 1.0, 0]), Z)
+
+        view = np.empty((n, 2, PER_VIEW))
+        tilt = pad(state.views[:, 3:5])
+        axis = rotation_matrix(tilt)[:, :, 2]
+        view[:, :, 0] = _along_cross(J_Z, axis[self.view], turned)
+        view[:, :, 1] = J_Z[:, :, 0] * Y[:, 3:]
+        view[:, :, 2] = J_Z[:, :, 1] * Y[:, 3:]
+        if self.motion.is_planar:
+            view[:, :, 3:] = 0
+        else:
+            J_tilt = left_jacobian(tilt)
+            view[:, :, 3] = _along_cross(J_Z, J_tilt[self.view, :, 0], turned)
+            view[:, :, 4] = _along_cross(J_Z, J_tilt[self.view, :, 1], turned)
+            view[:, :, 5] = J_Z[:, :, 2] * Y[:, 3:]
+
+        J_Y = np.concatenate([J_Z @ R, J_Z @ translations[self.view][:, :, None]], axis=2)
+        point = J_Y @ tangent_basis(state.points)[self.point]
+        return Linearisation(residual, ahead, shared, view, point)
+
+    def apply(self, state: BundleState, step: np.ndarray, point_steps: np.ndarray) -> BundleState:
+        """Move a state by a step of the unknowns."""
+        points = state.points + np.einsum('pij,pj->pi', tangent_basis(state.points), point_steps)
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        return BundleState(
+            state.intrinsics + step[:9],
+            state.mount @ rotation_matrix(np.array([step[9], step[10], 0.0])),
+            state.views + step[SHARED:].reshape(-1, PER_VIEW), points)
+
+    # ------------------------------------------------------------------ prior terms
+
+    def _prior_terms(self, state: BundleState):
+        """
+        Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
+
+        The facts and the motion's distance from the plane are measurements like any other.
+        """
+        n = len(self.free)
+        gradient, diagonal = np.zeros(n), np.zeros(n)
+        cost = 0.0
+        for index, prior in self.priors.items():
+            if 0 < prior.sigma < np.inf:
+                r = (state.intrinsics[index] - prior.value) / prior.sigma
+                cost += 0.5 * r * r
+                gradient[index] += r / prior.sigma
+                diagonal[index] += 1 / prior.sigma**2
+        scale = state.step_length() if self.motion.height_sigma else 1.0
+        for columns, sigma in (((3, 4), self.motion.tilt_sigma_rad),
+                               ((5,), self.motion.height_sigma * scale)):
+            if not 0 < sigma < np.inf:
+                continue
+            for column in columns:
+                index = SHARED + column + PER_VIEW * np.arange(len(state.views))
+                value = state.views[:, column]
+                cost += 0.5 * float(np.sum((value / sigma)**2))
+                gradient[index] += value / sigma**2
+                diagonal[index] += 1 / sigma**2
+        return cost, gradient, diagonal
+
+    def _gauge(self, state: BundleState) -> np.ndarray:
+        """Return the direction in the unknowns that only scales the world, unit length."""
+        direction = np.zeros(len(self.free))
+        views = direction[SHARED:].reshape(-1, PER_VIEW)
+        views[:, [1, 2, 5]] = state.views[:, [1, 2, 5]]
+        direction[~self.free] = 0
+        return direction / max(float(np.linalg.norm(direction)), 1e-300)
+
+    # ------------------------------------------------------------------ estimation
+
+    def cost(self, state: BundleState) -> float:
+        """Robust cost in units of sigma²; infinite where the state is impossible."""
+        if not (np.isfinite(state.intrinsics).all() and state.intrinsics[F] > 0
+                and state.intrinsics[ASPECT] > 0):
+            return np.inf
+        line = self.linearise(state, jacobians=False)
+        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
+        if not np.isfinite(distance).all():
+            return np.inf
+        # behind the camera the model predicts nothing: a constant, large misfit
+        distance = np.where(line.ahead, distance, np.maximum(distance, 100.0))
+        return huber_cost(distance, HUBER_SIGMAS) + self._prior_terms(state)[0]
+
+    def normal_equations(self, state: BundleState, damping: float = 0.0,
+                         robust: bool = True) -> ReducedSystem:
+        """Reduced normal equations in units of sigma, priors and scale gauge included."""
+        line = self.linearise(state)
+        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
+        weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
+        root = (np.sqrt(weight * line.ahead) / self.sigma_px)[:, None]
+        system = self.blocks.reduce(line.shared * root[..., None], line.view * root[..., None],
+                                    line.point * root[..., None], line.residual * root, damping)
+        _, gradient, diagonal = self._prior_terms(state)
+        system.gradient += gradient
+        system.matrix[np.diag_indices_from(system.matrix)] += diagonal
+        system.diagonal += diagonal
+        gauge = self._gauge(state)
+        weight = float(np.mean(system.diagonal[SHARED:][self.free[SHARED:]]))
+        system.matrix += weight * np.outer(gauge, gauge)
+        return system
+
+    def optimise(self, state: BundleState, iterations: int = 50,
+                 tolerance: float = 1e-9) -> BundleState:
+        """
+        Minimise the robust cost by Levenberg-Marquardt.
+
+        Parameters
+        ----------
+        state : BundleState
+        iterations : int
+        tolerance : float
+            Stop when the cost decreases by less than this share of itself.
+
+        Returns
+        -------
+        BundleState
+
+        """
+        cost = self.cost(state)
+        damping = 1e-3
+        for _ in range(iterations):
+            system = self.normal_equations(state, damping)
+            step = solve_damped(system.matrix, system.gradient, system.diagonal, damping,
+                                self.free)
+            moved = None
+            if step is not None:
+                moved = self.apply(state, step, system.point_steps(step))
+                new_cost = self.cost(moved)
+            if moved is None or not new_cost < cost:
+                if damping > 1e8:
+                    break
+                damping = max(damping * 10, 1e-6)
+                if moved is not None and new_cost - cost <= tolerance * cost:
+                    break
+                continue
+            decrease = cost - new_cost
+            state, cost = moved, new_cost
+            damping = max(damping * 0.1, 1e-12)
+            if decrease < tolerance * cost:
+                break
+        return state
+
+    # ------------------------------------------------------------------ evidence
+
+    def residuals(self, state: BundleState) -> np.ndarray:
+        """Reprojection residuals in pixels (N, 2); NaN behind the camera."""
+        line = self.linearise(state, jacobians=False)
+        return np.where(line.ahead[:, None], line.residual, np.nan)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Observations less unknowns (the scale of the world is no unknown)."""
+        priors = sum(0 < p.sigma < np.inf for p in self.priors.values())
+        views = self.blocks.view_count
+        priors += 2 * views * (0 < self.motion.tilt_sigma_rad < np.inf)
+        priors += views * (0 < self.motion.height_sigma < np.inf)
+        unknowns = int(self.free.sum()) - 1 + 3 * self.blocks.point_count
+        return 2 * len(self.view) + priors - unknowns
+
+    def noise_sigma(self, state: BundleState) -> float:
+        """
+        Estimate the standard deviation of an image coordinate from the residuals.
+
+        Huber's proposal 2: the winsorised sum of squares, consistent for Gaussian noise.
+        """
+        distance = np.linalg.norm(self.residuals(state), axis=1)
+        distance = distance[np.isfinite(distance)]
+        freedom = self.degrees_of_freedom
+        if freedom <= 0 or not len(distance):
+            return np.nan
+        # E[min(d, cσ)²] for a two-dimensional Gaussian is 2 σ² (1 - exp(-c² / 2))
+        share = freedom / (2 * len(distance))
+        expected = 2 * (1 - np.exp(-HUBER_SIGMAS**2 / 2))
+        sigma = float(np.sqrt(np.mean(distance**2) / (2 * share)))
+        for _ in range(30):
+            # residuals are smaller than the noise by √share
+            limit = HUBER_SIGMAS * sigma * np.sqrt(share)
+            sigma = float(np.sqrt(np.mean(np.minimum(distance, limit)**2) / (expected * share)))
+        return max(sigma, 1e-9)
+
+    def covariance(self, state: BundleState) -> np.ndarray:
+        """
+        Covariance of the shared and per-view unknowns at the optimum, shape (n, n).
+
+        First order, for the noise `sigma_px`; the Huber loss enters by the ratio of the mean of
+        ψ² to the square of the mean of ψ' (Huber 1981, 7.6). Held unknowns have zero rows.
+        Directions that neither the data nor a fact determine come out very large, not infinite.
+        """
+        system = self.normal_equations(state, robust=False)
+        distance = np.linalg.norm(self.residuals(state), axis=1) / self.sigma_px
+        distance = distance[np.isfinite(distance)]
+        psi2 = np.mean(np.minimum(distance, HUBER_SIGMAS)**2)
+        inside = distance <= HUBER_SIGMAS
+        # a two-dimensional residual beyond the threshold keeps ψ' only across its direction
+        slope = np.mean(np.where(inside, 1.0,
+                                 0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
+        raw = np.mean(np.where(inside, distance, 0)**2) / max(np.mean(inside), 1e-9)
+        inflation = 1.0 if inside.all() else max(1.0, psi2 / max(slope**2 * raw, 1e-300))
+        index = np.flatnonzero(self.free)
+        H = system.matrix[np.ix_(index, index)]
+        root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        values, vectors = np.linalg.eigh(H / np.outer(root, root))
+        values = np.maximum(values, 1e-13 * values[-1])
+        part = (vectors / values) @ vectors.T / np.outer(root, root)
+        result = np.zeros((len(self.free), len(self.free)))
+        result[np.ix_(index, index)] = inflation * part
+        return result
+
+    def with_sigma(self, sigma_px: float) -> Bundle:
+        """Return the same problem with another noise level."""
+        other = object.__new__(Bundle)
+        other.__dict__.update(self.__dict__, sigma_px=sigma_px)
+        return other
+
+
+def parameter_covariance(covariance: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """
+    Carry the covariance of the internal parameters to `PARAMETER_NAMES`.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n), n >= 9
+        Its first nine rows belong to `INTRINSIC_NAMES`.
+    intrinsics : ndarray, shape (9,)
+
+    Returns
+    -------
+    ndarray, shape (9, 9)
+
+    """
+    J = np.eye(9)
+    J[1, F], J[1, ASPECT] = intrinsics[ASPECT], intrinsics[F]     # fy = ζ f
+    return J @ covariance[:9, :9] @ J.T
+
+
+def tangent_basis(points: np.ndarray) -> np.ndarray:
+    """Orthonormal complements of unit vectors (P, 4), shape (P, 4, 3), by a Householder map."""
+    sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
+    u = points.copy()
+    u[:, 3] += sign
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
+
+
+def rescale(state: BundleState) -> BundleState:
+    """Scale the world so that successive views are one unit apart (root mean square)."""
+    factor = 1 / state.step_length()
+    views = state.views.copy()
+    views[:, [1, 2, 5]] *= factor
+    points = state.points * np.array([factor, factor, factor, 1])
+    return replace(state, views=views,
+                   points=points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Derivative J (n, 2, 3) along axis × vector, shape (n, 2)."""
+    return np.einsum('nij,nj->ni', J, np.cross(axis, vector))

@@ -1,0 +1,168 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Rotations: angle-axis vectors and matrices, with derivatives; all stack over leading axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """Return [a]x of vectors (..., 3), so that [a]x b = a × b; shape (..., 3, 3)."""
+    vector = np.asarray(vector, float)
+    matrix = np.zeros(vector.shape + (3,))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
+    return matrix
+
+
+def _sine_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return sin a / a, (1 - cos a) / a², (a - sin a) / a³, with their limits at zero."""
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    square = angle * angle
+    return (np.where(small, 1 - square / 6, np.sin(safe) / safe),
+            np.where(small, 0.5 - square / 24, 2 * np.sin(safe / 2)**2 / safe**2),
+            np.where(small, 1 / 6 - square / 120, (safe - np.sin(safe)) / safe**3))
+
+
+def rotation_matrix(vector: np.ndarray) -> np.ndarray:
+    """
+    Rotation matrix of an angle-axis vector (Rodrigues).
+
+    Parameters
+    ----------
+    vector : array_like, shape (..., 3)
+        Axis times angle in radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+
+    """
+    vector = np.asarray(vector, float)
+    sine, cosine, _ = _sine_terms(np.linalg.norm(vector, axis=-1))
+    skew = cross_matrix(vector)
+    return np.eye(3) + sine[..., None, None] * skew + cosine[..., None, None] * (skew @ skew)
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """
+    Angle-axis vector of a rotation matrix, angle in [0, pi].
+
+    Goes through the unit quaternion with the largest component first, which is accurate at
+    every angle.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (..., 3, 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+
+    """
+    R = np.asarray(matrix, float)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    # 4 q qᵀ of the quaternion q = (w, x, y, z); its row of the largest diagonal is 4 q_k q
+    outer = np.empty(R.shape[:-2] + (4, 4))
+    outer[..., 0, 0] = 1 + trace
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        outer[..., 0, k + 1] = outer[..., k + 1, 0] = R[..., j, i] - R[..., i, j]
+        outer[..., k + 1, k + 1] = 1 + 2 * R[..., k, k] - trace
+        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = R[..., i, j] + R[..., j, i]
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0, -q, q)
+    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(length, q[..., :1])
+    factor = np.where(length > 1e-12, angle / np.maximum(length, 1e-300), 2.0)
+    return factor * q[..., 1:]
+
+
+def left_jacobian(vector: np.ndarray) -> np.ndarray:
+    """
+    Left Jacobian of the exponential map: R(v + dv) ≈ R(J dv) R(v).
+
+    Parameters
+    ----------
+    vector : array_like, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+
+    """
+    vector = np.asarray(vector, float)
+    _, cosine, cubic = _sine_terms(np.linalg.norm(vector, axis=-1))
+    skew = cross_matrix(vector)
+    return np.eye(3) + cosine[..., None, None] * skew + cubic[..., None, None] * (skew @ skew)
+
+
+def swing_twist(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Split rotations into a swing about an axis in the x-y plane after a twist about z.
+
+    R = R(swing_x, swing_y, 0) R_z(twist); for planar motion the swing is zero.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (..., 3, 3)
+
+    Returns
+    -------
+    twist : ndarray, shape (...,)
+        Radians, in (-pi, pi].
+    swing : ndarray, shape (..., 2)
+        Radians.
+
+    """
+    R = np.asarray(matrix, float)
+    # the swing takes e3 to R e3 along the shortest way
+    z = R[..., 2]
+    horizontal = np.linalg.norm(z[..., :2], axis=-1)
+    angle = np.arctan2(horizontal, z[..., 2])
+    factor = np.where(horizontal > 1e-12, angle / np.maximum(horizontal, 1e-300), 1.0)
+    swing = np.stack([-z[..., 1], z[..., 0]], axis=-1) * factor[..., None]
+    twisted = np.swapaxes(rotation_matrix(pad(swing)), -1, -2) @ R
+    return np.arctan2(twisted[..., 1, 0] - twisted[..., 0, 1],
+                      twisted[..., 0, 0] + twisted[..., 1, 1]), swing
+
+
+def pad(swing: np.ndarray) -> np.ndarray:
+    """Append a zero third component to vectors (..., 2)."""
+    swing = np.asarray(swing, float)
+    return np.concatenate([swing, np.zeros(swing.shape[:-1] + (1,))], axis=-1)
+
+
+def twist_matrix(angle: np.ndarray) -> np.ndarray:
+    """Return rotations about z by angles (...,) in radians, shape (..., 3, 3)."""
+    angle = np.asarray(angle, float)
+    matrix = np.zeros(angle.shape + (3, 3))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = np.cos(angle)
+    matrix[..., 1, 0] = np.sin(angle)
+    matrix[..., 0, 1] = -matrix[..., 1, 0]
+    matrix[..., 2, 2] = 1
+    return matrix
+
+
+def align_z(direction: np.ndarray) -> np.ndarray:
+    """Return a rotation whose third column is the unit vector along direction (3,)."""
+    z = np.asarray(direction, float) / np.linalg.norm(direction)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
