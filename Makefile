@@ -1,0 +1,65 @@
+# make demo    set up, replay the recorded drive through the nodes, print the calibration
+# make test    set up, run every test
+# make lint    style only
+# make bench   print every figure that the README claims
+# make clean   remove what the others made
+
+VENV := .venv
+BIN := $(VENV)/bin
+# one interpreter, at least 3.11 and able to make virtual environments
+PYTHON ?= $(shell for python in python3.12 python3.11 python3.13 python3; do \
+	$$python -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' \
+	2>/dev/null && echo $$python && break; done)
+PIP_QUIET := --quiet --disable-pip-version-check
+PYTEST_ARGS ?=
+
+SOURCES := setup.py setup.cfg pyproject.toml package.xml README.md \
+	$(shell find selfcal_ros msg_adapters launch config scripts bags -type f \
+	-not -name '*.pyc' 2>/dev/null)
+
+# NumPy's threads gain nothing on matrices this small, and cost much when tests run side by side
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test lint bench clean help
+
+demo: $(VENV)/package
+	@$(BIN)/selfcal demo --output-dir out/demo
+
+test: $(VENV)/package $(VENV)/test-tools
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+
+lint: $(VENV)/test-tools
+	$(BIN)/python -m flake8 .
+
+bench: $(VENV)/package $(VENV)/test-tools
+	$(BIN)/python -m bench
+
+clean:
+	rm -rf $(VENV) build out *.egg-info .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help:
+	@sed -n '/^# make/s/^# //p' Makefile
+
+# Three stamps, so that the second run starts at once: the environment with everything that we
+# depend on, the package itself (again whenever a source file changes), and the test tools.
+$(VENV)/dependencies: setup.py
+	@if [ -z "$(PYTHON)" ]; then \
+	  echo "No Python >= 3.11 that can make virtual environments was found." >&2; \
+	  echo "Debian and Ubuntu: sudo apt-get install python3-venv" >&2; \
+	  echo "Elsewhere: install Python 3.11 or 3.12, or name one: make PYTHON=/path/to/python3" >&2; \
+	  exit 1; fi
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version): about a minute, once ..."
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install $(PIP_QUIET) '.[ros-wheels]'
+	@touch $@
+
+$(VENV)/package: $(VENV)/dependencies $(SOURCES)
+	@$(BIN)/python -m pip install $(PIP_QUIET) --no-deps --force-reinstall .
+	@rm -rf build selfcal_ros.egg-info
+	@touch $@
+
+$(VENV)/test-tools: $(VENV)/dependencies
+	@$(BIN)/python -m pip install $(PIP_QUIET) '.[test]'
+	@touch $@

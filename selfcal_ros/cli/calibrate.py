@@ -1,0 +1,89 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal calibrate`: a recording in, a calibrated camera with its uncertainties out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from selfcal_ros.cli.facts import add_fact_arguments, facts_from
+
+#: Motions of the command line that this version can solve.
+SOLVED = ('auto', 'planar')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `selfcal calibrate`."""
+    parser.add_argument('input', metavar='INPUT',
+                        help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
+                             'a video, or tracks.csv (columns frame,track,x,y)')
+    parser.add_argument('--topic', help='image topic of a bag, when it holds several')
+    parser.add_argument('--motion', default='auto',
+                        choices=('auto', 'planar', 'translation', 'known-object'),
+                        help='how the camera moved (default: found out)')
+    parser.add_argument('--mode', choices=('auto', 'video', 'wide'), default='auto',
+                        help='follow points from image to image, or match far-apart photographs '
+                             '(default: found out)')
+    parser.add_argument('--max-keyframes', type=int, metavar='N',
+                        help='use at most so many images')
+    parser.add_argument('--object', metavar='WHAT',
+                        help='known object, for --motion known-object')
+    parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+                        help='image size in pixels, for tracks.csv')
+    add_fact_arguments(parser)
+    output = parser.add_argument_group('output')
+    output.add_argument('--output', type=Path, default=Path('camera.yaml'), metavar='CAMERA.YAML',
+                        help='calibration file for camera drivers (default camera.yaml)')
+    output.add_argument('--camera-name', default='camera', help='name inside CAMERA.YAML')
+    output.add_argument('--json', type=Path, metavar='RESULT.JSON',
+                        help='everything, for another program')
+    output.add_argument('--report', type=Path, metavar='REPORT.HTML',
+                        help='everything, for a person')
+    output.add_argument('--quiet', action='store_true',
+                        help='print nothing but errors and the reason of a failure')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate; returns the exit status."""
+    from selfcal_ros.cli.result_text import result_text
+    from selfcal_ros.cli.outputs import Outputs
+    from selfcal_ros.errors import ArgumentError
+    if args.motion not in SOLVED or args.object:
+        raise ArgumentError(f'--motion {args.motion} is not part of this version; '
+                            'record a planar motion and use --motion planar or auto.')
+    if args.max_keyframes is not None and args.max_keyframes < 3:
+        raise ArgumentError('--max-keyframes must be at least 3: fewer views cannot calibrate.')
+    facts = facts_from(args)
+    outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
+                      camera_name=args.camera_name)
+    # before the long work, so that a mistyped folder costs a second and not the result
+    outputs.check()
+
+    from selfcal_ros import calibrate
+    from selfcal_ros.pipeline.feature_session import read_tracks
+    reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
+                          max_keyframes=args.max_keyframes,
+                          image_size=tuple(args.image_size) if args.image_size else None,
+                          progress=not args.quiet and sys.stderr.isatty())
+    result = calibrate(reading.tracks, motion=args.motion, facts=facts)
+    written = outputs.write(result, reading)
+    if result:
+        if not args.quiet:
+            print(result_text(result, notes=reading.notes))
+            print('Written: ' + ', '.join(str(path) for path in written) + '.')
+        return 0
+    print(result, file=sys.stderr if args.quiet else sys.stdout)
+    return 1

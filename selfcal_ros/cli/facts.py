@@ -1,0 +1,75 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What the user states about the camera: options of the command line ↔ `CameraFacts`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.camera import CameraFacts
+
+FREE = 'free'
+
+
+def _number_or_free(text: str):
+    """Read a number, or the word free."""
+    if text == FREE:
+        return FREE
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r} is neither a number nor {FREE!r}') from None
+
+
+def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that state facts; square pixels are assumed unless released."""
+    group = parser.add_argument_group(
+        'facts about the camera', 'Square pixels are taken for granted unless released.')
+    group.add_argument('--aspect-ratio', type=_number_or_free, default=1.0, metavar='FY/FX',
+                       help='known ratio of the focal lengths, or "free" (default 1.0)')
+    group.add_argument('--aspect-ratio-sigma', type=float, default=0.0, metavar='S',
+                       help='standard deviation of the aspect ratio (default 0: exact)')
+    group.add_argument('--skew', type=_number_or_free, default=0.0, metavar='PX',
+                       help='known skew in pixels, or "free" (default 0)')
+    group.add_argument('--skew-sigma', type=float, default=0.0, metavar='PX',
+                       help='standard deviation of the skew (default 0: exact)')
+    group.add_argument('--principal-point', type=float, nargs=2, metavar=('U', 'V'),
+                       help='known principal point in pixels (default: estimated)')
+    group.add_argument('--principal-point-sigma', type=float, default=0.0, metavar='PX',
+                       help='standard deviation of the principal point (default 0: exact)')
+    group.add_argument('--distortion', choices=('none', 'radial1', 'radial2', 'plumb_bob'),
+                       default='radial2', help='coefficients to estimate (default radial2)')
+
+
+def facts_from(args: argparse.Namespace) -> CameraFacts:
+    """
+    Turn the options into `CameraFacts`.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is impossible.
+
+    """
+    from selfcal_ros.geometry.camera import CameraFacts
+    return CameraFacts(
+        aspect_ratio=None if args.aspect_ratio == FREE else args.aspect_ratio,
+        skew=None if args.skew == FREE else args.skew,
+        principal_point=tuple(args.principal_point) if args.principal_point else None,
+        aspect_ratio_sigma=args.aspect_ratio_sigma,
+        skew_sigma_px=args.skew_sigma,
+        principal_point_sigma_px=args.principal_point_sigma,
+        distortion=args.distortion)

@@ -1,0 +1,91 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal`: one verb, one file; a verb is imported only when it is used."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+import os
+import sys
+
+#: Verb and what it does; each is a module of this package with `add_arguments` and `run`.
+VERBS = {
+    'calibrate': 'calibrate a camera from a recording of its own motion',
+    'compare': 'compare two calibration files, in pixels over the image',
+    'convert': 'turn an image folder or a video into a bag',
+    'demo': 'replay the recorded drive of this package and calibrate it',
+}
+EXIT_DONE, EXIT_NOT_CALIBRATED, EXIT_INPUT = 0, 1, 2
+
+
+def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
+    """Build the parser; only the chosen verb gets its arguments."""
+    parser = argparse.ArgumentParser(
+        prog='selfcal', description='Calibrate a camera from what it sees while it moves.',
+        epilog='Exit status: 0 done, 1 could not calibrate (and says why), '
+               '2 the input or the arguments are wrong.')
+    parser.add_argument('--version', action='store_true', help='print the version and exit')
+    commands = parser.add_subparsers(dest='verb', metavar='COMMAND')
+    for name, summary in VERBS.items():
+        command = commands.add_parser(name, help=summary, description=summary.capitalize() + '.')
+        if name == verb:
+            import_module(f'selfcal_ros.cli.{name}').add_arguments(command)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """
+    Run the command line.
+
+    Returns
+    -------
+    int
+        Exit status: 0 done, 1 could not calibrate, 2 wrong input or arguments.
+
+    """
+    argv = sys.argv[1:] if argv is None else list(argv)
+    verb = next((word for word in argv if not word.startswith('-')), None)
+    parser = build_parser(verb)
+    args = parser.parse_args(argv)
+    if args.version:
+        from selfcal_ros import __version__
+        print(f'selfcal_ros {__version__}')
+        return EXIT_DONE
+    if args.verb is None:
+        parser.print_help()
+        return EXIT_INPUT
+    from selfcal_ros.errors import SelfcalError
+    try:
+        status = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
+        sys.stdout.flush()
+        return status
+    except SelfcalError as error:
+        sentence = str(error)
+    except BrokenPipeError:
+        # the reader of our output went away: nothing is left to say, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    except OSError as error:
+        name = f' {error.filename}' if error.filename else ''
+        sentence = f'Cannot use{name}: {error.strerror or error}.'
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
+        return 130
+    print(f'selfcal {args.verb}: {sentence}', file=sys.stderr)
+    return EXIT_INPUT
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,88 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Installation with pip and with colcon; the metadata live here because colcon reads them here."""
+
+from glob import glob
+import os
+from pathlib import Path
+import re
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'selfcal_ros'
+EXECUTABLES = {
+    'feature_tracker': 'selfcal_ros.nodes.feature_tracker:main',
+    'planar_calibrator': 'selfcal_ros.nodes.planar_calibrator:main',
+    'bag_player': 'selfcal_ros.nodes.bag_player:main',
+    'selfcal': 'selfcal_ros.cli.main:main',
+}
+
+version = re.search(r"^__version__ = '(.+)'$",
+                    Path('selfcal_ros/__init__.py').read_text(encoding='utf-8'), re.M).group(1)
+
+data_files = [
+    ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
+    (f'share/{PACKAGE}', ['package.xml']),
+    (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
+    (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+    # the demo replays this recording, wherever the package is installed
+    (f'share/{PACKAGE}/bags', sorted(glob('bags/agv_drive*.json'))),
+    (f'share/{PACKAGE}/bags/agv_drive', sorted(glob('bags/agv_drive/*'))),
+]
+if os.environ.get('COLCON') != '1':
+    # pip puts console scripts on PATH only; `ros2 run` and launch look in lib/<package>
+    data_files.append((f'lib/{PACKAGE}', sorted(glob('scripts/*'))))
+
+setup(
+    name=PACKAGE,
+    version=version,
+    description="Camera self-calibration from a robot's own motion",
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    author='selfcal_ros contributors',
+    maintainer='selfcal_ros contributors',
+    maintainer_email='selfcal-ros@users.noreply.github.com',
+    license='Apache-2.0',
+    packages=find_packages(include=[PACKAGE, PACKAGE + '.*', 'msg_adapters', 'msg_adapters.*']),
+    package_data={PACKAGE: ['report/templates/*', 'report/*.j2', 'report/*.html']},
+    data_files=[(folder, files) for folder, files in data_files if files],
+    python_requires='>=3.11',
+    install_requires=[
+        'setuptools',
+        'numpy>=1.26',
+        'scipy>=1.11',
+        'opencv-python-headless>=4.6',
+        'rosbags>=0.10',
+        'matplotlib>=3.6',
+        'tqdm>=4.64',
+        'PyYAML>=6.0',
+        'jinja2>=3.1',
+    ],
+    extras_require={
+        'ros-wheels': [
+            "ros-jazzy-rclpy[fastrtps]; sys_platform == 'linux' and platform_machine == 'x86_64'",
+            "ros-jazzy-common-interfaces; "
+            "sys_platform == 'linux' and platform_machine == 'x86_64'",
+        ],
+        'test': [
+            'pytest>=7',
+            'pytest-xdist',
+            'hypothesis',
+            'flake8',
+        ],
+    },
+    zip_safe=True,
+    entry_points={'console_scripts': [f'{name} = {target}'
+                                      for name, target in EXECUTABLES.items()]},
+)

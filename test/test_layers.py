@@ -1,0 +1,103 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Imports go down only: nodes, cli > pipeline, report > features, rorapid, calibration > geometry."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Storey of each part of the package; a part may import its own and lower storeys.
+STOREY = {'errors': 0, 'geometry': 1, 'features': 2, 'rorapid': 2, 'calibration': 2, 'synthetic': 2,
+          'pipeline': 3, 'report': 3, 'cli': 4, 'nodes': 4}
+#: The value types of the top storey that message adapters may name.
+VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera', 'selfcal_ros.calibration.tracks',
+               'selfcal_ros.calibration.result', 'selfcal_ros'}
+ROS_PACKAGES = {'rclpy', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'diagnostic_msgs',
+                'visualization_msgs', 'builtin_interfaces', 'rosgraph_msgs', 'launch', 'launch_ros',
+                'ament_index_python', 'cv_bridge'}
+GEOMETRY_MAY_USE = {'__future__', 'dataclasses', 'math', 'typing', 'functools', 'itertools',
+                    'collections', 'enum', 'numpy', 'scipy', 'selfcal_ros'}
+
+
+def _imports(path):
+    """List the absolute names that a file imports, wherever in the file."""
+    package = path.relative_to(ROOT).with_suffix('').parts[:-1]
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'), str(path))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[:len(package) - node.level + 1]) if node.level else []
+            module = '.'.join(base + ([node.module] if node.module else []))
+            names += [f'{module}.{alias.name}' for alias in node.names]
+    return names
+
+
+def _files(folder):
+    return sorted((ROOT / folder).rglob('*.py'))
+
+
+def _part(dotted):
+    """Name the part of selfcal_ros that a dotted name lies in, None for the top level."""
+    words = dotted.split('.')
+    return words[1] if len(words) > 1 and words[0] == 'selfcal_ros' and words[1] in STOREY else None
+
+
+@pytest.mark.parametrize('path', _files('selfcal_ros'), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_down_only(path):
+    part = path.relative_to(ROOT / 'selfcal_ros').with_suffix('').parts[0]
+    if part == '__init__':
+        return
+    assert part in STOREY, f'{path} lies in no storey of the house'
+    for name in _imports(path):
+        words = name.split('.')
+        other = _part(name)
+        if other is not None:
+            assert STOREY[other] <= STOREY[part], f'{path} imports {name}, which lies above it'
+            if STOREY[other] == STOREY[part] >= 3:
+                assert other == part or {part, other} == {'pipeline', 'report'}, \
+                    f'{path} imports {name}, its neighbour'
+        elif words[0] == 'selfcal_ros':
+            # the top level re-exports the calibration: only what lies above may use it
+            assert STOREY[part] >= 3 or words[1:] == ['__version__'], f'{path} imports {name}'
+        if words[0] in ROS_PACKAGES:
+            assert part == 'nodes', f'{path} imports {name}: ROS belongs into nodes'
+        if words[0] == 'msg_adapters':
+            assert STOREY[part] >= 3, f'{path} imports {name}'
+        if part == 'geometry':
+            assert words[0] in GEOMETRY_MAY_USE, f'{path} imports {name}'
+        if words[0] == 'cv2':
+            assert part not in ('geometry', 'calibration'), f'{path} imports {name}'
+
+
+@pytest.mark.parametrize('path', _files('msg_adapters'), ids=lambda p: str(p.relative_to(ROOT)))
+def test_message_adapters_import_value_types_only(path):
+    for name in _imports(path):
+        words = name.split('.')
+        assert words[0] not in ROS_PACKAGES | {'rosbags'}, f'{path} imports {name}'
+        if words[0] == 'selfcal_ros':
+            assert any(name == allowed or name.startswith(allowed + '.')
+                       for allowed in VALUE_TYPES - {'selfcal_ros'}) \
+                or (len(words) == 2 and _part(name) is None), f'{path} imports {name}'
+
+
+def test_no_module_is_named_utils_or_like_the_standard_library():
+    import sys
+    for folder in ('selfcal_ros', 'msg_adapters'):
+        for path in _files(folder):
+            name = path.stem
+            assert 'util' not in name and 'helper' not in name, path
+            assert name == '__init__' or name not in sys.stdlib_module_names, path
