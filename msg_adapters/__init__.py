@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""ROS messages to and from plain values; duck-typed, works on objects of rclpy and rosbags alike."""
+"""ROS messages to and from plain values; works on the objects of rclpy and rosbags alike."""
