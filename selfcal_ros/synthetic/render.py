@@ -1,0 +1,323 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A small anti-aliased renderer of textured rectangles, with exact truth.
+
+A rectangle ``P + u U + v V`` (0 <= u, v <= 1, camera frame) is seen along the ray d = (x, y, 1)
+at depth t where ``[U V P] (u, v, 1)^T = t d``. With ``A = [U V P]^-1`` the three values
+``(a, b, w) = A d = (u, v, 1) / t`` are linear in the ray: w is the inverse depth, and the ray
+hits where ``0 <= a, b <= w``. Nothing is approximated but the texture's filter, which is
+symmetric: the mean of a regular grid of samples over the pixel, each looked up trilinearly in a
+pyramid of box-filtered textures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
+
+#: Textures are halved this many times; their sides are multiples of 2 ** (PYRAMID_LEVELS - 1).
+PYRAMID_LEVELS = 6
+_TILE = 48
+
+
+@dataclass(frozen=True)
+class Surface:
+    """
+    A textured rectangle, seen only from the side to which `edge_u` x `edge_v` points.
+
+    Parameters
+    ----------
+    origin, edge_u, edge_v : array_like, shape (3,)
+        The corner where u = v = 0 and the two edges that leave it, metres.
+    texture : ndarray, shape (rows, columns)
+        Grey levels, 0 to 255, linear in intensity; u runs along the columns, v along the rows,
+        and each texel covers its share of the rectangle: the centre of texel (0, 0) lies at
+        u = 0.5 / columns, v = 0.5 / rows.
+    body : int
+        Index of the rigid body to which the surface belongs.
+
+    """
+
+    origin: np.ndarray
+    edge_u: np.ndarray
+    edge_v: np.ndarray
+    texture: np.ndarray
+    body: int = 0
+
+
+class Scene:
+    """
+    Surfaces prepared for rendering: their frames, and all textures in one array.
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+        At least one.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no surface, or a texture's sides are not multiples of
+        ``2 ** (PYRAMID_LEVELS - 1)`` and at least twice that.
+
+    """
+
+    def __init__(self, surfaces):
+        """Stack the frames and build the pyramids."""
+        surfaces = list(surfaces)
+        if not surfaces:
+            raise ArgumentError('A scene needs at least one surface.')
+        #: (S, 3, 3): U, V and P as columns.
+        self.frames = np.array([np.column_stack([s.edge_u, s.edge_v, s.origin])
+                                for s in surfaces], dtype=float)
+        self.body = np.array([s.body for s in surfaces])
+        self.sides = np.array([s.texture.shape[::-1] for s in surfaces])
+        step = 2 ** (PYRAMID_LEVELS - 1)
+        if (self.sides % step).any() or (self.sides < 2 * step).any():
+            raise ArgumentError(f'The sides of a texture must be multiples of {step} and at '
+                                f'least {2 * step} texels.')
+        self._offsets = np.zeros((len(surfaces), PYRAMID_LEVELS), dtype=np.int64)
+        parts, length = [], 0
+        for index, surface in enumerate(surfaces):
+            level = np.asarray(surface.texture, dtype=np.float32)
+            for k in range(PYRAMID_LEVELS):
+                if k:
+                    level = level.reshape(level.shape[0] // 2, 2, -1, 2).mean(axis=(1, 3))
+                self._offsets[index, k] = length
+                parts.append(level.ravel())
+                length += level.size
+        self._texels = np.concatenate(parts)
+
+    def look_up(self, surface, u, v, level):
+        """
+        Sample the textures.
+
+        Parameters
+        ----------
+        surface : ndarray of int, shape (N,)
+            Which surface each sample falls on.
+        u, v : ndarray, shape (N,)
+            Where in the rectangle, 0 to 1.
+        level : ndarray, shape (N,)
+            Pyramid level, real; 0 is the full resolution.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Grey levels, interpolated between texels and between levels.
+
+        """
+        level = np.clip(level, 0, PYRAMID_LEVELS - 1)
+        lower = np.minimum(level.astype(np.int64), PYRAMID_LEVELS - 2)
+        fraction = level - lower
+        value = self._bilinear(surface, u, v, lower)
+        blurred = np.flatnonzero(fraction > 0)
+        upper = self._bilinear(surface[blurred], u[blurred], v[blurred], lower[blurred] + 1)
+        value[blurred] += fraction[blurred] * (upper - value[blurred])
+        return value
+
+    def _bilinear(self, surface, u, v, level):
+        width, height = self.sides[surface].T >> level
+        x = np.clip(u * width - 0.5, 0, width - 1)
+        y = np.clip(v * height - 0.5, 0, height - 1)
+        column = np.minimum(x.astype(np.int64), width - 2)
+        row = np.minimum(y.astype(np.int64), height - 2)
+        x -= column
+        y -= row
+        first = self._offsets[surface, level] + row * width + column
+        texels = self._texels
+        top = texels[first] * (1 - x) + texels[first + 1] * x
+        first += width
+        bottom = texels[first] * (1 - x) + texels[first + 1] * x
+        return top + y * (bottom - top)
+
+
+class Renderer:
+    """
+    Renders one scene through one camera; the rays are computed once.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is seen.
+    camera : Camera
+        With its image size. Lens distortion is exact: every sample's ray is undistorted.
+    supersampling : int
+        Samples along each side of a pixel.
+    background : float
+        Grey level where no surface is hit.
+
+    Raises
+    ------
+    ArgumentError
+        If the camera has no image size.
+
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, supersampling: int = 3,
+                 background: float = 0.0):
+        """Cut the image into tiles and compute their rays."""
+        if camera.width < 1 or camera.height < 1:
+            raise ArgumentError('The camera to render with needs its image size.')
+        self.scene, self.camera, self.background = scene, camera, float(background)
+        self._samples = int(supersampling)
+        self._tiles = list(self._cut())
+        boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r in self._tiles]
+        self._low, self._high = np.moveaxis(np.array(boxes), 1, 0)
+
+    def _cut(self):
+        """Yield (slices, rays (3, N)) for every tile, samples in raster order."""
+        n = self._samples
+        for top in range(0, self.camera.height, _TILE):
+            for left in range(0, self.camera.width, _TILE):
+                rows = slice(top, min(top + _TILE, self.camera.height))
+                columns = slice(left, min(left + _TILE, self.camera.width))
+                # sample k of a pixel lies at (k + 1/2) / n - 1/2 from the pixel's centre
+                y = (np.arange(rows.start * n, rows.stop * n) + 0.5) / n - 0.5
+                x = (np.arange(columns.start * n, columns.stop * n) + 0.5) / n - 0.5
+                pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+                rays = np.ones((3, len(pixels)))
+                rays[:2] = self.camera.normalised(pixels).T
+                yield (rows, columns), rays
+
+    def render(self, cam_from_world, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
+        """
+        Render one image.
+
+        Parameters
+        ----------
+        cam_from_world : ndarray, shape (3, 4) or (B, 3, 4)
+            Pose of the world, or of each rigid body of the scene, in the optical frame.
+        rng : numpy.random.Generator, optional
+            Source of the noise; needed when there is any.
+        noise_sigma : float
+            Standard deviation of the Gaussian image noise in grey levels.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width)
+
+        """
+        return quantise(self.intensity(cam_from_world), rng, noise_sigma)
+
+    def intensity(self, cam_from_world) -> np.ndarray:
+        """Render without noise or rounding: grey levels as reals, shape (height, width)."""
+        image = np.empty((self.camera.height, self.camera.width))
+        n = self._samples
+        for (rows, columns), rays, surfaces, inverse in self._candidates(cam_from_world):
+            grey = self._shade(rays, surfaces, inverse)
+            high, wide = rows.stop - rows.start, columns.stop - columns.start
+            image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
+        return image
+
+    def depth(self, cam_from_world) -> np.ndarray:
+        """
+        Depth (z in the optical frame, metres) at the pixel centres, NaN where nothing is hit.
+
+        Shape (height, width); exact. The number of samples along a pixel must be odd.
+        """
+        if self._samples % 2 == 0:
+            raise ArgumentError('A depth map needs an odd supersampling: only then does a '
+                                'sample lie at the centre of the pixel.')
+        image = np.empty((self.camera.height, self.camera.width))
+        n = self._samples
+        for (rows, columns), rays, surfaces, inverse in self._candidates(cam_from_world):
+            high, wide = rows.stop - rows.start, columns.stop - columns.start
+            centre = rays.reshape(3, high, n, wide, n)[:, :, n // 2, :, n // 2].reshape(3, -1)
+            _, _, _, w = _nearest(centre, inverse)
+            with np.errstate(divide='ignore'):
+                image[rows, columns] = np.where(w > 0, 1 / w, np.nan).reshape(high, wide)
+        return image
+
+    def _candidates(self, cam_from_world):
+        """Yield (slices, rays, surfaces, their A) for every tile, hidden surfaces left out."""
+        pose = np.asarray(cam_from_world, dtype=float)
+        pose = np.broadcast_to(pose, (self.scene.body.max() + 1, 3, 4))[self.scene.body]
+        frames = pose[:, :, :3] @ self.scene.frames
+        frames[:, :, 2] += pose[:, :, 3]
+        # facing the camera: the normal U x V points against the ray to P
+        facing = np.flatnonzero(np.linalg.det(frames) < -1e-12)
+        inverse = np.linalg.inv(frames[facing])
+        a, b, w = np.moveaxis(inverse, 1, 0)
+        tests = np.stack([w, a, b, w - a, w - b])
+        # extremes of these linear forms over the box of each tile's rays: (tests, S, tiles)
+        low = tests[..., None] * self._low.T
+        high = tests[..., None] * self._high.T
+        least = np.minimum(low, high).sum(axis=2)
+        most = np.maximum(low, high).sum(axis=2)
+        seen = (most >= 0).all(axis=0)
+        covering = np.where((least >= 0).all(axis=0), least[0], 0.0).max(axis=0, initial=0.0)
+        seen &= most[0] >= covering
+        for (slices, rays), chosen in zip(self._tiles, seen.T):
+            yield slices, rays, facing[chosen], inverse[chosen]
+
+    def _shade(self, rays, surfaces, inverse):
+        """Grey level of every ray, shape (N,)."""
+        grey = np.full(rays.shape[1], self.background)
+        if not len(surfaces):
+            return grey
+        best, a, b, w = _nearest(rays, inverse)
+        hit = w > 0
+        if not hit.all():
+            best, a, b, w = best[hit], a[hit], b[hit], w[hit]
+        u, v = a / w, b / w
+        surface = surfaces[best]
+        # texels that one sample's spacing covers, along the longer side of its footprint
+        sides = self.scene.sides[surfaces]
+        spacing = 1 / (self._samples * self.camera.K[[0, 1], [0, 1]])
+        squared = 0.0
+        for axis in range(2):
+            slope = inverse[:, :, axis] * spacing[axis]
+            slope = np.column_stack([slope[:, :2] * sides, slope[:, 2]])
+            du, dv, dw = slope[best].T
+            du -= u * dw * sides[best, 0]
+            dv -= v * dw * sides[best, 1]
+            squared = np.maximum(squared, du * du + dv * dv)
+        level = 0.5 * np.log2(np.maximum(squared, 1e-12) / (w * w))
+        grey[hit] = self.scene.look_up(surface, u, v, level)
+        return grey
+
+
+def _nearest(rays, inverse):
+    """Index of the nearest surface on each ray, with its a, b and w; w = 0: nothing is hit."""
+    if not len(inverse):
+        return (np.zeros(rays.shape[1], dtype=int),) + (np.zeros(rays.shape[1]),) * 3
+    a, b, w = np.moveaxis(inverse, 1, 0) @ rays
+    inside = (a >= 0) & (b >= 0) & (a <= w) & (b <= w)
+    w = np.where(inside, w, 0.0)
+    best = w.argmax(axis=0)
+    pick = best, np.arange(rays.shape[1])
+    return best, a[pick], b[pick], w[pick]
+
+
+def quantise(intensity, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
+    """
+    Add Gaussian noise and round to 8 bits.
+
+    Raises
+    ------
+    ArgumentError
+        If there is noise to add and no `rng` to draw it from.
+
+    """
+    if noise_sigma:
+        if rng is None:
+            raise ArgumentError('Image noise needs an rng to draw from.')
+        intensity = intensity + rng.normal(0.0, noise_sigma, np.shape(intensity))
+    return np.clip(np.rint(intensity), 0, 255).astype(np.uint8)
