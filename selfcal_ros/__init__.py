@@ -14,9 +14,10 @@
 """Camera self-calibration from a robot's own motion."""
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.solve import calibrate
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.version import __version__
 
-__version__ = '0.1.0'
-
-__all__ = ['Calibration', 'Camera', 'CameraFacts', 'NotCalibrated', 'Tracks', '__version__']
+__all__ = ['Calibration', 'Camera', 'CameraFacts', 'NotCalibrated', 'Tracks', '__version__',
+           'calibrate']

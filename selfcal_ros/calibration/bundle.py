@@ -428,13 +428,14 @@ class Bundle:
         system = self.normal_equations(state, robust=False)
         distance = np.linalg.norm(self.residuals(state), axis=1) / self.sigma_px
         distance = distance[np.isfinite(distance)]
-        psi2 = np.mean(np.minimum(distance, HUBER_SIGMAS)**2)
-        inside = distance <= HUBER_SIGMAS
-        # a two-dimensional residual beyond the threshold keeps ψ' only across its direction
-        slope = np.mean(np.where(inside, 1.0,
+        # residuals are smaller than the noise by the square root of this
+        share = max(self.degrees_of_freedom, 1) / (2 * len(distance))
+        distance = distance / np.sqrt(share)
+        psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2
+        # beyond the threshold ψ' remains only across the residual's direction
+        slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
                                  0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
-        raw = np.mean(np.where(inside, distance, 0)**2) / max(np.mean(inside), 1e-9)
-        inflation = 1.0 if inside.all() else max(1.0, psi2 / max(slope**2 * raw, 1e-300))
+        inflation = psi_square / slope**2
         index = np.flatnonzero(self.free)
         H = system.matrix[np.ix_(index, index)]
         root = np.sqrt(np.maximum(np.diag(H), 1e-300))

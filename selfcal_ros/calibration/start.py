@@ -237,6 +237,42 @@ def centres_and_points(blocks: PointBlocks, directions: np.ndarray, dimensions: 
     return centres, _homogeneous_points(blocks, directions, centres, points)
 
 
+def points_from_centres(blocks: PointBlocks, directions: np.ndarray,
+                        centres: np.ndarray) -> np.ndarray:
+    """
+    Intersect rays of known origin, least squares of their angles.
+
+    Parameters
+    ----------
+    blocks : PointBlocks
+    directions : ndarray, shape (N, 3)
+        Unit world directions.
+    centres : ndarray, shape (V, 3)
+
+    Returns
+    -------
+    ndarray, shape (P, 4)
+        Unit homogeneous points.
+
+    """
+    Q = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    origin = centres[blocks.view]
+    weight = np.ones(len(directions))
+    for _ in range(2):
+        Qw = Q * weight[:, None, None]
+        H = blocks.sum_over_points(Qw) + 1e-12 * np.eye(3)
+        b = blocks.sum_over_points(np.einsum('nij,nj->ni', Qw, origin))
+        points = np.linalg.solve(H, b[..., None])[..., 0]
+        span = np.linalg.norm(points[blocks.point] - origin, axis=1)
+        weight = 1 / np.maximum(span, 1e-3 * np.median(span))**2
+    return _homogeneous_points(blocks, directions, centres, points)
+
+
+def centres_from_state(state: BundleState) -> np.ndarray:
+    """Camera centres in the world, shape (V, 3)."""
+    return -np.einsum('vji,vj->vi', state.rotations(), state.views[:, [1, 2, 5]])
+
+
 def _homogeneous_points(blocks, directions, centres, points) -> np.ndarray:
     """Put points without parallax, or behind their cameras, far along their mean ray."""
     mean = blocks.sum_over_points(directions)
@@ -296,4 +332,3 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
     state = BundleState(np.array([f, fy / f, cx, cy, skew, k1, k2, p1, p2]), mount, values,
                         points)
     return rescale(state)
-

@@ -1,0 +1,89 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which parameters the data determine, which a stated fact holds, and which neither."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
+
+#: A parameter counts as unobservable when its sigma exceeds these. Focal lengths, as a share of
+#: themselves: beyond 15 % a guess from the lens's data sheet is as good. Principal point, as a
+#: share of the image's diagonal, and skew, as a share of the focal length: no better than
+#: assuming the middle and zero. Distortion: sigma of the displacement at the image's corner, as
+#: a share of the corner's distance from the middle.
+FOCAL_SHARE = 0.15
+PRINCIPAL_POINT_SHARE = 0.10
+SKEW_SHARE = 0.10
+DISTORTION_SHARE = 0.15
+
+
+def held_facts(facts: CameraFacts) -> dict[str, str]:
+    """
+    Name the fact that holds each held parameter.
+
+    Parameters
+    ----------
+    facts : CameraFacts
+
+    Returns
+    -------
+    dict of str to str
+        Keys among `PARAMETER_NAMES`. An exact aspect ratio ties fy to fx; it holds neither.
+
+    """
+    held = {}
+    if facts.skew is not None and facts.skew_sigma_px == 0:
+        held['skew'] = f'skew = {facts.skew:g}'
+    if facts.principal_point is not None and facts.principal_point_sigma_px == 0:
+        held['cx'] = held['cy'] = 'principal point = ({:g}, {:g})'.format(*facts.principal_point)
+    for name in ('k1', 'k2', 'p1', 'p2'):
+        if name not in DISTORTION_MODELS[facts.distortion]:
+            held[name] = f'distortion = {facts.distortion}'
+    return held
+
+
+def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, str]:
+    """
+    Tell 'estimated', 'held' or 'unobservable' for each of `PARAMETER_NAMES`.
+
+    Parameters
+    ----------
+    camera : Camera
+        With its image size.
+    covariance : ndarray, shape (9, 9)
+    facts : CameraFacts
+
+    Returns
+    -------
+    dict of str to str
+
+    """
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
+    diagonal = float(np.hypot(camera.width, camera.height))
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    corner = diagonal / 2 / fx
+    limits = dict(zip(PARAMETER_NAMES, (
+        FOCAL_SHARE * fx, FOCAL_SHARE * fy, PRINCIPAL_POINT_SHARE * diagonal,
+        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx, DISTORTION_SHARE / corner**2,
+        DISTORTION_SHARE / corner**4, DISTORTION_SHARE / corner, DISTORTION_SHARE / corner)))
+    held = held_facts(facts)
+    status = {}
+    for name, value in zip(PARAMETER_NAMES, sigma):
+        if name in held:
+            status[name] = 'held'
+        else:
+            status[name] = 'estimated' if value <= limits[name] else 'unobservable'
+    return status

@@ -1,0 +1,236 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Planar motion → K: closed-form starts, one maximum-likelihood estimate, and its evidence.
+
+The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes
+one calibration; a sweep over the focal length proposes others. Each proposal is a start for the
+same bundle adjustment on a small share of the tracks, the best one is finished on all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, K1, K2, MotionModel,
+                                            parameter_covariance, Prior, priors_from_facts, SKEW)
+from selfcal_ros.calibration.motion import describe_path
+from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.refine import (bundle_of, Fit, fit_with_planarity, NEARLY_PLANAR,
+                                            Observations, with_all_points)
+from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
+                                            Reconstruction)
+from selfcal_ros.calibration.start import planar_start
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.view_graph import ViewGraph
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.optimise import PointBlocks
+
+#: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a
+#: long one (13°), the likely ones first.
+FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
+#: While starts are compared, soft facts keep them from wandering: principal point within so
+#: much of the middle (share of the longer side), distortion of ordinary lenses.
+START_PRINCIPAL_POINT_SHARE = 0.06
+START_K1_SIGMA, START_K2_SIGMA = 0.2, 0.1
+#: A start that explains the images this well needs no rival (ratio to the noise of the
+#: epipolar geometry, which has more freedom).
+GOOD_ENOUGH = 1.25
+#: Tracks per view that the starts are compared on.
+START_TRACKS_PER_VIEW = 40
+#: Tracks per view that the estimate uses; more add time and little accuracy.
+TRACKS_PER_VIEW = 600
+#: Fewer degrees of freedom than this cannot check themselves.
+MINIMUM_FREEDOM = 12
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every start is judged on."""
+
+    observations: Observations
+    pairs: list
+    size: tuple[int, int]
+    facts: CameraFacts
+    noise_px: float
+
+
+def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> Camera:
+    """Camera with a supposed focal length; what no fact states is what most cameras have."""
+    centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    aspect = facts.aspect_ratio or 1.0
+    return Camera([[focal_px, facts.skew or 0.0, centre[0]], [0, focal_px * aspect, centre[1]],
+                   [0, 0, 1]], width=size[0], height=size[1])
+
+
+def start_priors(problem: Problem) -> dict[int, Prior]:
+    """Facts, and for the starts alone what most cameras have."""
+    priors = priors_from_facts(problem.facts)
+    longer = max(problem.size)
+    usual = {CX: Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             CY: Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             K1: Prior(0.0, START_K1_SIGMA), K2: Prior(0.0, START_K2_SIGMA),
+             ASPECT: Prior(1.0, 0.1), SKEW: Prior(0.0, 0.02 * longer)}
+    return {**usual, **priors}
+
+
+def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[BundleState, float]]:
+    """
+    Follow proposed calibrations to their nearest optimum on a share of the tracks.
+
+    Yields
+    ------
+    BundleState
+        Without the points of the other tracks.
+    float
+        Robust estimate of the noise there, pixels.
+
+    """
+    mask = problem.observations.longest(START_TRACKS_PER_VIEW)
+    few, _ = problem.observations.select(mask)
+    priors = start_priors(problem)
+    blocks = PointBlocks(few.point, few.view)
+    for camera in proposals:
+        state = planar_start(problem.pairs, blocks, few.xy, camera)
+        if state is None:
+            continue
+        # a coarse scale first: far from the optimum most residuals are large
+        for sigma, iterations in ((10 * problem.noise_px, 6), (1.5 * problem.noise_px, 10)):
+            bundle = bundle_of(few, NEARLY_PLANAR, priors, sigma)
+            state = bundle.optimise(state, iterations, 1e-3)
+        yield state, bundle.noise_sigma(state)
+
+
+def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list] | None:
+    """
+    Choose the start that explains the images best.
+
+    Parameters
+    ----------
+    problem : Problem
+    first : list of Camera
+        Proposals to try before the sweep over the focal length.
+
+    Returns
+    -------
+    BundleState, list of (focal length px, noise px) of all starts; or None
+
+    """
+    longer = max(problem.size)
+
+    def proposals():
+        yield from first
+        for share in FOCAL_SWEEP:
+            yield supposed_camera(share * longer, problem.size, problem.facts)
+
+    best, best_noise, tried = None, np.inf, []
+    for state, noise in starts(problem, proposals()):
+        tried.append((float(state.intrinsics[F]), noise))
+        if noise < best_noise:
+            best, best_noise = state, noise
+        if best_noise < GOOD_ENOUGH * problem.noise_px:
+            break
+    return None if best is None else (best, tried)
+
+
+def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
+                     proposals: list[Camera]) -> Calibration | NotCalibrated:
+    """
+    Calibrate from planar motion.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts
+    proposals : list of Camera
+        Calibrations to start from; the sweep over the focal length follows.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    """
+    frames = tuple(int(f) for f in graph.frames)
+
+    def refuse(reason, advice='', motion='unknown', status=None):
+        return NotCalibrated(reason, advice, motion, frames, facts, status or {})
+
+    observations = observations_of(graph.tracks, graph.frames)
+    if len(graph.frames) < 3:
+        return refuse(f'Only {len(graph.frames)} images share points; planar motion needs at '
+                      'least three.', 'Record a longer drive with turns.')
+    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02))
+    freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
+                        1.0).degrees_of_freedom
+    if freedom < MINIMUM_FREEDOM:
+        return refuse(f'{len(observations.track)} points in {len(frames)} images leave '
+                      f'{freedom} degrees of freedom; the estimate could not be checked.',
+                      'More points or more images are needed.')
+    chosen = best_start(problem, proposals)
+    if chosen is None:
+        return refuse('No focal length between 0.45 and 4.2 times the image width gives a '
+                      'consistent reconstruction.')
+    start, _ = chosen
+    start = with_all_points(start, observations)
+    if start is None:
+        return refuse('The distortion of the best start cannot be undone over the whole image.')
+    fit, exact = fit_with_planarity(observations, start, priors_from_facts(facts),
+                                    1.5 * problem.noise_px)
+    return conclude(fit, exact, problem, graph)
+
+
+def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
+    """Index the observations of tracks, no more than `TRACKS_PER_VIEW` of the longest a view."""
+    tracks = tracks.with_at_least(2)
+    identity, point = np.unique(tracks.track, return_inverse=True)
+    result = Observations(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity)
+    return result.select(result.longest(TRACKS_PER_VIEW))[0]
+
+
+def conclude(fit: Fit, exact: bool, problem: Problem, graph: ViewGraph,
+             ) -> Calibration | NotCalibrated:
+    """Judge an optimum: what do the data determine, and what does the motion lack?"""
+    facts, state = problem.facts, fit.state
+    frames = tuple(int(f) for f in graph.frames)
+    camera = state.camera(*problem.size)
+    full = fit.bundle.covariance(state)
+    covariance = parameter_covariance(full, state.intrinsics)
+    held = held_facts(facts)
+    for k, name in enumerate(PARAMETER_NAMES):
+        if name in held:
+            covariance[k] = covariance[:, k] = 0
+    path = describe_path(state, full, exact)
+    status = parameter_status(camera, covariance, facts)
+    residuals = fit.bundle.residuals(state)
+    rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
+    missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
+    if missing or path.refusal:
+        reason, advice = path.explain(missing, camera, facts)
+        return NotCalibrated(reason, advice, path.motion, frames, facts, status)
+    axis, K = state.mount[:, 2], camera.K
+    return Calibration(
+        camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
+        facts=facts, frames=frames, reprojection_rms_px=rms,
+        noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
+        outlier_count=fit.outliers + graph.rejected,
+        reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
+                                      fit.observations.track, state.points),
+        fixed_points=FixedPoints(np.linalg.solve(K.T, axis), K @ axis,
+                                 K @ (state.mount[:, 0] + 1j * state.mount[:, 1])),
+        notes=path.notes, residuals=residuals)

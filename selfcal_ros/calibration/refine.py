@@ -1,0 +1,231 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From a start to the maximum-likelihood estimate: outliers, noise level, how planar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle import Bundle, BundleState, MotionModel, Prior, rescale
+from selfcal_ros.calibration.start import centres_from_state, points_from_centres
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.optimise import PointBlocks
+
+#: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
+#: Gaussian residuals.
+OUTLIER_SIGMAS = 4.0
+#: How far a vehicle may leave the plane, before it is told apart from an exact plane: one
+#: degree, and two hundredths of the distance between views.
+NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
+#: Floor of the out-of-plane sigmas that are estimated from the data.
+MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
+
+
+@dataclass(frozen=True)
+class Observations:
+    """
+    Observations by index, sorted by point, then view.
+
+    Attributes
+    ----------
+    view, point : ndarray of int, shape (N,)
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    track : ndarray of int, shape (P,)
+        Track identity of each point.
+
+    """
+
+    view: np.ndarray
+    point: np.ndarray
+    xy: np.ndarray
+    track: np.ndarray
+
+    def select(self, mask: np.ndarray, least: int = 2) -> tuple[Observations, np.ndarray]:
+        """
+        Keep the observations in mask (N,) of points that keep at least so many.
+
+        Returns
+        -------
+        Observations
+        ndarray of int
+            Indices of the points that remain.
+
+        """
+        counts = np.bincount(self.point[mask], minlength=len(self.track))
+        mask = mask & (counts[self.point] >= least)
+        points, index = np.unique(self.point[mask], return_inverse=True)
+        return Observations(self.view[mask], index, self.xy[mask], self.track[points]), points
+
+    def longest(self, per_view: int) -> np.ndarray:
+        """Mark the observations of the longest tracks, so many in every view, shape (N,)."""
+        length = np.bincount(self.point)[self.point]
+        order = np.lexsort((self.point, -length, self.view))
+        view = self.view[order]
+        rank = np.arange(len(order)) - np.searchsorted(view, view)
+        chosen = np.zeros(len(self.track), dtype=bool)
+        chosen[self.point[order[rank < per_view]]] = True
+        return chosen[self.point]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An optimum, with the problem that it solves and the observations that it explains."""
+
+    bundle: Bundle
+    state: BundleState
+    observations: Observations
+    outliers: int
+
+    @property
+    def cost(self) -> float:
+        """Robust cost in units of sigma²."""
+        return self.bundle.cost(self.state)
+
+
+def with_all_points(state: BundleState, observations: Observations) -> BundleState | None:
+    """Intersect the points of all observations from the views and calibration of a state."""
+    blocks = PointBlocks(observations.point, observations.view)
+    camera = state.camera()
+    rays = camera.normalised(observations.xy)
+    if not np.isfinite(rays).all():
+        return None
+    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    directions = np.einsum('nji,nj->ni', state.rotations()[observations.view],
+                           rays @ state.mount)
+    points = points_from_centres(blocks, directions, centres_from_state(state))
+    return replace(state, points=points)
+
+
+def bundle_of(observations: Observations, motion: MotionModel, priors: dict[int, Prior],
+              sigma_px: float) -> Bundle:
+    """Set up the adjustment of observations."""
+    return Bundle(observations.view, observations.point, observations.xy, motion=motion,
+                  priors=priors, sigma_px=sigma_px)
+
+
+def fit_robustly(observations: Observations, state: BundleState, motion: MotionModel,
+                 priors: dict[int, Prior], sigma_px: float, rounds: int = 6) -> Fit:
+    """
+    Optimise, estimate the noise, drop outliers, and repeat until nothing changes.
+
+    Parameters
+    ----------
+    observations : Observations
+    state : BundleState
+        Its points belong to the observations.
+    motion : MotionModel
+    priors : dict of int to Prior
+    sigma_px : float
+        First guess of the noise.
+    rounds : int
+
+    Returns
+    -------
+    Fit
+
+    """
+    before = len(observations.view)
+    for k in range(rounds):
+        bundle = bundle_of(observations, motion, priors, sigma_px)
+        state = bundle.optimise(state, 12 if k == 0 else 30, 1e-5 if k < 2 else 1e-8)
+        estimate = bundle.noise_sigma(state)
+        if not np.isfinite(estimate):
+            break
+        distance = np.linalg.norm(bundle.residuals(state), axis=1)
+        keep = distance < OUTLIER_SIGMAS * estimate      # NaN, behind the camera: not kept
+        settled = abs(estimate / sigma_px - 1) < 0.02
+        sigma_px = estimate
+        if keep.all():
+            if settled:
+                break
+            continue
+        smaller, points = observations.select(keep)
+        if not len(smaller.view) or len(np.unique(smaller.view)) < len(state.views):
+            break
+        observations = smaller
+        state = replace(state, points=state.points[points])
+    bundle = bundle_of(observations, motion, priors, sigma_px)
+    state = bundle.optimise(rescale(state), 30, 1e-10)
+    return Fit(bundle.with_sigma(bundle.noise_sigma(state)), state, observations,
+               before - len(observations.view))
+
+
+def out_of_plane(fit: Fit) -> tuple[float, float]:
+    """
+    Estimate the standard deviations of tilt (rad) and height (per distance between views).
+
+    Empirical Bayes: the mean of the squared estimates and of their variances.
+    """
+    covariance = fit.bundle.covariance(fit.state)
+    variance = np.diag(covariance)[11:].reshape(-1, 6)
+    tilt = np.sqrt(np.mean(fit.state.views[:, 3:5]**2 + variance[:, 3:5]))
+    height = np.sqrt(np.mean(fit.state.views[1:, 5]**2 + variance[1:, 5]))
+    return (max(float(tilt), MINIMUM_TILT_RAD),
+            max(float(height) / fit.state.step_length(), MINIMUM_HEIGHT))
+
+
+def flatten(state: BundleState) -> BundleState:
+    """Return the state with tilts and heights zero."""
+    views = state.views.copy()
+    views[:, 3:] = 0
+    return replace(state, views=views)
+
+
+def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fit:
+    """Optimise the same observations, at the same noise level, under another motion model."""
+    bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
+    state = bundle.optimise(fit.state if state is None else state, 40, 1e-10)
+    return Fit(bundle, state, fit.observations, fit.outliers)
+
+
+def fit_with_planarity(observations: Observations, state: BundleState, priors, sigma_px,
+                       ) -> tuple[Fit, bool]:
+    """
+    Fit nearly planar motion, then decide whether the plane is exact.
+
+    The exact plane is kept when its cost exceeds that of the relaxed motion by no more than its
+    additional degrees of freedom explain (a likelihood ratio test at 4 sigma). Otherwise the
+    out-of-plane sigmas are estimated from the data.
+
+    Returns
+    -------
+    fit : Fit
+    exact : bool
+        Whether the motion is exactly planar as far as the data can tell.
+
+    """
+    relaxed = fit_robustly(observations, state, NEARLY_PLANAR, priors, sigma_px)
+    exact = refit(relaxed, MotionModel(), flatten(relaxed.state))
+    views = len(state.views)
+    freedom = 3 * views - 4
+    excess = 2 * (exact.cost - relaxed.cost)
+    # in relaxed the noise was fitted with the additional freedom
+    if excess <= freedom + 4 * np.sqrt(2 * freedom):
+        return fit_robustly(relaxed.observations, exact.state, MotionModel(), priors,
+                            relaxed.bundle.sigma_px), True
+    fit = relaxed
+    for _ in range(3):
+        tilt, height = out_of_plane(fit)
+        fit = refit(fit, MotionModel(tilt, height))
+    return fit_robustly(fit.observations, fit.state, fit.bundle.motion, priors,
+                        fit.bundle.sigma_px), False
+
+
+def camera_of(state: BundleState, size: tuple[int, int]) -> Camera:
+    """Return the camera of a state."""
+    return state.camera(*size)

@@ -1,0 +1,81 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The one entry: tracks and facts in, a calibration or the reason for its absence out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.planar import calibrate_planar
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.view_graph import build_view_graph
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.version import __version__
+
+METHODS = ('auto', 'planar')
+
+
+def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
+              rng: np.random.Generator | None = None, start: Camera | None = None,
+              ) -> Calibration | NotCalibrated:
+    """
+    Calibrate a camera from tracks of scene points.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    motion : {'auto', 'planar'}
+        How the camera moved.
+    facts : CameraFacts, optional
+        What is known of the camera; nothing by default.
+    rng : numpy.random.Generator, optional
+        For RANSAC; a fixed seed by default, so that the same tracks give the same result.
+    start : Camera, optional
+        A calibration to try first, for example that of a while ago. The result does not depend
+        on it, the time does.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    Raises
+    ------
+    ArgumentError
+        If `motion` is unknown.
+
+    """
+    if motion not in METHODS:
+        raise ArgumentError(f'Motion {motion!r} is unknown; choose one of {", ".join(METHODS)}.')
+    facts = CameraFacts() if facts is None else facts
+    rng = np.random.default_rng(0) if rng is None else rng
+    size = tracks.image_size or _size_from(tracks)
+    graph = build_view_graph(tracks, rng)
+    if isinstance(graph, str):
+        return NotCalibrated(graph, 'Check that the images overlap and show texture.',
+                             frames=tuple(int(f) for f in tracks.frames), facts=facts,
+                             software=__version__)
+    result = calibrate_planar(graph, size, facts, [start] if start else [])
+    return replace(result, software=f'selfcal_ros {__version__}')
+
+
+def _size_from(tracks: Tracks) -> tuple[int, int]:
+    """Suppose an image just large enough for the tracks, where its size is not stated."""
+    if not len(tracks):
+        return (1, 1)
+    width, height = np.ceil(tracks.xy.max(axis=0) + 1).astype(int)
+    return (max(int(width), 1), max(int(height), 1))

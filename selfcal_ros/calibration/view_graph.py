@@ -1,0 +1,135 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which views see the same points, and by which epipolar geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from selfcal_ros.calibration.start import PairGeometry
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.geometry import fundamental
+
+#: Every view is compared with so many successors.
+SUCCESSORS = 3
+#: Pairs with fewer common tracks than this say too little.
+MINIMUM_MATCHES = 12
+#: Least threshold of an inlier's distance from its epipolar line, pixels.
+EPIPOLAR_THRESHOLD_PX = 1.5
+
+
+@dataclass(frozen=True)
+class ViewGraph:
+    """
+    Views that are connected by pairs, and the observations that fit them.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+        Frame index of each view.
+    tracks : Tracks
+        Observations that fit the epipolar geometry.
+    pairs : list of PairGeometry
+        Their indices are views.
+    noise_px : float
+        Robust standard deviation of an image coordinate, from epipolar distances.
+    rejected : int
+        Observations that fitted no pair.
+
+    """
+
+    frames: np.ndarray
+    tracks: Tracks
+    pairs: list
+    noise_px: float
+    rejected: int
+
+
+def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frames and the view pairs (n, 2) worth comparing."""
+    frames, view = np.unique(tracks.frame, return_inverse=True)
+    _, point = np.unique(tracks.track, return_inverse=True)
+    seen = coo_matrix((np.ones(len(view)), (point, view))).tocsr()
+    common = np.asarray((seen.T @ seen).todense())
+    a, b = np.triu_indices(len(frames), 1)
+    gap = b - a
+    # neighbours in time, and the end of a loop that meets its beginning
+    wanted = (gap <= SUCCESSORS) | (len(frames) - gap <= SUCCESSORS) | (len(frames) <= 6)
+    wanted &= common[a, b] >= MINIMUM_MATCHES
+    return frames, np.column_stack([a, b])[wanted]
+
+
+def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | str:
+    """
+    Estimate the epipolar geometry of pairs of views and keep the observations that fit.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ViewGraph, or str
+        A string is the reason why there is none.
+
+    """
+    tracks = tracks.with_at_least(2)
+    if len(np.unique(tracks.frame)) < 2:
+        return 'Fewer than two images share tracked points.'
+    frames, candidates = _candidate_pairs(tracks)
+    row = np.full((len(frames), len(np.unique(tracks.track))), -1, dtype=np.int64)
+    _, point = np.unique(tracks.track, return_inverse=True)
+    view = np.searchsorted(frames, tracks.frame)
+    row[view, point] = np.arange(len(tracks))
+    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
+    pairs, spreads = [], []
+    for a, b in candidates:
+        both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
+        rows_a, rows_b = row[a, both], row[b, both]
+        xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
+        found = fundamental.ransac_fundamental(xy_a, xy_b, threshold_px=EPIPOLAR_THRESHOLD_PX, rng=rng)
+        if not found or found.inliers.sum() < MINIMUM_MATCHES:
+            continue
+        inlier = found.inliers
+        for rows in (rows_a, rows_b):
+            used[rows] += 1
+            votes[rows] += inlier
+        distance = found.distances[inlier]
+        spreads.append((1.4826 * np.median(np.abs(distance))
+                        * np.sqrt(inlier.sum() / max(inlier.sum() - 7, 1)), inlier.sum()))
+        pairs.append(PairGeometry(int(a), int(b), found.F, xy_a[inlier], xy_b[inlier]))
+    if not pairs:
+        return ('No two images share enough points with a consistent epipolar geometry '
+                f'(at least {MINIMUM_MATCHES} are needed).')
+    keep = votes >= 0.5 * np.maximum(used, 1)
+    # the largest connected set of views
+    links = coo_matrix((np.ones(len(pairs)), ([p.first for p in pairs],
+                                              [p.second for p in pairs])),
+                       shape=(len(frames), len(frames)))
+    _, label = connected_components(links, directed=False)
+    largest = label == np.argmax(np.bincount(label))
+    index = np.cumsum(largest) - 1
+    pairs = [PairGeometry(int(index[p.first]), int(index[p.second]), p.F, p.xy_first, p.xy_second)
+             for p in pairs if largest[p.first] and largest[p.second]]
+    kept = tracks.select(keep & largest[view]).with_at_least(2)
+    noise, weight = np.array(spreads).T
+    order = np.argsort(noise)
+    share = np.cumsum(weight[order]) / weight.sum()
+    median = float(noise[order][np.searchsorted(share, 0.5)])
+    return ViewGraph(frames[largest], kept, pairs, median, len(tracks) - len(kept))
