@@ -1,0 +1,372 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Fundamental matrices of many image pairs at once: x'^T F x = 0 (thesis, appendix A).
+
+Every refinement minimises the symmetric epipolar distance (A.2) in pixels. All
+parameterisations share one thing: the normal equations with respect to the nine entries of each
+F, to which each adds the derivative of F by its own few parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, homogeneous,
+                                             normalising_transform, small_rotation)
+
+#: Below this root mean square, in pixels, a residual is rounding and no longer noise.
+ROUNDING_PX = 1e-7
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """
+    Matches of several image pairs in one array, normalised by one common similarity.
+
+    Attributes
+    ----------
+    first, second : ndarray, shape (n, m, 3)
+        Homogeneous normalised points; rows beyond a pair's matches are (0, 0, 1).
+    weight : ndarray, shape (n, m)
+        1 for a match, 0 for padding or a match that is left out.
+    transform : ndarray, shape (3, 3)
+        From pixels to normalised coordinates, the same for both images of every pair.
+
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    weight: np.ndarray
+    transform: np.ndarray
+
+    @classmethod
+    def from_pixels(cls, pairs, transform=None) -> PairMatches:
+        """Stack [(xy_a (m, 2), xy_b (m, 2)), ...]; the counts may differ."""
+        pairs = [(np.asarray(a, float), np.asarray(b, float)) for a, b in pairs]
+        if transform is None:
+            transform = normalising_transform(np.vstack([p for pair in pairs for p in pair]))
+        counts = np.array([len(a) for a, _ in pairs])
+        valid = np.arange(counts.max(initial=1)) < counts[:, None]
+        first = np.zeros((*valid.shape, 3))
+        first[..., 2] = 1
+        second = first.copy()
+        scale, shift = transform[0, 0], transform[:2, 2]
+        first[valid, :2] = np.concatenate([a for a, _ in pairs]) * scale + shift
+        second[valid, :2] = np.concatenate([b for _, b in pairs]) * scale + shift
+        return cls(first, second, valid.astype(float), transform)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Matches per pair, shape (n,)."""
+        return (self.weight > 0).sum(axis=1)
+
+    def pixels_F(self, F) -> np.ndarray:
+        """Carry F (n, 3, 3) to pixels, scaled to unit norm."""
+        F = self.transform.T @ F @ self.transform
+        return F / np.linalg.norm(F, axis=(-2, -1), keepdims=True)
+
+
+@dataclass(frozen=True)
+class FundamentalEstimate:
+    """
+    One fundamental matrix with its covariance.
+
+    Attributes
+    ----------
+    F : ndarray, shape (3, 3)
+        In pixels, unit norm.
+    covariance : ndarray, shape (9, 9)
+        Of the row-wise entries of F: 2 C / (m - p) H^-1 (thesis C.1), of rank p; m counts
+        matches.
+    residuals : ndarray, shape (m, 2)
+        Distances to the epipolar lines in the second and first image, pixels, signed.
+    degrees_of_freedom : int
+        p: 7 general, 2 translation, 6 planar.
+
+    """
+
+    F: np.ndarray
+    covariance: np.ndarray
+    residuals: np.ndarray
+    degrees_of_freedom: int
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance with m - p degrees of freedom."""
+        spare = max(len(self.residuals) - self.degrees_of_freedom, 1)
+        return float(np.sqrt((self.residuals ** 2).sum() / (2 * spare)))
+
+
+def epipolar_residuals(F, xy_a, xy_b) -> np.ndarray:
+    """
+    Signed distances of the symmetric epipolar error (A.2).
+
+    Parameters
+    ----------
+    F : array_like, shape (..., 3, 3)
+    xy_a, xy_b : array_like, shape (m, 2)
+
+    Returns
+    -------
+    ndarray, shape (..., m, 2)
+        Second image, first image; pixels.
+
+    """
+    a, b = homogeneous(np.asarray(xy_a, float)), homogeneous(np.asarray(xy_b, float))
+    F = np.asarray(F, float)
+    line_b, line_a = a @ np.swapaxes(F, -1, -2), b @ F
+    product = (line_b * b).sum(axis=-1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.stack([product / np.hypot(line_b[..., 0], line_b[..., 1]),
+                         product / np.hypot(line_a[..., 0], line_a[..., 1])], axis=-1)
+
+
+def pair_residuals(data: PairMatches, F, derivative: bool = False):
+    """
+    Residuals of every pair in pixels and, if asked, their derivative by the entries of F.
+
+    Parameters
+    ----------
+    data : PairMatches
+    F : ndarray, shape (n, 3, 3)
+        In normalised coordinates.
+    derivative : bool
+
+    Returns
+    -------
+    residuals : ndarray, shape (n, m, 2)
+    slope : ndarray, shape (n, m, 2, 9)
+        Only with `derivative`.
+
+    """
+    a, b = data.first, data.second
+    line_b, line_a = a @ np.swapaxes(F, 1, 2), b @ F
+    product = (line_b * b).sum(axis=-1)
+    tiny = 1e-300
+    norm_b = np.sqrt(line_b[..., 0] ** 2 + line_b[..., 1] ** 2) + tiny
+    norm_a = np.sqrt(line_a[..., 0] ** 2 + line_a[..., 1] ** 2) + tiny
+    pixel = data.weight / data.transform[0, 0]
+    residuals = np.stack([product / norm_b * pixel, product / norm_a * pixel], axis=-1)
+    if not derivative:
+        return residuals
+    bilinear = b[..., :, None] * a[..., None, :]
+    slope = np.empty((*a.shape[:2], 2, 3, 3))
+    slope[:, :, 0] = bilinear * (pixel / norm_b)[..., None, None]
+    slope[:, :, 1] = bilinear * (pixel / norm_a)[..., None, None]
+    turn_b = (residuals[..., 0] / norm_b ** 2)[..., None] * line_b[..., :2]
+    turn_a = (residuals[..., 1] / norm_a ** 2)[..., None] * line_a[..., :2]
+    slope[:, :, 0, :2, :] -= turn_b[..., :, None] * a[..., None, :]
+    slope[:, :, 1, :, :2] -= b[..., :, None] * turn_a[..., None, :]
+    return residuals, slope.reshape(*a.shape[:2], 2, 9)
+
+
+def normal_equations(data: PairMatches, F):
+    """
+    Cost, gradient and Gauss-Newton matrix of every pair by the entries of F.
+
+    Returns
+    -------
+    cost : ndarray, shape (n,)
+    gradient : ndarray, shape (n, 9)
+    matrix : ndarray, shape (n, 9, 9)
+
+    """
+    residuals, slope = pair_residuals(data, F, derivative=True)
+    pairs = len(F)
+    r, J = residuals.reshape(pairs, -1), slope.reshape(pairs, -1, 9)
+    transposed = np.swapaxes(J, 1, 2)
+    return (r * r).sum(axis=1), (transposed @ r[..., None])[..., 0], transposed @ J
+
+
+def eight_point(data: PairMatches) -> np.ndarray:
+    """
+    Linear F of every pair, of rank 2, unit norm, normalised coordinates, shape (n, 3, 3).
+
+    Pairs need at least eight matches; the caller sees to that.
+    """
+    rows = (data.second[..., :, None] * data.first[..., None, :]).reshape(
+        *data.weight.shape, 9) * data.weight[..., None]
+    # eigenvectors of the 9 x 9 matrix lose half of the digits; the triangular factor does not
+    triangle = np.linalg.qr(rows, mode='r') if rows.shape[1] > 9 else rows
+    F = np.linalg.svd(triangle, full_matrices=True)[2][:, -1].reshape(-1, 3, 3)
+    U, s, Vt = np.linalg.svd(F)
+    s[:, 2] = 0
+    F = (U * s[:, None, :]) @ Vt
+    return F / np.linalg.norm(F, axis=(1, 2), keepdims=True)
+
+
+def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40):
+    """
+    Levenberg-Marquardt on every pair independently, all pairs at once.
+
+    Parameters
+    ----------
+    data : PairMatches
+    state : tuple of ndarray
+        Parameters, each with a leading axis of pairs.
+    model : callable
+        state to (F (n, 3, 3), dF (n, 9, p)).
+    step : callable
+        (state, change (n, p)) to a new state.
+    iterations : int
+
+    Returns
+    -------
+    state : tuple of ndarray
+    cost : ndarray, shape (n,)
+    hessian : ndarray, shape (n, p, p)
+        J^T J.
+
+    """
+    F, dF = model(state)
+    cost, gradient, matrix = normal_equations(data, F)
+    damping = np.full(len(cost), 1e-3)
+    floor = data.counts * ROUNDING_PX ** 2
+    active = np.ones(len(cost), bool)
+    for _ in range(iterations):
+        turned = np.swapaxes(dF, 1, 2)
+        A = turned @ matrix @ dF
+        g = (turned @ gradient[..., None])[..., 0]
+        scale = np.einsum('npp->np', A)
+        scale = np.maximum(scale, 1e-12 * scale.max(axis=1, keepdims=True) + 1e-300)
+        damped = A + (damping[:, None] * scale)[..., None] * np.eye(A.shape[1])
+        change = -np.linalg.solve(damped, g[..., None])[..., 0]
+        trial = step(state, change)
+        new_F, new_dF = model(trial)
+        new = normal_equations(data, new_F)
+        better = active & (new[0] < cost)
+        gain = cost - new[0]
+        damping = np.where(better, damping / 10, damping * 10)
+        state = tuple(_choose(better, t, s) for t, s in zip(trial, state))
+        dF, gradient = _choose(better, new_dF, dF), _choose(better, new[1], gradient)
+        matrix = _choose(better, new[2], matrix)
+        cost = np.where(better, new[0], cost)
+        active &= ~(better & (gain < 1e-9 * cost)) & (damping < 1e9) & (cost > floor)
+        if not active.any():
+            break
+    return state, cost, np.swapaxes(dF, 1, 2) @ matrix @ dF
+
+
+def _choose(mask, yes, no):
+    return np.where(mask.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)
+
+
+# ---- general motion: F = U diag(cos s, sin s, 0) V^T, seven degrees of freedom
+
+_AXES = cross_matrix(np.eye(3))
+
+
+def _general_model(state):
+    U, sigma, V = state
+    c, s = np.cos(sigma), np.sin(sigma)
+    zero = np.zeros_like(c)
+    D = np.stack([c, s, zero], axis=-1)[:, None, :]
+    Vt = np.swapaxes(V, 1, 2)
+    F = (U * D) @ Vt
+    left = (U[:, None] @ _AXES * D[:, None]) @ Vt[:, None]
+    right = -((U * D)[:, None] @ _AXES) @ Vt[:, None]
+    middle = (U * np.stack([-s, c, zero], axis=-1)[:, None, :]) @ Vt
+    slopes = np.concatenate([left, right, middle[:, None]], axis=1)
+    return F, np.swapaxes(slopes.reshape(len(F), 7, 9), 1, 2)
+
+
+def _general_step(state, change):
+    U, sigma, V = state
+    return (U @ small_rotation(change[:, :3]), sigma + change[:, 6],
+            V @ small_rotation(change[:, 3:6]))
+
+
+def general_state(F):
+    """Parameters of rank-2 matrices (n, 3, 3) for the general form."""
+    U, s, Vt = np.linalg.svd(F)
+    return U, np.arctan2(s[:, 1], s[:, 0]), np.swapaxes(Vt, 1, 2)
+
+
+def _translation_model(state):
+    (frame,) = state
+    slopes = cross_matrix(np.swapaxes(frame[:, :, 1:], 1, 2))
+    return cross_matrix(frame[:, :, 0]), np.swapaxes(slopes.reshape(len(frame), 2, 9), 1, 2)
+
+
+def _translation_step(state, change):
+    (frame,) = state
+    # turning about the third column moves the first along the second
+    turn = np.stack([np.zeros(len(change)), -change[:, 1], change[:, 0]], axis=-1)
+    return (frame @ small_rotation(turn),)
+
+
+def refine_general(data: PairMatches, F):
+    """Refine F (n, 3, 3) of every pair with 7 degrees of freedom: F, cost (n,), hessian, dF."""
+    state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step)
+    F, dF = _general_model(state)
+    return F, cost, hessian, dF
+
+
+def refine_translation(data: PairMatches):
+    """Estimate F = [e]x of every pair: linear start, then refinement; as `refine_general`."""
+    a, b = data.first, data.second
+    moment = np.cross(a, b) * data.weight[..., None]
+    epipole = np.linalg.svd(moment, full_matrices=True)[2][:, -1]
+    state, cost, hessian = refine_pairs(data, (completed_frame(epipole),), _translation_model,
+                                        _translation_step)
+    F, dF = _translation_model(state)
+    return F, cost, hessian, dF
+
+
+def describe(data: PairMatches, F, cost, hessian, dF) -> list[FundamentalEstimate]:
+    """Turn normalised results of n pairs into estimates in pixels."""
+    # row-wise entries: vec(T^T F T) = (T^T kron T^T) vec(F)
+    carry = np.kron(data.transform.T, data.transform.T)
+    residuals = pair_residuals(data, F)
+    estimates = []
+    for k, (count, p) in enumerate(zip(data.counts, [dF.shape[2]] * len(F))):
+        pixels = carry @ F[k].ravel()
+        norm = np.linalg.norm(pixels)
+        pixels /= norm
+        slope = (np.eye(9) - np.outer(pixels, pixels)) @ carry @ dF[k] / norm
+        spread = np.linalg.pinv(hessian[k], hermitian=True)
+        covariance = cost[k] / max(count - p, 1) * slope @ spread @ slope.T
+        estimates.append(FundamentalEstimate(pixels.reshape(3, 3), covariance,
+                                             residuals[k, data.weight[k] > 0], p))
+    return estimates
+
+
+def fundamental(xy_a, xy_b, motion: str = 'general'):
+    """
+    Fundamental matrix of one pair by maximum likelihood (thesis A.1, A.2).
+
+    Parameters
+    ----------
+    xy_a, xy_b : array_like, shape (m, 2)
+        Matches in pixels.
+    motion : {'general', 'translation'}
+        For planar motion see `planar_pairs.planar_fundamental`.
+
+    Returns
+    -------
+    FundamentalEstimate or NoEstimate
+
+    """
+    needed = {'general': 8, 'translation': 3}[motion]
+    if len(xy_a) < needed:
+        return NoEstimate(f'A fundamental matrix of {motion} motion needs at least {needed} '
+                          f'matches; there are {len(xy_a)}.', 'too_few')
+    data = PairMatches.from_pixels([(xy_a, xy_b)])
+    if motion == 'translation':
+        return describe(data, *refine_translation(data))[0]
+    return describe(data, *refine_general(data, eight_point(data)))[0]

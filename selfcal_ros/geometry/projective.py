@@ -1,0 +1,225 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Homogeneous points, lines and conics of the plane, and the frames they are worked in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.geometry.estimate import NoEstimate
+
+
+def homogeneous(xy) -> np.ndarray:
+    """Append 1 to points (..., n); returns (..., n + 1)."""
+    xy = np.asarray(xy)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
+def euclidean(x) -> np.ndarray:
+    """Divide homogeneous points (..., n + 1) by their last entry; infinite where it is 0."""
+    x = np.asarray(x)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return x[..., :-1] / x[..., -1:]
+
+
+def unit(x) -> np.ndarray:
+    """Scale vectors (..., n) to unit norm."""
+    x = np.asarray(x)
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def transform_points(H, xy) -> np.ndarray:
+    """Map points (..., 2) by a homography (3, 3)."""
+    return euclidean(homogeneous(xy) @ np.asarray(H).T)
+
+
+def cross_matrix(a) -> np.ndarray:
+    """Matrix [a]x of the cross product, (..., 3) to (..., 3, 3)."""
+    x, y, z = np.moveaxis(np.asarray(a), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], axis=-1), np.stack([z, zero, -x], axis=-1),
+                     np.stack([-y, x, zero], axis=-1)], axis=-2)
+
+
+def normalising_transform(xy) -> np.ndarray:
+    """
+    Similarity that brings points to centroid 0 and mean distance sqrt 2 (Hartley).
+
+    Parameters
+    ----------
+    xy : array_like, shape (N, 2)
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Points that all coincide are only shifted.
+
+    """
+    xy = np.asarray(xy, float).reshape(-1, 2)
+    centre = xy.mean(axis=0)
+    distance = np.linalg.norm(xy - centre, axis=1).mean()
+    scale = np.sqrt(2) / distance if distance > 0 else 1.0
+    return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
+
+
+def completed_frame(a) -> np.ndarray:
+    """Rotation (..., 3, 3) whose first column is the unit vector a (..., 3)."""
+    a = np.asarray(a, float)
+    helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
+    second = unit(np.cross(a, helper))
+    return np.stack([a, second, np.cross(a, second)], axis=-1)
+
+
+def small_rotation(w) -> np.ndarray:
+    """Orthogonal matrix equal to I + [w]x to first order (Cayley), (..., 3) to (..., 3, 3)."""
+    half = cross_matrix(np.asarray(w, float) / 2)
+    return np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
+
+
+def rq(M) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Decompose M = U Q with U upper triangular with positive diagonal and Q orthogonal.
+
+    Parameters
+    ----------
+    M : array_like, shape (3, 3)
+        Regular.
+
+    Returns
+    -------
+    U, Q : ndarray, shape (3, 3)
+        det Q has the sign of det M.
+
+    """
+    flip = np.eye(3)[::-1]
+    q, r = np.linalg.qr((flip @ np.asarray(M, float)).T)
+    U, Q = flip @ r.T @ flip, flip @ q.T
+    sign = np.where(np.diag(U) < 0, -1.0, 1.0)
+    return U * sign, sign[:, None] * Q
+
+
+def line_pair(a, b) -> np.ndarray:
+    """Degenerate conic a b^T + b a^T of two lines (..., 3)."""
+    a, b = np.asarray(a), np.asarray(b)
+    return a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]
+
+
+def pole(conic, line) -> np.ndarray:
+    """Pole of a line (3,) with respect to a regular point conic (3, 3)."""
+    return np.linalg.solve(np.asarray(conic), np.asarray(line))
+
+
+def canonical_transform(line, point) -> np.ndarray:
+    """
+    Homography that carries the horizon and the vanishing point to (0, 1, 0) both (5.30).
+
+    Parameters
+    ----------
+    line : array_like, shape (3,)
+        Horizon l; not the line at infinity.
+    point : array_like, shape (3,)
+        Vanishing point v; not on l.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        The similarity that makes l the x axis, then the projectivity that fixes that axis
+        and sends v to the point at infinity of the y axis.
+
+    """
+    l1, l2, l3 = np.asarray(line, float) / np.hypot(line[0], line[1])
+    first = np.array([[l2, -l1, 0], [l1, l2, l3], [0, 0, 1]])
+    a, b, c = first @ np.asarray(point, float)
+    return np.array([[1, -a / b, 0], [0, 1, 0], [0, -c / b, 1]]) @ first
+
+
+def unit_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Scale a homogeneous vector to unit norm together with its covariance.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+    covariance : array_like, shape (n, n)
+
+    Returns
+    -------
+    x, covariance : ndarray
+        The covariance is singular along x.
+
+    """
+    norm = np.linalg.norm(x)
+    x = np.asarray(x, float) / norm
+    jacobian = (np.eye(len(x)) - np.outer(x, x)) / norm
+    return x, jacobian @ covariance @ jacobian.T
+
+
+def euclidean_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Divide a homogeneous vector by its last entry together with its covariance.
+
+    Parameters
+    ----------
+    x : array_like, shape (3,)
+    covariance : array_like, shape (3, 3)
+
+    Returns
+    -------
+    x : ndarray, shape (2,)
+    covariance : ndarray, shape (2, 2)
+
+    """
+    x = np.asarray(x, float)
+    jacobian = np.array([[1, 0, -x[0] / x[2]], [0, 1, -x[1] / x[2]]]) / x[2]
+    return x[:2] / x[2], jacobian @ covariance @ jacobian.T
+
+
+def iac_from_calibration(K) -> np.ndarray:
+    """Image of the absolute conic, (K K^T)^-1, shape (3, 3)."""
+    inverse = np.linalg.inv(K)
+    return inverse.T @ inverse
+
+
+def calibration_from_iac(omega):
+    """
+    Calibration matrix of an image of the absolute conic, by Cholesky's method.
+
+    Parameters
+    ----------
+    omega : array_like, shape (3, 3)
+        Symmetric, any non-zero scale.
+
+    Returns
+    -------
+    ndarray, shape (3, 3), or NoEstimate
+        K, upper triangular with K[2, 2] = 1; no K where omega is not definite.
+
+    """
+    omega = np.asarray(omega, float)
+    if not np.isfinite(omega).all():
+        return NoEstimate('The image of the absolute conic is not finite.', 'indefinite')
+    omega = (omega + omega.T) / 2
+    if omega[0, 0] < 0:
+        omega = -omega
+    # pixels and units differ by orders of magnitude: judge definiteness on a scaled matrix
+    diagonal = np.abs(np.diag(omega))
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    try:
+        lower = np.linalg.cholesky(omega / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        least = np.linalg.eigvalsh(omega / np.outer(scale, scale))[0]
+        return NoEstimate('The image of the absolute conic is not definite (least eigenvalue '
+                          f'{least:.2g} after scaling): no real camera fits.', 'indefinite')
+    K = np.linalg.inv((lower * scale[:, None]).T)
+    return np.triu(K / K[2, 2])
