@@ -1,0 +1,228 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The way from images to tracks, by video tracking or by wide-baseline matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import itertools
+
+import numpy as np
+
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.features.klt import followed_share, KltTracker
+from selfcal_ros.features.linking import link, refine
+from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
+from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+
+_PROBE_FRAMES = 6
+_MOST_IMAGES = 60
+#: Median displacement between keyframes, as a share of the image diagonal.
+_KEYFRAME_STEP = 0.03
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """
+    Tracks and how they came about.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Keyframes only, with image_size and stamps_ns.
+    keyframes : ndarray of int, shape (F,)
+        Frame indices used.
+    mode : {'video', 'wide'}
+        How points were followed.
+    notes : tuple of str
+        What was dropped and why, for people.
+
+    """
+
+    tracks: Tracks
+    keyframes: np.ndarray
+    mode: str
+    notes: tuple[str, ...] = field(default=())
+
+
+def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int = 40,
+                   rng: np.random.Generator | None = None) -> Extraction:
+    """
+    Find point tracks in a sequence of images.
+
+    Parameters
+    ----------
+    frames : iterable of (int, ndarray of uint8 shape (H, W), int)
+        Frame index, grey image and stamp in nanoseconds, in order of time; read once.
+    mode : {'auto', 'video', 'wide'}
+        'video' follows corners from frame to frame, 'wide' matches descriptors; 'auto' decides
+        from the first frames whether corners can be followed.
+    progress : callable, optional
+        Called as progress(text, done), done the number of frames or the share of the matching.
+    max_keyframes : int
+        Upper limit of frames in the result.
+    rng : numpy.random.Generator, optional
+        Source of the samples that verification draws; the same seed gives the same tracks.
+
+    Returns
+    -------
+    Extraction
+
+    Raises
+    ------
+    ArgumentError
+        If mode or max_keyframes is impossible.
+    InputError
+        If an image is not (H, W) uint8, or its size changes.
+
+    """
+    if mode not in ('auto', 'video', 'wide'):
+        raise ArgumentError(f"mode must be 'auto', 'video' or 'wide', not {mode!r}.")
+    if max_keyframes < 2:
+        raise ArgumentError(f'max_keyframes must be at least 2, not {max_keyframes}.')
+    seed = int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
+    frames = _checked(frames)
+    if mode == 'auto':
+        probe = list(itertools.islice(frames, _PROBE_FRAMES))
+        mode, why = _choose_mode([gray for _, gray, _ in probe])
+        frames = itertools.chain(probe, frames)
+        notes = [why]
+    else:
+        notes = []
+    report = progress or (lambda text, done: None)
+    run = _video if mode == 'video' else _wide
+    tracks, keyframes = run(frames, report, max_keyframes, seed, notes)
+    return Extraction(tracks, keyframes, mode, tuple(notes))
+
+
+def _checked(frames):
+    """Pass images on, and stop at the first that cannot be used."""
+    size = None
+    for index, gray, stamp_ns in frames:
+        gray = np.asarray(gray)
+        if gray.ndim != 2 or gray.dtype != np.uint8:
+            raise InputError(f'Frame {index} must be a grey image of 8 bits, not '
+                             f'{gray.dtype} {gray.shape}.')
+        if min(gray.shape) < 64:
+            raise InputError(f'Frame {index} is {gray.shape[1]}x{gray.shape[0]} pixels; at least '
+                             '64x64 are needed.')
+        if size is not None and gray.shape != size:
+            raise InputError(f'Frame {index} is {gray.shape[1]}x{gray.shape[0]} pixels, but the '
+                             f'frames before are {size[1]}x{size[0]}; calibrate one size at a '
+                             'time.')
+        size = gray.shape
+        yield int(index), gray, int(stamp_ns)
+
+
+def _choose_mode(images):
+    """Video where corners survive there and back and move little, otherwise wide."""
+    if len(images) < _PROBE_FRAMES:
+        return 'wide', f'{len(images)} images only: matched as photographs.'
+    shares, steps = zip(*(followed_share(a, b) for a, b in zip(images, images[1:])))
+    diagonal = float(np.hypot(*images[0].shape))
+    share, step = float(np.median(shares)), float(np.median(steps)) / diagonal
+    mode = 'video' if share > 0.7 and step < 0.025 else 'wide'
+    return mode, (f'Corners followed between the first frames: {share:.0%}, moving by '
+                  f'{step:.1%} of the image diagonal: {mode} mode.')
+
+
+def _wide(frames, report, max_keyframes, seed, notes):
+    """Match descriptors between neighbours, loop closures and look-alikes."""
+    indices, stamps, images, features = [], {}, [], []
+    stride, last = 1, None
+    limit = max(_MOST_IMAGES, max_keyframes)
+    for count, (index, gray, stamp_ns) in enumerate(frames):
+        last = gray.shape
+        if count % stride:
+            continue
+        indices.append(index)
+        stamps[index] = stamp_ns
+        images.append(gray)
+        if len(images) > limit:
+            stride *= 2
+            indices, images = indices[::2], images[::2]
+    if last is None:
+        raise InputError('There is no image in the input.')
+    if len(images) > max_keyframes:
+        chosen = np.unique(np.linspace(0, len(images) - 1, max_keyframes).round().astype(int))
+        indices, images = [indices[k] for k in chosen], [images[k] for k in chosen]
+    if stride > 1 or len(indices) < len(stamps):
+        notes.append(f'{len(indices)} of the frames were used, evenly spaced.')
+    for gray in images:
+        features.append(detect(gray))
+        report('features', len(features))
+    size = (last[1], last[0])
+    matches, division = match_pairs(features, propose_pairs(features), size, seed,
+                                    lambda share: report('matching', share))
+    image, place, track, contradictory = link(features, matches)
+    if division:
+        notes.append(f'Verified with division-model distortion {division:g}.')
+    if contradictory:
+        notes.append(f'{contradictory} tracks that contradicted themselves were dropped.')
+    keyframes = np.array(indices)
+    stamps = {index: stamps[index] for index in indices}
+    if not len(image):
+        return Tracks([], [], np.empty((0, 2)), size, stamps), keyframes
+    offset = np.concatenate([[0], np.cumsum([len(feature.xy) for feature in features])])
+    node = offset[image] + place
+    xy = np.concatenate([feature.xy for feature in features])[node]
+    size_px = np.concatenate([feature.size_px for feature in features])[node]
+    report('registration', 0)
+    xy, good = refine(images, image, track, xy, size_px)
+    notes.append(f'{(~good).sum()} of {len(good)} positions could not be registered to '
+                 'sub-pixel accuracy and were dropped.')
+    tracks = Tracks(keyframes[image[good]], track[good], xy[good], size, stamps)
+    return _finish(tracks, notes, seed), keyframes
+
+
+def _video(frames, report, max_keyframes, seed, notes):
+    """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
+    tracker, selector, kept, stamps = KltTracker(), None, [], {}
+    size = None
+    for count, (index, gray, stamp_ns) in enumerate(frames):
+        ids, xy = tracker.add(gray)
+        report('tracking', count + 1)
+        if selector is None:
+            size = gray.shape[::-1]
+            selector = KeyframeSelector(_KEYFRAME_STEP * float(np.hypot(*size)))
+        if not selector.offer(ids, xy):
+            continue
+        kept.append((index, ids, xy))
+        stamps[index] = stamp_ns
+        if len(kept) > max_keyframes:
+            kept = kept[::2]
+            selector.displacement_px *= 2
+            selector.lost_share = min(0.7, 1.3 * selector.lost_share)
+    if size is None:
+        raise InputError('There is no image in the input.')
+    keyframes = np.array([index for index, _, _ in kept], dtype=int)
+    tracks = Tracks(np.repeat(keyframes, [len(ids) for _, ids, _ in kept]),
+                    np.concatenate([ids for _, ids, _ in kept] or [[]]),
+                    np.concatenate([xy for _, _, xy in kept] or [np.empty((0, 2))]),
+                    size, {index: stamps[index] for index in keyframes.tolist()})
+    notes.append(f'{len(keyframes)} keyframes chosen by parallax out of {count + 1} frames.')
+    return _finish(tracks.with_at_least(2), notes, seed), keyframes
+
+
+def _finish(tracks, notes, seed):
+    """Drop static points, then what contradicts epipolar geometry."""
+    tracks, static = drop_static(tracks)
+    if static:
+        notes.append(f'{static} tracks stay still in the image while the scene moves (dirt, the '
+                     "robot's own body, background of a turntable) and were dropped.")
+    tracks, removed, _ = verify(tracks, seed=seed)
+    if removed:
+        notes.append(f'{removed} positions that contradict the epipolar geometry were dropped.')
+    return tracks

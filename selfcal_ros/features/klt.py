@@ -1,0 +1,241 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Corners followed from frame to frame, and held to their first appearance against drift."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from selfcal_ros.features.registration import PatchRegistration, Templates
+
+_FLOW = {'winSize': (15, 15), 'maxLevel': 4,
+         'criteria': (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03)}
+
+
+def corners(gray: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
+            quality: float = 0.002, border_px: int = 10) -> np.ndarray:
+    """
+    Find the best Shi-Tomasi corner of every free cell of a grid.
+
+    Parameters
+    ----------
+    gray : ndarray of uint8, shape (H, W)
+    cell_px : int
+        Side of a cell.
+    occupied : ndarray, shape (M, 2), optional
+        Pixels; their cells stay empty.
+    quality : float
+        Least response, as a share of the strongest in the image.
+    border_px : int
+        Corners keep this far from the border.
+
+    Returns
+    -------
+    ndarray of float, shape (N, 2)
+        Whole pixels.
+
+    """
+    response = cv2.cornerMinEigenVal(gray, 5, ksize=3)
+    rows, columns = gray.shape[0] // cell_px, gray.shape[1] // cell_px
+    if not rows or not columns:
+        return np.empty((0, 2))
+    # the strongest few pixels must not decide for the whole image
+    floor = quality * float(np.partition(response.ravel()[::7], -20)[-20])
+    peak = (response >= cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response > floor)
+    peak[:border_px] = peak[-border_px:] = peak[:, :border_px] = peak[:, -border_px:] = False
+    value = np.where(peak, response, 0)[:rows * cell_px, :columns * cell_px]
+    value = value.reshape(rows, cell_px, columns, cell_px).swapaxes(1, 2)
+    value = value.reshape(rows * columns, -1)
+    best = value.argmax(axis=1)
+    free = value[np.arange(len(best)), best] > 0
+    if occupied is not None and len(occupied):
+        column, row = (occupied // cell_px).astype(int).T
+        inside = (column < columns) & (row < rows) & (column >= 0) & (row >= 0)
+        free[row[inside] * columns + column[inside]] = False
+    cell = np.flatnonzero(free)
+    xy = np.stack([cell % columns * cell_px + best[cell] % cell_px,
+                   cell // columns * cell_px + best[cell] // cell_px], axis=1).astype(float)
+    if occupied is not None and len(occupied) and len(xy):
+        mask = np.ones(gray.shape, np.uint8)
+        near = np.clip(np.round(occupied).astype(int), 0, np.array(gray.shape[::-1]) - 1)
+        mask[near[:, 1], near[:, 0]] = 0
+        reach = cell_px // 2 | 1
+        mask = cv2.erode(mask, np.ones((reach, reach), np.uint8))
+        at = xy.astype(int)
+        xy = xy[mask[at[:, 1], at[:, 0]] > 0]
+    return xy
+
+
+def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: float = 1.0):
+    """
+    Follow points from one image to the next and back.
+
+    Parameters
+    ----------
+    before, after : ndarray of uint8, shape (H, W)
+    xy : ndarray, shape (N, 2)
+        Pixels in `before`.
+    tolerance_px : float
+        A point that does not come back this close to its start is lost.
+
+    Returns
+    -------
+    xy : ndarray, shape (N, 2)
+        Pixels in `after`.
+    followed : ndarray of bool, shape (N,)
+
+    """
+    if not len(xy):
+        return np.empty((0, 2)), np.zeros(0, bool)
+    start = np.ascontiguousarray(xy, dtype=np.float32).reshape(-1, 1, 2)
+    there, status, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **_FLOW)
+    back, status_back, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **_FLOW)
+    followed = (status.ravel() > 0) & (status_back.ravel() > 0)
+    followed &= np.linalg.norm((back - start).reshape(-1, 2), axis=1) < tolerance_px
+    there = there.reshape(-1, 2).astype(float)
+    followed &= np.isfinite(there).all(axis=1)
+    followed &= ((there >= 0) & (there <= np.array(after.shape[::-1]) - 1)).all(axis=1)
+    return there, followed
+
+
+def followed_share(before: np.ndarray, after: np.ndarray):
+    """Share of corners that can be followed between two images, and their median step in px."""
+    xy = corners(before, max(16, int(np.sqrt(before.size / 500))))
+    there, followed = flow(before, after, xy, 0.5)
+    if followed.sum() < 20:
+        return 0.0, float('inf')
+    return (float(followed.mean()),
+            float(np.median(np.linalg.norm(there - xy, axis=1)[followed])))
+
+
+class KltTracker:
+    """
+    Follow corners through a video, frame by frame.
+
+    Tracking from frame to frame finds roughly where a point went; registering its first
+    appearance there with an affine warp then fixes the position, so that errors do not add up.
+
+    Parameters
+    ----------
+    most : int
+        Corners aimed at: one a cell of a grid with so many cells.
+    least_correlation : float
+        A point less alike to its first appearance is lost.
+
+    """
+
+    def __init__(self, most: int = 700, least_correlation: float = 0.8):
+        """Start without an image."""
+        self.most = most
+        self.least_correlation = least_correlation
+        self._registration = PatchRegistration(half_px=7)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the counter of ids: ids never come twice."""
+        self._gray = None
+        self._ids = np.empty(0, np.int64)
+        self._next = getattr(self, '_next', 0)
+        self._xy = np.empty((0, 2))
+        self._affine = np.empty((0, 2, 2))
+        self._residue = np.empty((0, 2))
+        self._templates: Templates | None = None
+
+    def add(self, gray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take the next image.
+
+        Parameters
+        ----------
+        gray : ndarray of uint8, shape (H, W)
+            A change of size starts anew.
+
+        Returns
+        -------
+        ids : ndarray of int64, shape (N,)
+            Ascending; a point keeps its id while it is followed.
+        xy : ndarray of float64, shape (N, 2)
+            Pixels.
+
+        """
+        if self._gray is not None and self._gray.shape != gray.shape:
+            self.reset()
+        smooth = cv2.GaussianBlur(gray.astype(np.float32), (5, 5), 0.7)
+        if len(self._ids):
+            self._follow(gray, smooth)
+        self._replenish(gray, smooth)
+        self._gray = gray
+        return self._ids.copy(), self._xy.copy()
+
+    def _follow(self, gray, smooth):
+        """Predict by optical flow, then register the first appearance."""
+        there, followed = flow(self._gray, gray, self._xy)
+        self._keep(followed)
+        there = there[followed]
+        if not len(there):
+            return
+        begin = there - (self._affine @ self._residue[:, :, None])[:, :, 0]
+        found, affine, correlation, step = self._registration.register(
+            self._templates, smooth, begin, self._affine, iterations=5, tolerance_px=0.02)
+        found = found + (affine @ self._residue[:, :, None])[:, :, 0]
+        size = np.sqrt(np.abs(np.linalg.det(affine)))
+        good = ((correlation > self.least_correlation) & (step < 0.1)
+                & (np.linalg.norm(found - there, axis=1) < 2.0) & (size > 0.4) & (size < 2.5))
+        margin = self._registration.half_px
+        limit = np.array(gray.shape[::-1]) - 1 - margin
+        good &= ((found >= margin) & (found <= limit)).all(axis=1)
+        self._xy, self._affine = found, affine
+        self._keep(good)
+        size = size[good]
+        # a template seen at another scale carries detail that is not there: take it anew
+        self._anchor(np.flatnonzero((size < 0.6) | (size > 1.6)), smooth)
+
+    def _keep(self, mask):
+        """Drop the tracks where mask is false."""
+        if mask.all():
+            return
+        self._ids, self._xy = self._ids[mask], self._xy[mask]
+        self._affine, self._residue = self._affine[mask], self._residue[mask]
+        self._templates = self._templates.select(mask)
+
+    def _anchor(self, rows, smooth):
+        """Take new templates of some tracks where they are now."""
+        if not len(rows):
+            return
+        whole = np.round(self._xy[rows])
+        fresh = self._registration.templates(smooth, whole)
+        self._templates.values[rows] = fresh.values
+        self._templates.solver[rows] = fresh.solver
+        self._templates.sigma[rows] = fresh.sigma
+        self._residue[rows] = self._xy[rows] - whole
+        self._affine[rows] = np.eye(2)
+
+    def _replenish(self, gray, smooth):
+        """Fill empty cells with new corners."""
+        cell = max(12, int(np.sqrt(gray.size / self.most)))
+        if len(self._ids) > 0.9 * self.most:
+            return
+        xy = corners(gray, cell, self._xy)
+        if not len(xy):
+            return
+        fresh = self._registration.templates(smooth, xy)
+        count = len(xy)
+        self._ids = np.concatenate([self._ids, self._next + np.arange(count)])
+        self._next += count
+        self._xy = np.concatenate([self._xy, xy])
+        self._affine = np.concatenate([self._affine, np.tile(np.eye(2), (count, 1, 1))])
+        self._residue = np.concatenate([self._residue, np.zeros((count, 2))])
+        self._templates = (fresh if self._templates is None or not len(self._templates)
+                           else self._templates.extended(fresh))

@@ -1,0 +1,376 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Wide-baseline matching: SIFT, distinctive matches first, then guided by F (Beardsley, 1996)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
+                                           sampson_distance, straighten)
+
+#: Ratio of the distances to the best and the second best descriptor (Lowe, 2004, section 7.1).
+RATIO = 0.8
+#: Along an epipolar line fewer candidates compete, so that the ratio may be milder.
+GUIDED_RATIO = 0.85
+#: Descriptors less alike than this (cosine of Hellinger-normalised vectors) never match.
+_LEAST_SIMILARITY = 0.8
+#: Two places of one image more alike than this cannot be told apart, whatever the ratio says.
+_SAME_SIMILARITY = 0.95
+#: Images larger than this are searched at half size; registration restores the accuracy.
+_FULL_SIZE_PIXELS = 1_200_000
+_STATIC_PX, _MOVING_PX = 0.7, 4.0
+
+
+@dataclass
+class Features:
+    """
+    Keypoints of one image, one row a place (a place may carry several orientations).
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    size_px : ndarray, shape (N,)
+        Standard deviation of the blob, full-resolution pixels.
+    descriptors : ndarray of float32, shape (D, 128)
+        Square roots of L1-normalised SIFT vectors, grouped by place; D >= N.
+    start : ndarray, shape (N,)
+        First descriptor of each place.
+    twins : tuple of ndarray (a, b, similarity)
+        Places of this image that look alike: what tells one from the other is not in the patch.
+
+    """
+
+    xy: np.ndarray
+    size_px: np.ndarray
+    descriptors: np.ndarray
+    start: np.ndarray
+    twins: tuple = ()
+
+    def coarsest(self, most: int) -> np.ndarray:
+        """Descriptors (at most, 128) of the largest blobs: a summary of the image."""
+        return self.descriptors[self.start[np.argsort(-self.size_px, kind='stable')[:most]]]
+
+    @property
+    def twin_similarity(self) -> np.ndarray:
+        """Similarity to the most alike other place of the same image, shape (N,)."""
+        most = np.full(len(self.xy), _LEAST_SIMILARITY, np.float32)
+        np.maximum.at(most, self.twins[0], self.twins[2])
+        return most
+
+
+@dataclass
+class PairMatches:
+    """
+    Matches of features a[i] with b[i] between images first and second.
+
+    Parameters
+    ----------
+    first, second : int
+        Positions of the images.
+    a, b : ndarray of int, shape (M,)
+        Rows of their features.
+    F : ndarray, shape (3, 3)
+        For straightened pixels: x_second' F x_first = 0.
+
+    """
+
+    first: int
+    second: int
+    a: np.ndarray
+    b: np.ndarray
+    F: np.ndarray
+
+
+@lru_cache(maxsize=1)
+def _sift_offset_px() -> float:
+    """
+    Offset of SIFT positions, measured on a blob at a known place.
+
+    OpenCV doubles the image such that positions come out 0.25 px too large, or not, depending
+    on version and settings.
+    """
+    at = 31.0
+    x = np.arange(64) - at
+    blob = 30 + 200 * np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 3.0 ** 2))
+    found = cv2.SIFT_create().detect(np.round(blob).astype(np.uint8), None)
+    near = [point.pt for point in found if np.hypot(point.pt[0] - at, point.pt[1] - at) < 2]
+    if not near:
+        return 0.0
+    return float(np.round(4 * (np.median(near) - at)) / 4)
+
+
+def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
+    """
+    Find SIFT keypoints, evenly spread.
+
+    Parameters
+    ----------
+    gray : ndarray of uint8, shape (H, W)
+    most : int
+        Keypoints kept at most.
+    cells : int
+        The image is divided into cells x cells; the strongest of each cell go first.
+
+    Returns
+    -------
+    Features
+
+    """
+    halved = gray.size > _FULL_SIZE_PIXELS
+    image = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
+        else gray
+    sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
+    points = sift.detect(image, None)
+    if points:
+        at = np.array([point.pt for point in points])
+        strength = np.array([point.response for point in points])
+        column, row = (at * cells / np.array(image.shape[::-1])).astype(int).T
+        order = np.lexsort((-strength, row * cells + column))
+        cell = (row * cells + column)[order]
+        rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
+        keep = order[np.argsort(rank, kind='stable')[:most]]
+        points, descriptors = sift.compute(image, [points[k] for k in keep])
+    if not points:
+        none = np.empty(0, int)
+        return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32), none,
+                        (none, none, np.empty(0, np.float32)))
+    xy = np.array([point.pt for point in points], dtype=float) - _sift_offset_px()
+    size = np.array([point.size for point in points]) / 2
+    xy, size = (2 * xy + 0.5, 2 * size) if halved else (xy, size)
+    place, start, inverse = np.unique(np.round(xy, 1), axis=0, return_index=True,
+                                      return_inverse=True)
+    order = np.argsort(inverse.ravel(), kind='stable')
+    descriptors = descriptors[order].astype(np.float32)
+    descriptors = np.sqrt(descriptors / (descriptors.sum(axis=1, keepdims=True) + 1e-9))
+    features = Features(xy[start], size[start], descriptors,
+                        np.searchsorted(inverse.ravel()[order], np.arange(len(place))))
+    product = similarity(features, features)
+    a, b = np.nonzero(product > _LEAST_SIMILARITY)
+    # the same corner found at two scales is no twin
+    apart = (np.abs(features.xy[a] - features.xy[b]).max(axis=1)
+             > 1.5 * np.maximum(features.size_px[a], features.size_px[b]))
+    a, b = a[apart], b[apart]
+    features.twins = (a, b, product[a, b])
+    return features
+
+
+def similarity(a: Features, b: Features) -> np.ndarray:
+    """Cosine between the best fitting descriptors of every two places, shape (N_a, N_b)."""
+    product = a.descriptors @ b.descriptors.T
+    if len(a.start) < len(a.descriptors):
+        product = np.maximum.reduceat(product, a.start, axis=0)
+    if len(b.start) < len(b.descriptors):
+        product = np.maximum.reduceat(product, b.start, axis=1)
+    return product
+
+
+def _distinctive(first: Features, second: Features, product: np.ndarray):
+    """
+    Mutual nearest neighbours that pass the ratio test both ways, also against their twins.
+
+    The squares of a chessboard pass the usual test where the right partner is out of view.
+    """
+    a = np.arange(len(product))
+    b = product.argmax(axis=1)
+    best = product[a, b]
+    mutual = (product.argmax(axis=0)[b] == a) & (best > _LEAST_SIMILARITY)
+    a, b, best = a[mutual], b[mutual], best[mutual]
+    rows, columns = product[a], product[:, b]
+    rows[np.arange(len(a)), b] = -1
+    columns[a, np.arange(len(a))] = -1
+    runner_up = np.maximum(rows.max(axis=1, initial=-1), columns.max(axis=0, initial=-1))
+    twin = np.maximum(first.twin_similarity[a], second.twin_similarity[b])
+    # |p - q|^2 = 2 - 2 cos
+    good = (1 - best) < RATIO ** 2 * (1 - np.maximum(runner_up, twin))
+    good &= twin < _SAME_SIMILARITY
+    return a[good], b[good]
+
+
+def _guided(first: Features, second: Features, straight_a, straight_b, candidates, F,
+            band_px: float):
+    """Best candidates along epipolar lines: mutual, clear of the runner-up and of twins."""
+    a, b, score = candidates
+    near = np.abs(sampson_distance(F, straight_a[a], straight_b[b])) < band_px
+    scale = np.abs(np.log2(first.size_px[a] / second.size_px[b]))
+    keep = near & (scale < 1.0)
+    a, b, score = a[keep], b[keep], score[keep]
+    if not len(a):
+        return a, b
+
+    def best_and_second(key, count):
+        order = np.lexsort((-score, key))
+        place = np.searchsorted(key[order], np.arange(count + 1))
+        top = np.full(count, -1)
+        second_score = np.full(count, _LEAST_SIMILARITY)
+        some = place[1:] > place[:-1]
+        two = place[1:] > place[:-1] + 1
+        top[some] = order[place[:-1][some]]
+        second_score[two] = score[order[place[:-1][two] + 1]]
+        return top, second_score
+
+    top_a, second_a = best_and_second(a, len(first.xy))
+    top_b, second_b = best_and_second(b, len(second.xy))
+    chosen = top_a[top_a >= 0]
+    chosen = chosen[top_b[b[chosen]] == chosen]
+    runner_up = np.maximum(second_a[a[chosen]], second_b[b[chosen]])
+    a, b, score = a[chosen], b[chosen], score[chosen]
+    twin = np.maximum(
+        _twin_on_line(first, straight_a, straight_b[b], F.T, a, band_px),
+        _twin_on_line(second, straight_b, straight_a[a], F, b, band_px))
+    clear = (1 - score) < GUIDED_RATIO ** 2 * (1 - np.maximum(runner_up, twin))
+    clear &= twin < _SAME_SIMILARITY
+    return a[clear], b[clear]
+
+
+def _twin_on_line(features: Features, straight, partner_xy, F, chosen, band_px: float):
+    """Similarity of the closest twin on the epipolar line of each chosen place's partner."""
+    line = np.full((len(features.xy), 3), np.nan)
+    line[chosen] = np.column_stack([partner_xy, np.ones(len(partner_xy))]) @ F.T
+    line /= np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+    a, b, alike = features.twins
+    distance = (line[a, :2] * straight[b]).sum(axis=1) + line[a, 2]
+    near = np.abs(distance) < 2 * band_px  # NaN, hence False, for places without a partner
+    most = np.full(len(features.xy), _LEAST_SIMILARITY, np.float32)
+    np.maximum.at(most, a[near], alike[near])
+    return most[chosen]
+
+
+def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3):
+    """
+    Choose the image pairs worth matching.
+
+    Neighbours in time, and for every image the few others that share most distinctive features
+    with it (loops, photographs in any order), judged by a few hundred coarse features.
+
+    Parameters
+    ----------
+    features : list of Features
+    neighbours : int
+        Steps in time.
+    relatives : int
+        Further images for each.
+
+    Returns
+    -------
+    list of (int, int)
+        First before second.
+
+    """
+    count = len(features)
+    pairs = {(i, i + gap) for gap in range(1, neighbours + 1) for i in range(count - gap)}
+    if count <= 8:
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    coarse = [feature.coarsest(300) for feature in features]
+    shared = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i + neighbours + 1, count):
+            product = coarse[i] @ coarse[j].T
+            a, b = np.arange(len(product)), product.argmax(axis=1)
+            best = product[a, b]
+            product[a, b] = -1
+            clear = (1 - best) < RATIO ** 2 * (1 - product.max(axis=1))
+            shared[i, j] = shared[j, i] = len(np.unique(b[clear]))
+    for i in range(count):
+        nearest = np.argsort(-shared[i], kind='stable')[:relatives]
+        pairs |= {(min(i, j), max(i, j)) for j in nearest.tolist() if shared[i, j] >= 12}
+    return sorted(pairs)
+
+
+def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
+    """
+    Tell which matches may take part in an estimate of F, shape (N,) of bool.
+
+    Points that stay exactly where they are while others move (background of a turntable, dirt)
+    would otherwise win the vote with zero motion.
+    """
+    distance = np.linalg.norm(xy_b - xy_a, axis=1)
+    static, moving = distance < _STATIC_PX, distance > _MOVING_PX
+    if static.sum() >= 5 and moving.sum() >= 20:
+        return ~static
+    return np.ones(len(distance), bool)
+
+
+def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
+                seed: int = 0, progress=None) -> tuple[list[PairMatches], float]:
+    """
+    Match image pairs, first the distinctive features, then all along epipolar lines.
+
+    Parameters
+    ----------
+    features : list of Features
+        One an image.
+    pairs : list of (int, int)
+        Positions in `features`.
+    image_size : (int, int)
+        Width and height in pixels.
+    seed : int
+        State of the sampler of F.
+    progress : callable, optional
+        Called with the share done, 0 to 1.
+
+    Returns
+    -------
+    matches : list of PairMatches
+        Only pairs whose geometry was found.
+    division : float
+        Distortion used for the verification, see `epipolar`.
+
+    """
+    seeds = []
+    for count, (i, j) in enumerate(pairs):
+        product = similarity(features[i], features[j])
+        a, b = _distinctive(features[i], features[j], product)
+        candidates = np.nonzero(product > _LEAST_SIMILARITY)
+        seeds.append((a, b, (*candidates, product[candidates])))
+        if progress:
+            progress(0.7 * (count + 1) / len(pairs))
+    richest = sorted(range(len(pairs)), key=lambda k: -len(seeds[k][0]))
+    richest = richest[len(richest) // 5:][:6]
+    division = choose_division([_moving(features, pairs[k], seeds[k]) for k in richest],
+                               image_size)
+    straight = [straighten(feature.xy, division, image_size) for feature in features]
+    matches = []
+    for count, ((i, j), (a, b, candidates)) in enumerate(zip(pairs, seeds)):
+        use = moving_part(features[i].xy[a], features[j].xy[b])
+        F = estimate_fundamental(straight[i][a[use]], straight[j][b[use]], 1.5, seed=seed)
+        if F is None:
+            continue
+        fits = np.abs(sampson_distance(F, straight[i][a[use]], straight[j][b[use]])) < 2.0
+        # chance puts a few matches on any F; a true one holds many more
+        if fits.sum() < max(16, 0.25 * len(fits)):
+            continue
+        a, b = _guided(features[i], features[j], straight[i], straight[j], candidates, F, 2.0)
+        use = moving_part(features[i].xy[a], features[j].xy[b])
+        refined = estimate_fundamental(straight[i][a[use]], straight[j][b[use]], 1.0, seed=seed)
+        if refined is None:
+            continue
+        good = np.abs(sampson_distance(refined, straight[i][a], straight[j][b])) < 1.5
+        if good.sum() >= 16:
+            matches.append(PairMatches(i, j, a[good], b[good], refined))
+        if progress:
+            progress(0.7 + 0.3 * (count + 1) / len(pairs))
+    return matches, division
+
+
+def _moving(features, pair, seed):
+    """Distinctive matches of a pair without the static ones."""
+    xy_a, xy_b = features[pair[0]].xy[seed[0]], features[pair[1]].xy[seed[1]]
+    use = moving_part(xy_a, xy_b)
+    return xy_a[use], xy_b[use]

@@ -1,0 +1,198 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Sub-pixel registration of many small patches at once.
+
+Inverse compositional alignment (Baker and Matthews, 2004, section 3.2) with an affine warp; gain
+and offset are projected out by normalising every patch to zero mean and unit spread. The
+template never changes, so the error of a position does not grow with the number of frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+#: Rows of one cv2.remap call; its sizes are limited to 32767.
+_ROWS = 16384
+
+
+@dataclass
+class Templates:
+    """
+    Appearance of N points, ready for `register`.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N, P)
+        Normalised grey values: weighted mean 0, weighted mean square 1.
+    solver : ndarray, shape (N, 6, P)
+        Maps a grey value difference to the warp (dx, dy, a11, a12, a21, a22).
+    sigma : ndarray, shape (N,)
+        Standard deviation in pixels of the worse coordinate for a grey value noise of 1 % of
+        the contrast; large where the patch holds too little texture.
+
+    """
+
+    values: np.ndarray
+    solver: np.ndarray
+    sigma: np.ndarray
+
+    def __len__(self) -> int:
+        """Count the templates."""
+        return len(self.values)
+
+    def select(self, index) -> Templates:
+        """Keep the templates of an index or a mask."""
+        return Templates(self.values[index], self.solver[index], self.sigma[index])
+
+    def extended(self, other: Templates) -> Templates:
+        """Append other templates."""
+        return Templates(*(np.concatenate(pair) for pair in (
+            (self.values, other.values), (self.solver, other.solver),
+            (self.sigma, other.sigma))))
+
+
+class PatchRegistration:
+    """
+    A patch size, its window, and the two operations on it.
+
+    Parameters
+    ----------
+    half_px : int
+        The patch covers (2 half + 1) x (2 half + 1) pixels.
+
+    """
+
+    def __init__(self, half_px: int = 7):
+        """Lay out the patch."""
+        side = np.arange(-half_px, half_px + 1, dtype=np.float32)
+        u, v = (grid.ravel() for grid in np.meshgrid(side, side))
+        window = np.exp(-0.5 * (u * u + v * v) / (0.55 * half_px) ** 2)
+        self.half_px = half_px
+        self.offsets = np.stack([u, v], axis=1)
+        self.window = (window / window.sum()).astype(np.float32)
+        self._side = len(side)
+
+    def sample(self, image, xy, affine=None, interpolation=cv2.INTER_CUBIC):
+        """Grey values (N, P) of image (H, W) float32 at xy + affine @ offsets."""
+        if affine is None:
+            offsets = self.offsets[None]
+        else:
+            offsets = self.offsets @ np.swapaxes(affine, 1, 2).astype(np.float32)
+        at = xy.astype(np.float32)[:, None, :] + offsets
+        out = np.empty(at.shape[:2], np.float32)
+        for k in range(0, len(at), _ROWS):
+            out[k:k + _ROWS] = cv2.remap(image, np.ascontiguousarray(at[k:k + _ROWS, :, 0]),
+                                         np.ascontiguousarray(at[k:k + _ROWS, :, 1]),
+                                         interpolation, borderMode=cv2.BORDER_REPLICATE)
+        return out
+
+    def _normalise(self, values):
+        """Weighted mean to 0 and mean square to 1; also the spread (N, 1) before."""
+        values = values - values @ self.window[:, None]
+        spread = np.sqrt((values * values) @ self.window[:, None]) + np.float32(1e-3)
+        return values / spread, spread
+
+    def templates(self, image: np.ndarray, xy: np.ndarray) -> Templates:
+        """
+        Take templates around xy (N, 2) from image (H, W) float32.
+
+        A position at whole pixels is best: nothing is interpolated then.
+        """
+        values, spread = self._normalise(self.sample(image, xy))
+        square = values.reshape(len(xy), self._side, self._side)
+        gradient_y, gradient_x = np.gradient(square, axis=(1, 2))
+        gradients = np.stack([gradient_x.reshape(values.shape),
+                              gradient_y.reshape(values.shape)], axis=1)
+        u, v = self.offsets.T
+        steepest = np.concatenate([gradients, gradients[:, :1] * u, gradients[:, :1] * v,
+                                   gradients[:, 1:] * u, gradients[:, 1:] * v], axis=1)
+        # what a change of gain and offset explains must not be mistaken for motion
+        steepest -= steepest @ self.window[:, None]
+        steepest -= ((steepest * values[:, None]) @ self.window[:, None]) * values[:, None]
+        weighted = steepest * self.window
+        normal = weighted @ np.swapaxes(steepest, 1, 2)
+        # a weak pull towards no deformation keeps the affine part of poor texture in bounds
+        scale = 0.5 * (normal[:, 0, 0] + normal[:, 1, 1])
+        pull = np.array([1e-6, 1e-6] + 4 * [0.02 * self.half_px ** 2])
+        normal = normal + scale[:, None, None] * np.diag(pull).astype(np.float32)
+        normal += np.eye(6, dtype=np.float32) * 1e-9
+        inverse = np.linalg.inv(normal.astype(float))
+        noise = 0.01 * np.sqrt((self.window ** 2).sum())
+        sigma = noise * np.sqrt(np.maximum(inverse[:, 0, 0], inverse[:, 1, 1]))
+        return Templates(values, (inverse @ weighted).astype(np.float32), sigma)
+
+    def register(self, templates: Templates, image: np.ndarray, xy: np.ndarray,
+                 affine: np.ndarray | None = None, iterations: int = 8,
+                 tolerance_px: float = 0.01):
+        """
+        Find the templates in another image, from a start within about two pixels.
+
+        Parameters
+        ----------
+        templates : Templates
+            N of them.
+        image : ndarray of float32, shape (H, W)
+        xy : ndarray, shape (N, 2)
+            Start in pixels.
+        affine : ndarray, shape (N, 2, 2), optional
+            Start of the deformation, template offsets to image offsets; identity by default.
+        iterations : int
+            Gauss-Newton steps at most.
+        tolerance_px : float
+            A point whose step falls below this is finished.
+
+        Returns
+        -------
+        xy : ndarray, shape (N, 2)
+        affine : ndarray, shape (N, 2, 2)
+        correlation : ndarray, shape (N,)
+            Weighted correlation with the template at the last but one step, -1 where the
+            iteration left the image or broke down.
+        step_px : ndarray, shape (N,)
+            Length of the last step: large where the iteration has not converged.
+
+        """
+        count = len(templates)
+        xy = np.array(xy, dtype=float)
+        affine = (np.tile(np.eye(2), (count, 1, 1)) if affine is None
+                  else np.array(affine, dtype=float))
+        correlation, last = np.full(count, -1.0), np.full(count, np.inf)
+        limit = np.array(image.shape[::-1]) - 1.0
+        active = np.arange(count)
+        for _ in range(iterations):
+            if not len(active):
+                break
+            values, _ = self._normalise(self.sample(image, xy[active], affine[active]))
+            target = templates.values[active]
+            correlation[active] = (values * target) @ self.window
+            update = (templates.solver[active] @ (values - target)[:, :, None])[:, :, 0]
+            change = np.eye(2) + update[:, 2:].reshape(-1, 2, 2)
+            determinant = np.linalg.det(change)
+            sound = (np.abs(determinant - 1) < 0.7) & (np.abs(update[:, :2]).max(axis=1) < 3)
+            correlation[active[~sound]], last[active[~sound]] = -1, np.inf
+            active, change, update = active[sound], change[sound], update[sound]
+            inverse = np.linalg.inv(change)
+            affine[active] = affine[active] @ inverse
+            step = -(affine[active] @ update[:, :2, None])[:, :, 0]
+            xy[active] += step
+            last[active] = np.linalg.norm(step, axis=1)
+            inside = ((xy[active] > 0) & (xy[active] < limit)).all(axis=1)
+            correlation[active[~inside]] = -1
+            last[active[~inside]] = np.inf
+            active = active[inside & (last[active] > tolerance_px)]
+        return xy, affine, correlation, last
