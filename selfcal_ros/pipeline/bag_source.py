@@ -1,0 +1,241 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Frames from rosbag2 (mcap, sqlite3) and ROS 1 bags, read by rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from msg_adapters.image import ImageDecoder
+from msg_adapters.stamps import stamp_ns
+
+from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+
+IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
+
+_MAGIC = {'.mcap': (b'\x89MCAP0\r\n',), '.db3': (b'SQLite format 3\0',),
+          '.bag': (b'#ROSBAG V2.0',)}
+_KIND = {'.mcap': 'an mcap file', '.db3': 'a rosbag2 sqlite3 file', '.bag': 'a ROS 1 bag'}
+
+
+@contextmanager
+def _readable(path):
+    """
+    Turn whatever a damaged bag makes rosbags raise into an InputError.
+
+    Besides its own errors these are assertions, struct errors, those of SQLite, zstd and lz4,
+    KeyErrors, MemoryErrors and so on, hence the wide net.
+    """
+    try:
+        yield
+    except SelfcalError:
+        raise
+    except Exception as error:
+        detail = ' '.join(str(error).split())[:160].rstrip('.') or type(error).__name__
+        raise InputError(f'{path} cannot be read as a bag; it is damaged, truncated or was not '
+                         f'closed by the recorder ({detail}).') from error
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Tell a rosbag2 folder from a folder of images."""
+    return (path / 'metadata.yaml').is_file() or any(
+        entry.suffix in ('.mcap', '.db3') for entry in path.iterdir())
+
+
+class BagSource(FrameSource):
+    """
+    Images of one topic of a bag.
+
+    Parameters
+    ----------
+    path : Path
+        A rosbag2 folder, an .mcap, .db3 or .bag file.
+    topic : str, optional
+        By default the only topic with images.
+    image_size : (int, int), optional
+        Refuse images of another size.
+    colour : bool
+        Give the frames in colour, too.
+
+    Raises
+    ------
+    InputError
+        If the bag is damaged, or the topic is missing, ambiguous or without images.
+
+    """
+
+    kind = 'bag'
+
+    def __init__(self, path, topic=None, image_size=None, colour=False):
+        """Open the bag and choose the topic."""
+        super().__init__(Path(path), image_size)
+        self._colour = colour
+        self._reader = None
+        _check_files(self.path)
+        with _readable(self.path):
+            self._open()
+        try:
+            self._connections = self._choose(topic)
+            self.topic = self._connections[0].topic
+            self.count = sum(connection.msgcount for connection in self._connections)
+            self.description = (f'{_format_name(self.path)} {self.path.name}, topic '
+                                f'{self.topic}, {self.count} images')
+            self._peek()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+        # image messages never changed their layout, so fixed type stores are enough, and the
+        # type definitions inside a bag need not be trusted
+        if self.path.suffix == '.bag' and self.path.is_file():
+            from rosbags.rosbag1 import Reader
+            self._deserialize = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+        else:
+            from rosbags.rosbag2 import Reader
+            self._deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
+        reader = Reader(self.path)
+        reader.open()
+        self._reader = reader
+
+    def _choose(self, topic: str | None) -> list:
+        """Return the connections of the topic."""
+        connections = list(self._reader.connections)
+        images = [c for c in connections if c.msgtype in IMAGE_TYPES]
+        counts: dict[str, int] = {}
+        for connection in images:
+            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+        listing = ', '.join(f'{name} ({number})' for name, number in sorted(counts.items()))
+        if topic:
+            wanted = [c for c in connections if c.topic in (topic, f'/{topic}')]
+            if not wanted:
+                there = f'its image topics are {listing}' if images else 'it holds no images'
+                raise InputError(f'{self.path} has no topic {topic}; {there}.')
+            chosen = [c for c in wanted if c.msgtype in IMAGE_TYPES]
+            if not chosen:
+                there = f'its image topics are {listing}' if images else 'it holds no images'
+                raise InputError(f'The topic {topic} of {self.path} carries {wanted[0].msgtype}, '
+                                 f'not images; {there}.')
+        else:
+            filled = [name for name, number in counts.items() if number]
+            if not filled:
+                topics = sorted({c.topic for c in connections})
+                there = ('it holds ' + _shortened(topics)) if topics else 'it is empty'
+                raise InputError(f'{self.path} has no images (sensor_msgs Image or '
+                                 f'CompressedImage); {there}.')
+            if len(filled) > 1:
+                raise InputError(f'{self.path} has {len(filled)} image topics, choose one with '
+                                 f'--topic: {listing}.')
+            chosen = [c for c in images if c.topic == filled[0]]
+        if not sum(c.msgcount for c in chosen):
+            raise InputError(f'The topic {chosen[0].topic} of {self.path} holds no messages.')
+        return chosen
+
+    def _peek(self) -> None:
+        """Learn size, frame and clock from the first message."""
+        for _, msg in self._messages():
+            self.frame_id = str(msg.header.frame_id)
+            self.clock = 'header' if stamp_ns(msg.header.stamp) else 'log'
+            break
+        for frame in self:
+            self.image_size = frame.image.shape[1], frame.image.shape[0]
+            break
+
+    def _messages(self) -> Iterator[tuple[int, object]]:
+        """Yield log time and message; raise InputError if fewer come than the bag announces."""
+        if self._reader is None:
+            raise InputError(f'{self.path} is closed.')
+        seen = 0
+        with _readable(self.path):
+            for connection, log_ns, data in self._reader.messages(self._connections):
+                seen += 1
+                yield log_ns, self._deserialize(data, connection.msgtype)
+        if seen < self.count:
+            raise InputError(f'{self.path} announces {self.count} images on {self.topic} but '
+                             f'holds only {seen}; it is truncated.')
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the images in the order of recording."""
+        decoder = ImageDecoder()
+        for index, (log_ns, msg) in enumerate(self._messages()):
+            name = f'frame {index}'
+            try:
+                image = decoder.grey(msg)
+                bgr = decoder.bgr(msg) if self._colour else None
+            except InputError as error:
+                raise InputError(f'{self.path}, {self.topic}, {name}: {error}') from error
+            stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)
+            yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
+
+    def close(self) -> None:
+        """Close the bag."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            with _readable(self.path):
+                reader.close()
+
+
+def _shortened(names: list, limit: int = 12) -> str:
+    """List names, not too many."""
+    more = f' and {len(names) - limit} more' if len(names) > limit else ''
+    return ', '.join(names[:limit]) + more
+
+
+def _format_name(path: Path) -> str:
+    return 'rosbag2 folder' if path.is_dir() else _KIND[path.suffix].split(' ', 1)[1]
+
+
+def _check_files(path: Path) -> None:
+    """Find what rosbags would not, or would say less clearly."""
+    if path.is_dir():
+        files = sorted(entry for entry in path.iterdir() if entry.suffix in ('.mcap', '.db3'))
+        if not (path / 'metadata.yaml').is_file():
+            raise InputError(f'{path} has no metadata.yaml, so the recording was not closed; run '
+                             f'`ros2 bag reindex` on it, or give the file {files[0].name}.')
+    else:
+        files = [path]
+    for file in files:
+        _check_file(file)
+
+
+def _check_file(path: Path) -> None:
+    """Check magic number and, for SQLite, completeness."""
+    try:
+        size = path.stat().st_size
+        with path.open('rb') as stream:
+            head = stream.read(100)
+    except OSError as error:
+        raise InputError(f'{path} cannot be read: {error.strerror}.') from None
+    if size == 0:
+        raise InputError(f'{path} is empty (0 bytes).')
+    if not head.startswith(_MAGIC[path.suffix]):
+        raise InputError(f'{path} is not {_KIND[path.suffix]}, although its name ends in '
+                         f'{path.suffix}.')
+    if path.suffix == '.db3':
+        # SQLite notices missing pages only when a query meets them
+        page = int.from_bytes(head[16:18], 'big')
+        page = 65536 if page == 1 else page
+        pages = int.from_bytes(head[28:32], 'big')
+        if head[24:28] == head[92:96] and size < page * pages:
+            raise InputError(f'{path} is truncated: {size} of {page * pages} bytes are there.')
+        log = path.with_name(path.name + '-wal')
+        if log.is_file() and log.stat().st_size:
+            raise InputError(f'{path} was not closed by the recorder ({log.name} holds the rest); '
+                             f'open it once with `sqlite3 {path.name} "PRAGMA '
+                             'wal_checkpoint(TRUNCATE);"`.')

@@ -1,0 +1,114 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Write images to a rosbag2 recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import os
+from pathlib import Path
+import re
+import shutil
+import tempfile
+
+from msg_adapters.image import compressed_image_message, image_message
+from msg_adapters.message_types import rosbags_types
+from msg_adapters.stamps import header_message
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.pipeline.frame_source import Frame
+
+_TOPIC = re.compile(r'^(/[A-Za-z_][A-Za-z0-9_]*)+$')
+
+
+def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_raw',
+                    storage: str = 'mcap', compressed: str | None = None,
+                    frame_id: str = 'camera_optical_frame') -> int:
+    """
+    Write frames as a rosbag2 folder; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder to make; it must not exist.
+    frames : iterable of Frame
+        Their colour image is written where they have one, their grey image otherwise.
+    topic : str
+        Absolute topic name.
+    storage : {'mcap', 'sqlite3'}
+    compressed : {'jpeg', 'png'}, optional
+        Write sensor_msgs/CompressedImage to <topic>/compressed instead of sensor_msgs/Image.
+    frame_id : str
+        For frames that do not name their coordinate frame.
+
+    Returns
+    -------
+    int
+        Number of images written.
+
+    Raises
+    ------
+    InputError
+        If the folder exists or cannot be made, or there are no frames.
+    ArgumentError
+        If the topic, storage or compression is impossible.
+
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+    path = Path(path)
+    plugins = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+    if storage not in plugins:
+        raise ArgumentError(f'Storage {storage!r} is unknown; choose mcap or sqlite3.')
+    if compressed not in (None, 'jpeg', 'png'):
+        raise ArgumentError(f'Compression {compressed!r} is unknown; choose jpeg or png.')
+    if not _TOPIC.match(topic):
+        raise ArgumentError(f'{topic!r} is no absolute topic name; write it like '
+                            '/camera/image_raw.')
+    if path.exists():
+        raise InputError(f'{path} exists already; remove it or choose another name.')
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = rosbags_types(store)
+    kind = 'sensor_msgs/msg/CompressedImage' if compressed else 'sensor_msgs/msg/Image'
+    count = 0
+    try:
+        # the files inside carry the name of the folder, so it must be the final one
+        temporary = tempfile.mkdtemp(prefix='.selfcal-', dir=path.absolute().parent)
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: {error.strerror}.') from None
+    try:
+        inside = Path(temporary) / path.name
+        with Writer(inside, version=9, storage_plugin=plugins[storage]) as writer:
+            connection = writer.add_connection(f'{topic}/compressed' if compressed else topic,
+                                               kind, typestore=store)
+            for frame in frames:
+                header = header_message(frame.stamp_ns, frame.frame_id or frame_id, types)
+                image = frame.image if frame.bgr is None else frame.bgr
+                if compressed:
+                    message = compressed_image_message(image, header, types, compressed)
+                else:
+                    message = image_message(image, header, types)
+                writer.write(connection, frame.stamp_ns, store.serialize_cdr(message, kind))
+                count += 1
+        if not count:
+            raise InputError(f'There are no images to write to {path}.')
+        try:
+            os.replace(inside, path)
+        except OSError as error:
+            raise InputError(f'{path} cannot be written: {error.strerror}.') from None
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: {error.strerror or error}.') from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return count

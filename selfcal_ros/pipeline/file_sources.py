@@ -1,0 +1,237 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Frames from image folders and videos, and tracks from CSV files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import re
+
+import cv2
+
+from msg_adapters.image import ImageDecoder
+
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+
+IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.pgm', '.ppm')
+VIDEO_SUFFIXES = ('.mp4', '.avi', '.mkv', '.mov', '.m4v', '.webm', '.mpg', '.mpeg', '.ogv',
+                  '.wmv')
+#: Image files have no clock; their stamps count frames at this rate.
+NOMINAL_RATE_HZ = 30
+
+
+def natural_key(name: str) -> list:
+    """Return a key that sorts frame2 before frame10."""
+    return [(0, int(part), '') if part.isdecimal() else (1, 0, part)
+            for part in re.split(r'(\d+)', name.lower()) if part]
+
+
+class ImageFolderSource(FrameSource):
+    """
+    The images of a folder in natural order; other files and hidden files are passed over.
+
+    Parameters
+    ----------
+    path : Path
+    image_size : (int, int), optional
+        Refuse images of another size.
+    colour : bool
+        Give the frames in colour, too.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no images, or the first one cannot be read.
+
+    """
+
+    kind = 'images'
+    clock = 'nominal'
+
+    def __init__(self, path, image_size=None, colour=False):
+        """List the folder."""
+        super().__init__(Path(path), image_size)
+        self._colour = colour
+        try:
+            entries = [e for e in self.path.iterdir() if not e.name.startswith('.')]
+        except OSError as error:
+            raise InputError(f'{self.path} cannot be listed: {error.strerror}.') from None
+        self._files = sorted((e for e in entries if e.suffix.lower() in IMAGE_SUFFIXES and
+                              e.is_file()), key=lambda e: (natural_key(e.name), e.name))
+        if not self._files:
+            raise InputError(self._nothing_here(entries))
+        self.count = len(self._files)
+        self.description = f'image folder {self.path.name}, {self.count} images'
+        first = next(iter(self))
+        self.image_size = first.image.shape[1], first.image.shape[0]
+
+    def _nothing_here(self, entries) -> str:
+        """Say what the folder holds instead of images."""
+        if not entries:
+            return f'The folder {self.path} is empty.'
+        inner = next((e for e in sorted(entries) if e.is_dir() and any(
+            f.suffix.lower() in IMAGE_SUFFIXES for f in e.iterdir())), None)
+        if inner is not None:
+            return f'The folder {self.path} holds no images itself; give {inner} instead.'
+        names = ', '.join(sorted(e.name for e in entries)[:4])
+        return (f'The folder {self.path} holds no images ({", ".join(IMAGE_SUFFIXES)}) and no '
+                f'rosbag2 recording, but {len(entries)} other entries, such as {names}.')
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the images in natural order."""
+        decoder = ImageDecoder()
+        for index, file in enumerate(self._files):
+            try:
+                data = file.read_bytes()
+                image = decoder.file_grey(data)
+                bgr = decoder.file_bgr(data) if self._colour else None
+            except InputError as error:
+                raise InputError(f'{file}: {error}') from error
+            except OSError as error:
+                raise InputError(f'{file} cannot be read: {error.strerror}.') from None
+            stamp = index * 1_000_000_000 // NOMINAL_RATE_HZ
+            yield self._checked(Frame(index, stamp, image, '', file.name, bgr))
+
+
+class VideoSource(FrameSource):
+    """
+    The frames of a video file, in the orientation of the sensor.
+
+    Parameters
+    ----------
+    path : Path
+    image_size : (int, int), optional
+        Refuse images of another size.
+    colour : bool
+        Give the frames in colour, too.
+
+    Raises
+    ------
+    InputError
+        If OpenCV cannot open the video or decode its first frame.
+
+    """
+
+    kind = 'video'
+    clock = 'video'
+
+    def __init__(self, path, image_size=None, colour=False):
+        """Open the video and decode its first frame."""
+        super().__init__(Path(path), image_size)
+        self._colour = colour
+        capture = self._open()
+        try:
+            count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+            rate = capture.get(cv2.CAP_PROP_FPS)
+        finally:
+            capture.release()
+        self.count = int(count) if 0 < count < 1e9 else None
+        # without a rate in the file the stamps are as nominal as those of image files
+        self._rate_hz = rate if 0.01 < rate < 1e5 else float(NOMINAL_RATE_HZ)
+        self.clock = 'video' if self._rate_hz == rate else 'nominal'
+        about = f'about {self.count} frames' if self.count else 'length unknown'
+        self.description = f'video {self.path.name}, {about} at {self._rate_hz:.4g} Hz'
+        first = next(iter(self), None)
+        if first is None:
+            raise InputError(f'{self.path} opens as a video, but no frame can be decoded; it is '
+                             'damaged or uses a codec that this OpenCV lacks.')
+        self.image_size = first.image.shape[1], first.image.shape[0]
+
+    def _open(self):
+        """Return an opened cv2.VideoCapture."""
+        if not self.path.stat().st_size:
+            raise InputError(f'{self.path} is empty (0 bytes).')
+        try:
+            # an absolute path cannot be mistaken for an address or a pipeline
+            capture = cv2.VideoCapture(str(self.path.resolve()))
+            opened = capture.isOpened()
+        except cv2.error:
+            opened = False
+        if not opened:
+            raise InputError(f'{self.path} cannot be opened as a video; it is damaged, truncated '
+                             'or uses a codec that this OpenCV lacks.')
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        return capture
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the frames."""
+        capture = self._open()
+        try:
+            index = 0
+            while True:
+                try:
+                    there, bgr = capture.read()
+                except cv2.error as error:
+                    raise InputError(f'{self.path}: frame {index} cannot be decoded '
+                                     f'({error.err}).') from None
+                if not there:
+                    return
+                image = bgr if bgr.ndim == 2 else cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+                stamp = round(index * 1e9 / self._rate_hz)
+                yield self._checked(Frame(index, stamp, image, '', f'frame {index}',
+                                          bgr if self._colour else None))
+                index += 1
+        finally:
+            capture.release()
+
+
+class TracksSource(FrameSource):
+    """
+    Tracks from a CSV file with the columns frame, track, x, y; it has no frames to iterate over.
+
+    Parameters
+    ----------
+    path : Path
+    image_size : (int, int), optional
+        Width and height in pixels, which the file does not tell.
+
+    Raises
+    ------
+    InputError
+        If the file is wrong; the sentence names the line.
+
+    """
+
+    kind = 'tracks'
+
+    def __init__(self, path, image_size=None):
+        """Read the file."""
+        super().__init__(Path(path), image_size)
+        try:
+            self._tracks = Tracks.from_csv(self.path, self.image_size)
+        except InputError as error:
+            text = str(error)
+            raise InputError(text if str(self.path) in text else f'{self.path}: {text}') from error
+        except OSError as error:
+            raise InputError(f'{self.path} cannot be read: {error.strerror}.') from None
+        except (ValueError, OverflowError) as error:
+            # a NUL byte, an endless field, a number beyond 64 bits
+            raise InputError(f'{self.path} is no table of tracks ({error}).') from None
+        except Exception as error:
+            # csv.Error derives from Exception directly
+            raise InputError(f'{self.path} is no CSV file ({error}).') from None
+        self.count = len(self._tracks.frames)
+        self.description = (f'tracks {self.path.name}, {len(self._tracks)} observations in '
+                            f'{self.count} frames')
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Refuse: there are no images."""
+        raise InputError(f'{self.path} holds tracks, not images.')
+
+    def tracks(self) -> Tracks:
+        """Return the tracks."""
+        return self._tracks

@@ -1,0 +1,148 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What every source of frames offers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    One image of a source.
+
+    Attributes
+    ----------
+    index : int
+        Count of the image in its source, from 0.
+    stamp_ns : int
+        Acquisition time in nanoseconds; see `FrameSource.clock`.
+    image : ndarray of uint8, shape (H, W)
+        Grey.
+    frame_id : str
+        Coordinate frame of the camera; empty where the source does not name one.
+    name : str
+        What to call this image before a user: a file name, or the like of 'frame 7'.
+    bgr : ndarray of uint8, shape (H, W, 3), or None
+        Colour, where the source was opened with colour=True.
+
+    """
+
+    index: int
+    stamp_ns: int
+    image: np.ndarray
+    frame_id: str = ''
+    name: str = ''
+    bgr: np.ndarray | None = None
+
+
+class FrameSource(ABC):
+    """
+    Frames, one at a time; a context manager, and iterable more than once.
+
+    Every iteration starts at the first frame, and holds one frame in memory. Errors of the input
+    are InputErrors, raised on opening or at the frame that is wrong.
+
+    Attributes
+    ----------
+    kind : {'bag', 'images', 'video', 'tracks'}
+    description : str
+        The source in a few words, for a person.
+    path : Path
+    topic : str
+        Topic of a bag; empty otherwise.
+    frame_id : str
+        Coordinate frame of the camera in the first message of a bag; empty otherwise.
+    image_size : (int, int) or None
+        Width and height in pixels.
+    count : int or None
+        Number of frames. An estimate for videos.
+    clock : {'header', 'log', 'video', 'nominal', 'none'}
+        Where the stamps come from: the header of the message, the recorder's log (where headers
+        are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
+
+    """
+
+    kind = ''
+    clock = 'none'
+
+    def __init__(self, path, image_size=None):
+        """Keep what all sources have."""
+        self.path = path
+        self.description = ''
+        self.topic = ''
+        self.frame_id = ''
+        self.count: int | None = None
+        self._stated_size = None if image_size is None else (int(image_size[0]),
+                                                             int(image_size[1]))
+        self.image_size = self._stated_size
+
+    def __enter__(self) -> FrameSource:
+        """Return the source itself."""
+        return self
+
+    def __exit__(self, *_) -> None:
+        """Close the source."""
+        self.close()
+
+    def __len__(self) -> int:
+        """Return the number of frames; TypeError where it is not known."""
+        if self.count is None:
+            raise TypeError(f'the number of frames of {self.path} is not known')
+        return self.count
+
+    def __bool__(self) -> bool:
+        """Be true, whatever the number of frames."""
+        return True
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Frame]:
+        """Iterate over the frames from the first."""
+
+    def tracks(self):
+        """
+        Return the tracks of a source of kind 'tracks'.
+
+        Raises
+        ------
+        InputError
+            If the source holds images.
+
+        """
+        raise InputError(f'{self.path} holds images, not tracks.')
+
+    def close(self) -> None:
+        """Release what is open; may be called twice."""
+
+    def _checked(self, frame: Frame) -> Frame:
+        """Refuse a frame whose size differs from those before it."""
+        size = frame.image.shape[1], frame.image.shape[0]
+        if self.image_size is None:
+            self.image_size = size
+        if size != self.image_size:
+            had = f'{self.image_size[0]}x{self.image_size[1]}'
+            if self.image_size == self._stated_size:
+                raise InputError(f'{self.path}: {frame.name} is {size[0]}x{size[1]}, but the '
+                                 f'stated image size is {had}; correct the image size.')
+            raise InputError(f'{self.path}: the images change size at {frame.name} from {had} to '
+                             f'{size[0]}x{size[1]}; split the input there, because one '
+                             'calibration holds for one size.')
+        return frame

@@ -1,0 +1,94 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Open whatever holds frames: a bag, an image folder, a video, or a table of tracks.
+
+    with open_source('drive.mcap') as source:
+        for frame in source:
+            frame.image          # (H, W) uint8
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, BagSource, is_bag_folder
+from selfcal_ros.pipeline.file_sources import (IMAGE_SUFFIXES, ImageFolderSource, TracksSource,
+                                               VIDEO_SUFFIXES, VideoSource)
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+
+__all__ = ['Frame', 'FrameSource', 'open_source']
+
+_EXPECTED = ('expected a rosbag2 folder, an .mcap, .db3 or .bag file, an image folder, a video '
+             f'({", ".join(VIDEO_SUFFIXES)}), or a .csv file of tracks')
+
+
+def open_source(path, topic: str | None = None, image_size: tuple[int, int] | None = None,
+                colour: bool = False) -> FrameSource:
+    """
+    Open a source of frames or tracks.
+
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 folder (mcap or sqlite3), an .mcap, .db3 or ROS 1 .bag file, an image folder, a
+        video, or a .csv file of tracks.
+    topic : str, optional
+        Image topic of a bag. By default the only one that has images.
+    image_size : (int, int), optional
+        Width and height in pixels: needed for tracks, checked for images.
+    colour : bool
+        Give the frames in colour as well as in grey.
+
+    Returns
+    -------
+    FrameSource
+        A context manager.
+
+    Raises
+    ------
+    InputError
+        If the input is missing, damaged or of no known kind.
+    ArgumentError
+        If the image size is impossible.
+
+    """
+    path = Path(path)
+    if image_size is not None and not (len(image_size) == 2 and min(image_size) > 0):
+        raise ArgumentError(f'The image size must be a positive width and height, '
+                            f'not {tuple(image_size)}.')
+    try:
+        folder, file = path.is_dir(), path.is_file()
+        bag = folder and is_bag_folder(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f'{str(path)!r:.200} cannot be opened: {error}.') from None
+    if not folder and not file:
+        missing = 'is neither a file nor a folder' if path.exists() else 'does not exist'
+        raise InputError(f'{path} {missing}; {_EXPECTED}.')
+    suffix = path.suffix.lower()
+    is_bag = bag or file and path.suffix in BAG_SUFFIXES
+    if topic and not is_bag:
+        raise InputError(f'{path} is no bag, so it has no topic {topic}; leave the topic out.')
+    if is_bag:
+        return BagSource(path, topic, image_size, colour)
+    if folder:
+        return ImageFolderSource(path, image_size, colour)
+    if suffix in VIDEO_SUFFIXES:
+        return VideoSource(path, image_size, colour)
+    if suffix == '.csv':
+        return TracksSource(path, image_size)
+    if suffix in IMAGE_SUFFIXES:
+        raise InputError(f'{path} is a single image; give the folder that holds the images.')
+    raise InputError(f'{path} is of no known kind; {_EXPECTED}.')
