@@ -29,7 +29,7 @@ EXECUTABLES = {
 }
 
 version = re.search(r"^__version__ = '(.+)'$",
-                    Path('selfcal_ros/__init__.py').read_text(encoding='utf-8'), re.M).group(1)
+                    Path('selfcal_ros/version.py').read_text(encoding='utf-8'), re.M).group(1)
 
 data_files = [
     ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),

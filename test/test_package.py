@@ -80,8 +80,8 @@ def test_recordings_fit_into_the_repository():
 
 def test_python_files_carry_the_licence_header():
     header = (ROOT / 'selfcal_ros' / '__init__.py').read_text(encoding='utf-8')[:587]
-    assert header.startswith('# Copyright') and header.rstrip().endswith('limitations under the '
-                                                                        'License.')
+    assert header.startswith('# Copyright')
+    assert header.rstrip().endswith('limitations under the License.')
     for folder in ('selfcal_ros', 'msg_adapters', 'test', 'launch', 'bench'):
         for path in (ROOT / folder).rglob('*.py'):
             assert path.read_text(encoding='utf-8').startswith(header.rstrip()), path

@@ -1,0 +1,162 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parameters of a node as one frozen dataclass: declared once, described, bounded, read-only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+import math
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from selfcal_ros.errors import ArgumentError
+
+
+def parameter(default, description: str, low=None, high=None, one_of=()):
+    """
+    Describe one parameter; use it as the default of a dataclass field.
+
+    Parameters
+    ----------
+    default : bool, int, float or str
+        Its type is the type of the parameter.
+    description : str
+    low, high : number, optional
+        Inclusive bounds.
+    one_of : tuple of str, optional
+        The only values allowed.
+
+    """
+    return field(default=default, metadata={'description': description, 'low': low, 'high': high,
+                                            'one_of': tuple(one_of)})
+
+
+def declare(node, table):
+    """
+    Declare the parameters of a dataclass on a node and read their values.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    table : type
+        Dataclass whose fields were made with `parameter`.
+
+    Returns
+    -------
+    table
+        An instance with the values in force.
+
+    Raises
+    ------
+    ArgumentError
+        If a value has the wrong type or is out of range; the sentence names the parameter.
+
+    """
+    values = {}
+    for entry in fields(table):
+        given = node.declare_parameter(entry.name, entry.default, _descriptor(entry)).value
+        values[entry.name] = _checked(entry, given)
+    return table(**values)
+
+
+def _descriptor(entry) -> ParameterDescriptor:
+    """Describe a field; the type is ours to check, so that a YAML 20 may stand for 20.0."""
+    about = entry.metadata
+    descriptor = ParameterDescriptor(description=about['description'], read_only=True,
+                                     dynamic_typing=True)
+    if about['one_of']:
+        descriptor.additional_constraints = 'one of ' + ', '.join(about['one_of'])
+    low, high = about['low'], about['high']
+    if low is not None or high is not None:
+        # read-only: nobody can set it later, the range is there to be read
+        if isinstance(entry.default, float):
+            descriptor.additional_constraints = f'from {low} to {high}'
+            descriptor.floating_point_range = [FloatingPointRange(
+                from_value=float(-math.inf if low is None else low),
+                to_value=float(math.inf if high is None else high), step=0.0)]
+        else:
+            descriptor.integer_range = [IntegerRange(
+                from_value=int(-2 ** 63 if low is None else low),
+                to_value=int(2 ** 63 - 1 if high is None else high), step=0)]
+    return descriptor
+
+
+def _checked(entry, value):
+    """Return the value in the type of its default."""
+    wanted, about = type(entry.default), entry.metadata
+    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not wanted:
+        raise ArgumentError(f'The parameter {entry.name} must be of type {wanted.__name__}, '
+                            f'not {value!r}.')
+    if about['one_of'] and value not in about['one_of']:
+        raise ArgumentError(f'The parameter {entry.name} must be one of '
+                            f'{", ".join(about["one_of"])}, not {value!r}.')
+    low, high = about['low'], about['high']
+    # written so that NaN fails
+    if (low is not None and not value >= low) or (high is not None and not value <= high):
+        bounds = (f'from {low} to {high}' if None not in (low, high)
+                  else f'at least {low}' if high is None else f'at most {high}')
+        raise ArgumentError(f'The parameter {entry.name} must be {bounds}, not {value!r}.')
+    return value
+
+
+@dataclass(frozen=True)
+class FeatureTrackerParameters:
+    """Parameters of feature_tracker."""
+
+    image_transport: str = parameter(
+        'auto', 'which of the topics image and image/compressed to follow; auto takes the one '
+        'that speaks first', one_of=('auto', 'raw', 'compressed'))
+    max_features: int = parameter(400, 'points to follow at once', 20, 5000)
+    lazy: bool = parameter(True, 'subscribe to images only while somebody listens to the tracks')
+    silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)
+
+
+@dataclass(frozen=True)
+class PlanarCalibratorParameters:
+    """Parameters of planar_calibrator."""
+
+    camera_name: str = parameter('camera', 'name in the calibration file, and its file name')
+    output: str = parameter('', 'calibration file; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
+                            'where camera drivers look')
+    auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only')
+    motion: str = parameter('auto', 'how the camera moves', one_of=('auto', 'planar'))
+    aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0)
+    aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0)
+    zero_skew: bool = parameter(True, 'the skew is known to be zero')
+    distortion: str = parameter('radial2', 'coefficients to estimate',
+                                one_of=('none', 'radial1', 'radial2', 'plumb_bob'))
+    max_keyframes: int = parameter(40, 'views to keep', 3, 400)
+    first_estimate: int = parameter(8, 'views before the first estimate', 3, 400)
+    keyframe_parallax: float = parameter(
+        0.03, 'a view is kept when its points have moved by this share of the image diagonal',
+        1e-4, 0.5)
+    idle_s: float = parameter(1.0, 'estimate with what there is when no tracks come for so long',
+                              0.1, 3600.0)
+    silence_s: float = parameter(5.0, 'warn when no tracks have come for so long', 0.5, 3600.0)
+
+
+@dataclass(frozen=True)
+class BagPlayerParameters:
+    """Parameters of bag_player."""
+
+    bag: str = parameter('', 'rosbag2 folder, .mcap, .db3 or .bag file')
+    topic: str = parameter('', 'image topic of the bag; empty: the only one')
+    rate: float = parameter(1.0, 'playback speed', 0.01, 100.0)
+    loop: bool = parameter(False, 'start again at the end')
+    start_offset: float = parameter(0.0, 'seconds of the bag to skip', 0.0, 1e6)
+    publish_clock: bool = parameter(True, 'publish the time of the bag on /clock')
+    wait_for_subscribers_s: float = parameter(
+        30.0, 'wait for a subscriber for at most so long; 0: do not wait', 0.0, 3600.0)

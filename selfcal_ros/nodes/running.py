@@ -1,0 +1,74 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Start, spin and end of a node process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import signal
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+
+from selfcal_ros.errors import SelfcalError
+
+
+def run_node(make_node: Callable, args: list[str] | None = None) -> int:
+    """
+    Run one node until it is finished or told to stop.
+
+    Parameters
+    ----------
+    make_node : callable
+        Returns the node. If the node has an attribute `finished` (a Future), its completion ends
+        the run.
+    args : list of str, optional
+        Command line, sys.argv by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 when an input or a parameter is wrong.
+
+    """
+    try:
+        rclpy.init(args=args)
+    except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
+        print(f'ROS did not start: {error}', file=sys.stderr)
+        return 2
+    node = None
+    try:
+        node = make_node()
+        finished = getattr(node, 'finished', None)
+        if finished is None:
+            rclpy.spin(node)
+        else:
+            rclpy.spin_until_future_complete(node, finished)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except SelfcalError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except Exception:
+        # SIGINT and SIGTERM can invalidate the context between two calls inside spin()
+        if rclpy.ok():
+            raise
+    finally:
+        # a second Ctrl-C (launch forwards its own) must not break the teardown
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

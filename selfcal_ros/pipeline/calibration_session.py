@@ -1,0 +1,331 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibration that improves while tracks arrive; what the calibrator node drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.geometry.camera import CameraFacts
+
+#: A stamp this much before the newest one is a jump, not a message that was overtaken.
+BACKWARD_JUMP_NS = 200_000_000
+#: A frame with fewer points than this is no keyframe.
+MINIMUM_POINTS = 8
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """
+    When a frame is kept, and when an estimate is worth its time.
+
+    Parameters
+    ----------
+    motion : str
+        As in `selfcal_ros.calibrate`.
+    facts : CameraFacts
+    parallax : float
+        A frame becomes a keyframe when the median point has moved by this share of the image
+        diagonal since the last one.
+    max_keyframes : int
+        Bound on memory and on the time of an estimate; beyond it the views that tell least go.
+    first_estimate : int
+        Keyframes before the first estimate.
+    growth : float
+        New keyframes, as a share of all, that make another estimate worthwhile.
+    min_common : int
+        Thinning leaves neighbours that share at least so many points.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is impossible.
+
+    """
+
+    motion: str = 'auto'
+    facts: CameraFacts = CameraFacts()
+    parallax: float = 0.03
+    max_keyframes: int = 40
+    first_estimate: int = 8
+    growth: float = 0.2
+    min_common: int = 60
+
+    def __post_init__(self):
+        """Refuse impossible values."""
+        if not 0 < self.parallax < 1:
+            raise ArgumentError('The keyframe parallax is a share of the image diagonal between '
+                                f'0 and 1, not {self.parallax!r}.')
+        if not 3 <= self.first_estimate <= self.max_keyframes:
+            raise ArgumentError(f'The first estimate needs 3 to {self.max_keyframes} keyframes '
+                                f'(max_keyframes), not {self.first_estimate}.')
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """
+    Points of one kept frame.
+
+    Attributes
+    ----------
+    index : int
+        Counts the frames of the session.
+    stamp_ns : int
+    ids : ndarray of int, shape (M,)
+        Ascending.
+    xy : ndarray, shape (M, 2)
+        Pixels.
+
+    """
+
+    index: int
+    stamp_ns: int
+    ids: np.ndarray
+    xy: np.ndarray
+
+
+@dataclass(frozen=True)
+class EstimateRequest:
+    """All that one estimate needs, independent of what the session does meanwhile."""
+
+    tracks: Tracks
+    settings: SessionSettings
+    start: Calibration | None
+    generation: int
+    keyframes: int
+
+    def run(self, calibrate: Callable | None = None) -> Calibration | NotCalibrated:
+        """
+        Estimate; takes up to seconds, for a worker thread.
+
+        Parameters
+        ----------
+        calibrate : callable, optional
+            `selfcal_ros.calibrate` by default.
+
+        """
+        if calibrate is None:
+            from selfcal_ros import calibrate
+        tracks, _ = drop_static(self.tracks)
+        tracks, _, _ = verify(tracks)
+        return calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
+                         start=self.start.camera if self.start else None)
+
+
+@dataclass(frozen=True)
+class SessionSnapshot:
+    """State of a session, for diagnostics."""
+
+    frames: int
+    keyframes: int
+    new_keyframes: int
+    points: int
+    image_size: tuple[int, int] | None
+    estimates: int
+    resets: int
+    estimating: bool
+    calibration: Calibration | None
+    failure: NotCalibrated | None
+
+
+class CalibrationSession:
+    """
+    Keeps keyframes by parallax, says when an estimate is due, and holds the newest calibration.
+
+    The session does no work of its own beyond bookkeeping: `request` packs what an estimate
+    needs, `EstimateRequest.run` computes in whatever thread the caller likes, and `accept` takes
+    the result. A result that was requested before a reset is dropped.
+
+    Parameters
+    ----------
+    settings : SessionSettings, optional
+
+    """
+
+    def __init__(self, settings: SessionSettings = SessionSettings()):
+        self.settings = settings
+        self._generation = 0
+        self._clear()
+
+    def _clear(self):
+        self._keyframes: list[Keyframe] = []
+        self._selector = None
+        self._image_size = None
+        self._newest_ns = None
+        self._newest_points = 0
+        self._frames = 0
+        self._new_keyframes = 0
+        self._estimates = 0
+        self._estimating = False
+        self._calibration = None
+        self._failure = None
+
+    def reset(self) -> None:
+        """Forget everything, also the estimate that may be on its way."""
+        self._generation += 1
+        self._clear()
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """The newest calibration, None before the first."""
+        return self._calibration
+
+    @property
+    def keyframes(self) -> tuple[Keyframe, ...]:
+        """The kept frames, oldest first."""
+        return tuple(self._keyframes)
+
+    def add_tracks(self, stamp_ns: int, ids: np.ndarray, xy: np.ndarray,
+                   image_size: tuple[int, int]) -> str:
+        """
+        Take the points of one frame.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Acquisition time.
+        ids : array_like of int, shape (M,)
+            Identity of each point.
+        xy : array_like, shape (M, 2)
+            Pixels.
+        image_size : (int, int)
+            Width and height.
+
+        Returns
+        -------
+        str
+            Empty, or why the session was reset before the frame was taken: the images changed
+            size, or time jumped backward.
+
+        """
+        reason = ''
+        image_size = (int(image_size[0]), int(image_size[1]))
+        if self._image_size not in (None, image_size):
+            reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
+                      f'to {image_size[0]}x{image_size[1]}')
+        elif self._newest_ns is not None and stamp_ns <= self._newest_ns:
+            if self._newest_ns - stamp_ns < BACKWARD_JUMP_NS:
+                return ''
+            reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
+        if reason:
+            self.reset()
+        self._image_size = image_size
+        self._newest_ns = stamp_ns
+        self._frames += 1
+        ids = np.asarray(ids, dtype=np.int64).ravel()
+        xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        finite = np.isfinite(xy).all(axis=1)
+        # np.unique sorts, and keeps one of points that claim the same identity
+        ids, first = np.unique(ids[finite], return_index=True)
+        frame = Keyframe(self._frames - 1, int(stamp_ns), ids, xy[finite][first])
+        self._newest_points = len(ids)
+        if self._selector is None:
+            self._selector = KeyframeSelector(self.settings.parallax
+                                              * float(np.hypot(*image_size)))
+        # a nearly empty image (lens covered, motion blur) is no view of anything
+        if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
+            self._keyframes.append(frame)
+            self._new_keyframes += 1
+            if len(self._keyframes) > self.settings.max_keyframes:
+                self._thin_out()
+        return reason
+
+    def _thin_out(self):
+        """
+        Drop the keyframe that is missed least.
+
+        That is the one whose neighbours share the most points: the chain of views stays
+        connected, and the views stay spread over the whole drive. Where every gap is too wide
+        already, the oldest goes.
+        """
+        frames = self._keyframes
+        shared = [np.intersect1d(before.ids, after.ids, assume_unique=True).size
+                  for before, after in zip(frames[:-2], frames[2:])]
+        widest = int(np.argmax(shared))
+        del frames[widest + 1 if shared[widest] >= self.settings.min_common else 0]
+
+    def is_due(self, idle: bool = False) -> bool:
+        """
+        Tell whether another estimate is worthwhile.
+
+        Parameters
+        ----------
+        idle : bool
+            No tracks have come for a while: use what has been gathered since the last estimate.
+
+        """
+        kept = len(self._keyframes)
+        if self._estimating or kept < self.settings.first_estimate or not self._new_keyframes:
+            return False
+        if idle or self._estimates == 0:
+            return True
+        return self._new_keyframes >= max(2, self.settings.growth * kept)
+
+    def request(self) -> EstimateRequest | None:
+        """
+        Pack what an estimate needs, and count it as begun.
+
+        Returns
+        -------
+        EstimateRequest or None
+            None while an estimate is under way, or with fewer than three keyframes.
+
+        """
+        frames = self._keyframes
+        if self._estimating or len(frames) < 3:
+            return None
+        self._estimating = True
+        self._new_keyframes = 0
+        tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
+                        np.concatenate([f.ids for f in frames]),
+                        np.concatenate([f.xy for f in frames]), self._image_size,
+                        {f.index: f.stamp_ns for f in frames})
+        return EstimateRequest(tracks.with_at_least(2), self.settings, self._calibration,
+                               self._generation, len(frames))
+
+    def accept(self, request: EstimateRequest, result: Calibration | NotCalibrated) -> bool:
+        """
+        Take the result of a request.
+
+        Returns
+        -------
+        bool
+            Whether it was taken: not when the session was reset meanwhile. A failure leaves the
+            calibration that there is.
+
+        """
+        if request.generation != self._generation:
+            return False
+        self._estimating = False
+        self._estimates += 1
+        if result:
+            self._calibration, self._failure = result, None
+        else:
+            self._failure = result
+        return True
+
+    def snapshot(self) -> SessionSnapshot:
+        """Return the state for diagnostics."""
+        return SessionSnapshot(
+            frames=self._frames, keyframes=len(self._keyframes),
+            new_keyframes=self._new_keyframes, points=self._newest_points,
+            image_size=self._image_size, estimates=self._estimates, resets=self._generation,
+            estimating=self._estimating, calibration=self._calibration, failure=self._failure)
