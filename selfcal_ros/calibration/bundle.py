@@ -30,8 +30,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
-from selfcal_ros.geometry.optimise import (huber_cost, huber_weights, PointBlocks, ReducedSystem,
-                                           solve_damped)
+from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks,
+                                           ReducedSystem)
 from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix, twist_matrix
 
 #: Internal parameters: focal length f, aspect ratio ζ = fy / fx, and the rest.
@@ -323,6 +323,10 @@ class Bundle:
     def normal_equations(self, state: BundleState, damping: float = 0.0,
                          robust: bool = True) -> ReducedSystem:
         """Reduced normal equations in units of sigma, priors and scale gauge included."""
+        return self._weighted(state, damping, robust)[0]
+
+    def _weighted(self, state, damping, robust=True) -> tuple[ReducedSystem, np.ndarray]:
+        """Return the normal equations, and the roots of the weights (N, 1)."""
         line = self.linearise(state)
         distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
@@ -336,10 +340,10 @@ class Bundle:
         gauge = self._gauge(state)
         weight = float(np.mean(system.diagonal[SHARED:][self.free[SHARED:]]))
         system.matrix += weight * np.outer(gauge, gauge)
-        return system
+        return system, root
 
     def optimise(self, state: BundleState, iterations: int = 50,
-                 tolerance: float = 1e-9) -> BundleState:
+                 tolerance: float = 1e-3) -> BundleState:
         """
         Minimise the robust cost by Levenberg-Marquardt.
 
@@ -348,7 +352,8 @@ class Bundle:
         state : BundleState
         iterations : int
         tolerance : float
-            Stop when the cost decreases by less than this share of itself.
+            Stop when an iteration lowers the cost by less than this, in units of sigma²: all
+            unknowns together then move by less than about √(2 · tolerance) of their sigma.
 
         Returns
         -------
@@ -356,28 +361,48 @@ class Bundle:
 
         """
         cost = self.cost(state)
-        damping = 1e-3
+        damping, growth = 1e-4, 2.0
         for _ in range(iterations):
-            system = self.normal_equations(state, damping)
-            step = solve_damped(system.matrix, system.gradient, system.diagonal, damping,
-                                self.free)
-            moved = None
-            if step is not None:
-                moved = self.apply(state, step, system.point_steps(step))
+            system, root = self._weighted(state, damping)
+            factor = DampedFactor(system.matrix, system.diagonal, damping, self.free)
+            new_cost = np.inf
+            if factor.usable:
+                step, point_steps = self._curved_step(state, system, root, factor)
+                moved = self.apply(state, step, point_steps)
                 new_cost = self.cost(moved)
-            if moved is None or not new_cost < cost:
+            decrease = cost - new_cost
+            if abs(decrease) < tolerance and damping < 1e-2:
+                return moved if decrease > 0 else state
+            if decrease > 0:
+                # trust the model as far as it held (Nielsen 1999)
+                expected = -0.5 * float(system.gradient @ step)
+                gain = min(decrease / max(expected, 1e-300), 1.0)
+                damping *= max(0.1, 1 - (2 * gain - 1)**3)
+                state, cost, damping, growth = moved, new_cost, max(damping, 1e-10), 2.0
+            else:
+                damping, growth = max(damping, 1e-8) * growth, growth * 2
                 if damping > 1e8:
                     break
-                damping = max(damping * 10, 1e-6)
-                if moved is not None and new_cost - cost <= tolerance * cost:
-                    break
-                continue
-            decrease = cost - new_cost
-            state, cost = moved, new_cost
-            damping = max(damping * 0.1, 1e-12)
-            if decrease < tolerance * cost:
-                break
         return state
+
+    def _curved_step(self, state, system, root, factor):
+        """
+        Levenberg-Marquardt step with geodesic acceleration (Transtrum & Sethna 2012).
+
+        The valley of the cost is long and bent (principal point against axis direction, focal
+        length against angles); the second derivative along the step follows the bend.
+        """
+        step = factor.solve(-system.gradient)
+        points = system.point_steps(step)
+        reach = 0.1
+        ahead = self.linearise(self.apply(state, reach * step, reach * points), jacobians=False)
+        change = (ahead.residual * root - system.residual) / reach
+        second = 2 / reach * (change - system.predict(step, points))
+        gradient, half_b = system.right_hand_side(second)
+        bend = factor.solve(-gradient)
+        if not 2 * factor.length(bend) < 0.75 * factor.length(step):
+            return step, points
+        return step + 0.5 * bend, points + 0.5 * system.point_steps(bend, half_b)
 
     # ------------------------------------------------------------------ evidence
 

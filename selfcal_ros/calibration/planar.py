@@ -111,7 +111,7 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
         # a coarse scale first: far from the optimum most residuals are large
         for sigma, iterations in ((10 * problem.noise_px, 6), (1.5 * problem.noise_px, 10)):
             bundle = bundle_of(few, NEARLY_PLANAR, priors, sigma)
-            state = bundle.optimise(state, iterations, 1e-3)
+            state = bundle.optimise(state, iterations, 1.0)
         yield state, bundle.noise_sigma(state)
 
 

@@ -142,7 +142,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
     before = len(observations.view)
     for k in range(rounds):
         bundle = bundle_of(observations, motion, priors, sigma_px)
-        state = bundle.optimise(state, 12 if k == 0 else 30, 1e-5 if k < 2 else 1e-8)
+        state = bundle.optimise(state, 12 if k == 0 else 30, 1.0 if k < 2 else 0.05)
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):
             break
@@ -160,7 +160,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
         observations = smaller
         state = replace(state, points=state.points[points])
     bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescale(state), 30, 1e-10)
+    state = bundle.optimise(rescale(state), 30)
     return Fit(bundle.with_sigma(bundle.noise_sigma(state)), state, observations,
                before - len(observations.view))
 
@@ -189,7 +189,7 @@ def flatten(state: BundleState) -> BundleState:
 def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
-    state = bundle.optimise(fit.state if state is None else state, 40, 1e-10)
+    state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
     return Fit(bundle, state, fit.observations, fit.outliers)
 
 

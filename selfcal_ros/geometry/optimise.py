@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
+from scipy.sparse import csr_matrix
 
 #: Points are reduced in groups that share a window of views, so that the cost grows with the
 #: length of the tracks and not with that of the sequence.
@@ -51,6 +52,8 @@ class PointBlocks:
         by_view = np.argsort(view, kind='stable')
         self._by_view = by_view
         self._view_first = np.searchsorted(view[by_view], np.arange(self.view_count + 1))
+        self._view_sum = csr_matrix((np.ones(len(view)), by_view, self._view_first),
+                                    shape=(self.view_count, len(view)))
         last = np.maximum.reduceat(view, self.first)
         begin = np.minimum.reduceat(view, self.first)
         order = np.lexsort((last, begin))
@@ -67,6 +70,10 @@ class PointBlocks:
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
+
+    def sum_over_views(self, values: np.ndarray) -> np.ndarray:
+        """Add rows (N, k) of each view: (V, k)."""
+        return self._view_sum @ values
 
     def reduce(self, jac_shared, jac_view, jac_point, residual, damping=0.0) -> ReducedSystem:
         """
@@ -91,26 +98,21 @@ class PointBlocks:
         size = g + self.view_count * v
         full = np.concatenate([jac_shared, jac_view], axis=2)
         matrix = np.zeros((size, size))
-        gradient = np.zeros(size)
         for k in range(self.view_count):
             rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
             if not len(rows):
                 continue
             J = full[rows].reshape(-1, g + v)
             gram = J.T @ J
-            part = J.T @ residual[rows].ravel()
             own = slice(g + k * v, g + (k + 1) * v)
             matrix[:g, :g] += gram[:g, :g]
             matrix[:g, own] = gram[:g, g:]
             matrix[own, :g] = gram[g:, :g]
             matrix[own, own] = gram[g:, g:]
-            gradient[:g] += part[:g]
-            gradient[own] = part[g:]
         diagonal = np.diag(matrix).copy()
 
         jpt = np.swapaxes(jac_point, 1, 2)
         H = self.sum_over_points(jpt @ jac_point)
-        b = self.sum_over_points((jpt @ residual[:, :, None])[..., 0])
         scale = np.einsum('pii->pi', H)
         # a floor keeps points without parallax invertible
         H = H + np.einsum('pi,ij->pij', scale * damping + 1e-12 * scale.sum(1, keepdims=True)
@@ -118,7 +120,6 @@ class PointBlocks:
         inverse_root = np.linalg.inv(np.linalg.cholesky(H))   # L⁻¹, H⁻¹ = L⁻ᵀ L⁻¹
         cross = jpt @ full                                    # (N, 3, g + v)
         shared = self.sum_over_points(cross[..., :g])
-        half_b = (inverse_root @ b[..., None])[..., 0]
         factors = []
         for members, rows, slot, column, low, high in self._groups:
             W = np.zeros((len(members), 3, g + (high - low) * v))
@@ -127,16 +128,16 @@ class PointBlocks:
             window[slot, :, column] = cross[rows][..., g:]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
-            part = M.T @ half_b[members].ravel()
             own = slice(g + low * v, g + high * v)
             matrix[:g, :g] -= gram[:g, :g]
             matrix[:g, own] -= gram[:g, g:]
             matrix[own, :g] -= gram[g:, :g]
             matrix[own, own] -= gram[g:, g:]
-            gradient[:g] -= part[:g]
-            gradient[own] -= part[g:]
             factors.append((members, M, own))
-        return ReducedSystem(matrix, gradient, diagonal, inverse_root, half_b, factors, g)
+        system = ReducedSystem(self, matrix, diagonal, residual, full, jac_point, inverse_root,
+                               factors, g)
+        system.gradient, system.half_b = system.right_hand_side(residual)
+        return system
 
 
 @dataclass
@@ -147,27 +148,70 @@ class ReducedSystem:
     Attributes
     ----------
     matrix : ndarray, shape (n, n)
-    gradient : ndarray, shape (n,)
     diagonal : ndarray, shape (n,)
         Diagonal before the elimination, which scales the damping.
+    residual : ndarray, shape (N, m)
+    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, 3)
+    gradient : ndarray, shape (n,)
+    half_b : ndarray, shape (P, 3)
+        The points' share of the right-hand side, divided by the root of their blocks.
 
     """
 
+    blocks: PointBlocks
     matrix: np.ndarray
-    gradient: np.ndarray
     diagonal: np.ndarray
+    residual: np.ndarray
+    jac_rest: np.ndarray
+    jac_point: np.ndarray
     _inverse_root: np.ndarray
-    _half_b: np.ndarray
     _factors: list
     _shared: int
+    gradient: np.ndarray | None = None
+    half_b: np.ndarray | None = None
 
-    def point_steps(self, step: np.ndarray) -> np.ndarray:
+    def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Eliminate the points from Jᵀ r.
+
+        Parameters
+        ----------
+        residual : ndarray, shape (N, m)
+
+        Returns
+        -------
+        gradient : ndarray, shape (n,)
+        half_b : ndarray, shape (P, 3)
+
+        """
+        g = self._shared
+        rest = np.einsum('nmk,nm->nk', self.jac_rest, residual)
+        gradient = np.empty(len(self.matrix))
+        gradient[:g] = rest[:, :g].sum(axis=0)
+        gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
+        b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
+        half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
+        for members, M, own in self._factors:
+            part = M.T @ half_b[members].ravel()
+            gradient[:g] -= part[:g]
+            gradient[own] -= part[g:]
+        return gradient, half_b
+
+    def point_steps(self, step: np.ndarray, half_b: np.ndarray | None = None) -> np.ndarray:
         """Back-substitute: steps (P, 3) of the points for a step (n,) of the rest."""
-        half = np.array(self._half_b)
+        half = np.array(self.half_b if half_b is None else half_b)
         for members, M, own in self._factors:
             local = np.concatenate([step[:self._shared], step[own]])
             half[members] += (M @ local).reshape(-1, 3)
-        return -(np.swapaxes(self._inverse_root, 1, 2) @ half[..., None])[..., 0]
+        return -np.einsum('pji,pj->pi', self._inverse_root, half)
+
+    def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
+        """Change J · step of the residuals (N, m) to first order."""
+        g = self._shared
+        per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
+        return (self.jac_rest[:, :, :g] @ step[:g]
+                + np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
+                + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
 
 
 def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:
@@ -181,32 +225,44 @@ def huber_cost(distance: np.ndarray, threshold: float) -> float:
                           threshold * (distance - 0.5 * threshold)).sum())
 
 
-def solve_damped(matrix, gradient, diagonal, damping, free) -> np.ndarray | None:
+class DampedFactor:
     """
-    Solve one Levenberg-Marquardt step for the free unknowns.
+    Cholesky factor of the damped normal equations of the free unknowns.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, n)
-    gradient, diagonal : ndarray, shape (n,)
+    diagonal : ndarray, shape (n,)
+        Scales the unknowns (pixels, radians, lengths) to one unit.
     damping : float
+        Levenberg-Marquardt factor.
     free : ndarray of bool, shape (n,)
 
-    Returns
-    -------
-    ndarray, shape (n,), or None where the damped matrix is not positive definite
+    Attributes
+    ----------
+    usable : bool
+        False where the damped matrix is not positive definite.
 
     """
-    index = np.flatnonzero(free)
-    H = matrix[np.ix_(index, index)]
-    root = np.sqrt(np.maximum(diagonal[index], 1e-30))
-    # scaled to a unit diagonal: pixels, radians and lengths in one matrix
-    H = H / np.outer(root, root)
-    H[np.diag_indices_from(H)] += damping
-    try:
-        solution = cho_solve(cho_factor(H, check_finite=True), -gradient[index] / root)
-    except (LinAlgError, ValueError):
-        return None
-    step = np.zeros(len(gradient))
-    step[index] = solution / root
-    return step
+
+    def __init__(self, matrix, diagonal, damping, free):
+        self._index = np.flatnonzero(free)
+        self._size = len(diagonal)
+        self._root = np.sqrt(np.maximum(diagonal[self._index], 1e-30))
+        H = matrix[np.ix_(self._index, self._index)] / np.outer(self._root, self._root)
+        H[np.diag_indices_from(H)] += damping
+        try:
+            self._factor = cho_factor(H)
+        except (LinAlgError, ValueError):
+            self._factor = None
+        self.usable = self._factor is not None
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solve for the free unknowns; the others do not move. Shapes (n,)."""
+        result = np.zeros(self._size)
+        result[self._index] = cho_solve(self._factor, right[self._index] / self._root) / self._root
+        return result
+
+    def length(self, step: np.ndarray) -> float:
+        """Length of a step (n,) in the scaled unknowns."""
+        return float(np.linalg.norm(step[self._index] * self._root))
