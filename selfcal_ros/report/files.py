@@ -1,0 +1,144 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Output files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import stat
+import tempfile
+
+from selfcal_ros.errors import InputError
+
+
+def check_writable(path) -> Path:
+    """
+    Make sure beforehand that a file can be written, so that no long work is lost at its end.
+
+    Permissions alone do not tell (root may write anywhere but to a read-only disk), so a
+    temporary file is made in the folder and removed again.
+
+    Returns
+    -------
+    Path
+        The path, as a Path.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing or cannot be written to, or the path is a folder.
+
+    """
+    path = Path(path)
+    _check_place(path)
+    if not _is_special(path):
+        name = _temporary(path)
+        os.unlink(name)
+    return path
+
+
+def atomic_write(path, data: str | bytes) -> Path:
+    """
+    Write a file: a temporary file beside it, then renamed.
+
+    A symbolic link is followed; a device such as /dev/null is written to, not replaced.
+
+    Parameters
+    ----------
+    path : str or Path
+    data : str or bytes
+        Text is encoded as UTF-8, line ends as they are.
+
+    Returns
+    -------
+    Path
+        The path, as a Path.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; what was there before is still there.
+
+    """
+    path = Path(path)
+    data = data.encode('utf-8') if isinstance(data, str) else bytes(data)
+    _check_place(path)
+    try:
+        if _is_special(path):
+            with path.open('wb') as stream:
+                stream.write(data)
+            return path
+        temporary = _temporary(path)
+        try:
+            with open(temporary, 'wb') as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.chmod(temporary, _mode(path))
+            os.replace(temporary, os.path.realpath(path))
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: {_why(error)}.') from None
+    return path
+
+
+def _check_place(path: Path) -> None:
+    """Refuse folders, and files in folders that do not exist."""
+    try:
+        if path.is_dir():
+            raise InputError(f'{path} is a folder; give the name of a file in it.')
+        parent = Path(os.path.realpath(path)).parent
+        if not parent.exists():
+            raise InputError(f'{path} cannot be written: the folder {parent} does not exist; '
+                             'make it first.')
+        if not parent.is_dir():
+            raise InputError(f'{path} cannot be written: {parent} is not a folder.')
+    except (OSError, ValueError) as error:
+        raise InputError(f'{str(path)!r:.200} cannot be written: {_why(error)}.') from None
+
+
+def _is_special(path: Path) -> bool:
+    """Tell devices, pipes and sockets."""
+    return path.exists() and not stat.S_ISREG(path.stat().st_mode)
+
+
+def _temporary(path: Path) -> str:
+    """Make a temporary file where the path is."""
+    parent = os.path.dirname(os.path.realpath(path))
+    if os.path.exists(path) and not os.access(path, os.W_OK):
+        raise InputError(f'{path} cannot be written: it is read-only.')
+    try:
+        descriptor, name = tempfile.mkstemp(prefix='.selfcal-', dir=parent)
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: the folder {parent} refuses new files '
+                         f'({_why(error)}); choose another folder.') from None
+    os.close(descriptor)
+    return name
+
+
+def _mode(path: Path) -> int:
+    """Return the permissions of the file, or of a new one."""
+    if path.exists():
+        return stat.S_IMODE(path.stat().st_mode)
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask
+
+
+def _why(error: Exception) -> str:
+    """Say in words what the system refused."""
+    return getattr(error, 'strerror', None) or str(error)

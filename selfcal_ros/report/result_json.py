@@ -1,0 +1,129 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The result of a calibration as JSON, for other programs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.report.files import atomic_write
+
+
+def result_to_dict(result: Calibration | NotCalibrated) -> dict:
+    """
+    Return the result as plain Python values that strict JSON can hold.
+
+    Both outcomes have the same keys; what a NotCalibrated does not have is None. So is a number
+    that is not finite: the sigma of a parameter that the data do not determine, for example.
+    Complex numbers are pairs [real, imaginary].
+
+    Parameters
+    ----------
+    result : Calibration or NotCalibrated
+
+    Returns
+    -------
+    dict
+        'status' ('calibrated' or 'not_calibrated'), 'reason', 'advice', 'motion', 'camera',
+        'sigma', 'covariance' (9x9 in the order of 'parameter_names'), 'parameter_names',
+        'parameters', 'held_by', 'frames', 'reprojection_rms_px', 'noise_sigma_px',
+        'observations', 'outliers', 'fixed_points', 'facts', 'notes', 'software'.
+
+    """
+    good = isinstance(result, Calibration)
+    fixed = result.fixed_points if good else None
+    return _plain({
+        'status': 'calibrated' if good else 'not_calibrated',
+        'reason': '' if good else result.reason,
+        'advice': '' if good else result.advice,
+        'motion': result.motion,
+        'camera': _camera(result.camera) if good else None,
+        'sigma': _sigma(result) if good else None,
+        'covariance': result.covariance if good else None,
+        'parameter_names': PARAMETER_NAMES,
+        'parameters': result.status,
+        'held_by': result.held_by if good else {},
+        'frames': {'count': len(result.frames), 'used': result.frames},
+        'reprojection_rms_px': result.reprojection_rms_px if good else None,
+        'noise_sigma_px': result.noise_sigma_px if good else None,
+        'observations': result.observation_count if good else None,
+        'outliers': result.outlier_count if good else None,
+        'fixed_points': None if fixed is None else {
+            'horizon': fixed.horizon, 'vanishing_point': fixed.vanishing_point,
+            'circular_point': fixed.circular_point},
+        'facts': dataclasses.asdict(result.facts),
+        'notes': result.notes if good else (),
+        'software': result.software,
+    })
+
+
+def write_result_json(path, result: Calibration | NotCalibrated) -> Path:
+    """
+    Write the result as JSON; the file appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    """
+    return atomic_write(path, result_to_json(result))
+
+
+def result_to_json(result: Calibration | NotCalibrated) -> str:
+    """Return the result as strict JSON text, without NaN and infinities."""
+    return json.dumps(result_to_dict(result), indent=2, allow_nan=False,
+                      ensure_ascii=False) + '\n'
+
+
+def _camera(camera) -> dict:
+    values = dict(zip(PARAMETER_NAMES[:5], camera.parameters[:5]))
+    return {'width': camera.width, 'height': camera.height, **values,
+            'distortion_model': 'plumb_bob', 'd': camera.distortion}
+
+
+def _sigma(result: Calibration) -> dict:
+    variance = np.diag(np.asarray(result.covariance, float))
+    # rounding can leave a variance of zero slightly negative
+    with np.errstate(invalid='ignore'):
+        sigma = np.sqrt(np.where(variance < 0, np.nan, variance))
+    # of what the data do not determine there is no spread to report
+    return {name: None if result.status.get(name) == 'unobservable' else value
+            for name, value in zip(PARAMETER_NAMES, sigma)}
+
+
+def _plain(value):
+    """Convert to what JSON knows."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, (complex, np.complexfloating)):
+        return [_plain(float(value.real)), _plain(float(value.imag))]
+    return None if value is None else str(value)
