@@ -20,6 +20,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Motions of the command line that this version can solve.
 SOLVED = ('auto', 'planar')
@@ -58,8 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate; returns the exit status."""
-    from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.outputs import Outputs
+    from selfcal_ros.cli.progress import ProgressBar
+    from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.errors import ArgumentError
     if args.motion not in SOLVED or args.object:
         raise ArgumentError(f'--motion {args.motion} is not part of this version; '
@@ -74,16 +76,17 @@ def run(args: argparse.Namespace) -> int:
 
     from selfcal_ros import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
-    reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
-                          max_keyframes=args.max_keyframes,
-                          image_size=tuple(args.image_size) if args.image_size else None,
-                          progress=not args.quiet and sys.stderr.isatty())
+    with ProgressBar(not args.quiet) as progress:
+        reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
+                              max_keyframes=args.max_keyframes,
+                              image_size=tuple(args.image_size) if args.image_size else None,
+                              progress=progress)
     result = calibrate(reading.tracks, motion=args.motion, facts=facts)
-    written = outputs.write(result, reading)
-    if result:
-        if not args.quiet:
-            print(result_text(result, notes=reading.notes))
-            print('Written: ' + ', '.join(str(path) for path in written) + '.')
-        return 0
-    print(result, file=sys.stderr if args.quiet else sys.stdout)
-    return 1
+    text = result_text(result, notes=reading.notes)
+    written = outputs.write(result, text, reading.description)
+    if not args.quiet:
+        print(text)
+        print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
+    elif not result:
+        print(result, file=sys.stderr)
+    return EXIT_DONE if result else EXIT_NOT_CALIBRATED

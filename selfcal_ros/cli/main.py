@@ -19,6 +19,9 @@ import argparse
 from importlib import import_module
 import os
 import sys
+import traceback
+
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 
 #: Verb and what it does; each is a module of this package with `add_arguments` and `run`.
 VERBS = {
@@ -27,7 +30,6 @@ VERBS = {
     'convert': 'turn an image folder or a video into a bag',
     'demo': 'replay the recorded drive of this package and calibrate it',
 }
-EXIT_DONE, EXIT_NOT_CALIBRATED, EXIT_INPUT = 0, 1, 2
 
 
 def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
@@ -83,6 +85,12 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(file=sys.stderr)
         return 130
+    except Exception:
+        # not 1, which says that the data did not suffice
+        traceback.print_exc()
+        print(f'selfcal {args.verb}: this is a fault of selfcal_ros; please report the lines '
+              'above.', file=sys.stderr)
+        return EXIT_FAULT
     print(f'selfcal {args.verb}: {sentence}', file=sys.stderr)
     return EXIT_INPUT
 

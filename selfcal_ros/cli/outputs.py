@@ -1,0 +1,94 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The files that a calibration leaves behind, checked before the work and written after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.report.files import check_writable
+from selfcal_ros.report.page import write_page
+from selfcal_ros.report.result_json import write_result_json
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """
+    Where to write what; None: not wanted.
+
+    Parameters
+    ----------
+    camera_yaml, result_json, report : Path or None
+    camera_name : str
+        Name inside the camera file.
+
+    """
+
+    camera_yaml: Path | None = None
+    result_json: Path | None = None
+    report: Path | None = None
+    camera_name: str = 'camera'
+
+    def check(self) -> None:
+        """
+        Make sure that everything can be written.
+
+        Raises
+        ------
+        InputError, ArgumentError
+            If a folder is missing or refuses, or two outputs are one file.
+
+        """
+        paths = [path for path in (self.camera_yaml, self.result_json, self.report) if path]
+        if len({path.absolute() for path in paths}) < len(paths):
+            raise ArgumentError('Two outputs have the same name; give each its own file.')
+        for path in paths:
+            check_writable(path)
+
+    def write(self, result: Calibration | NotCalibrated, text: str,
+              source: str = '') -> list[Path]:
+        """
+        Write the files, each whole or not at all; a camera file only for a calibration.
+
+        Parameters
+        ----------
+        result : Calibration or NotCalibrated
+        text : str
+            The result as it is printed, for the report.
+        source : str
+            What was calibrated from.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+
+        """
+        written = []
+        if self.camera_yaml and result:
+            sigma = result.sigma
+            written.append(write_camera_yaml(
+                self.camera_yaml, result.camera, self.camera_name,
+                [f'{result.software}: {source}' if source else result.software,
+                 f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
+                 f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)']))
+        if self.result_json:
+            written.append(write_result_json(self.result_json, result))
+        if self.report:
+            written.append(write_page(self.report, result, text, source))
+        return written

@@ -1,0 +1,101 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibration in words and a table, for a terminal."""
+
+from __future__ import annotations
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+
+#: Parameters in pixels get three decimals, the distortion coefficients five.
+_PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
+
+
+def facts_text(facts) -> str:
+    """Say in one line what was taken as known."""
+    def spread(sigma):
+        return 'held' if sigma == 0 else f'sigma {sigma:g}'
+
+    known = []
+    if facts.aspect_ratio is not None:
+        known.append(f'aspect ratio {facts.aspect_ratio:g} ({spread(facts.aspect_ratio_sigma)})')
+    if facts.skew is not None:
+        known.append(f'skew {facts.skew:g} px ({spread(facts.skew_sigma_px)})')
+    if facts.principal_point is not None:
+        known.append('principal point ({:g}, {:g}) ({})'.format(
+            *facts.principal_point, spread(facts.principal_point_sigma_px)))
+    return f'Facts: {", ".join(known) or "none"}; distortion {facts.distortion}.'
+
+
+def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
+                notes: tuple[str, ...] = ()) -> str:
+    """
+    Return the result for a person.
+
+    Parameters
+    ----------
+    result : Calibration or NotCalibrated
+    truth : dict, optional
+        True value of each parameter, to be shown beside the estimate and in sigmas.
+    notes : tuple of str
+        Further sentences.
+
+    """
+    if not result:
+        return '\n'.join([str(result), facts_text(result.facts), *notes])
+    lines = [_verdict(result), '']
+    header = f'{"":>6} {"value":>12}   {"sigma":>9}'
+    if truth:
+        header += f' {"truth":>12} {"error":>10} {"sigmas":>7}'
+    lines.append(header + '   status')
+    values = dict(zip(result.sigma, result.camera.parameters.tolist()))
+    for name, value in values.items():
+        status = result.status.get(name, 'estimated')
+        held = result.held_by.get(name)
+        if status == 'held' and value == 0 and name.startswith(('k', 'p')) and not truth:
+            continue
+        decimals = 3 if name in _PIXELS else 5
+        sigma = result.sigma[name]
+        spread = {'held': '-', 'unobservable': 'unknown'}.get(status, f'{sigma:.{decimals}f}')
+        row = f'{name:>6} {value:>12.{decimals}f} ± {spread:>9}'
+        if truth:
+            row += _beside(value, sigma if status == 'estimated' else 0.0, truth.get(name),
+                           decimals)
+        lines.append(f'{row}   {status}' + (f' by {held}' if held and status == 'held' else ''))
+    lines += ['', facts_text(result.facts)]
+    lines += list(result.notes) + list(notes)
+    return '\n'.join(lines)
+
+
+def _beside(value, sigma, true, decimals) -> str:
+    """Show the truth beside a value, and how far away it is."""
+    if true is None:
+        return f' {"-":>12} {"-":>10} {"-":>7}'
+    error = value - true
+    sigmas = f'{abs(error) / sigma:.1f}' if sigma > 0 else '-'
+    return f' {true:>12.{decimals}f} {error:>+10.{decimals}f} {sigmas:>7}'
+
+
+def _verdict(result: Calibration) -> str:
+    """Say in a sentence what was found, and how good it is."""
+    camera = result.camera
+    share = 100 * result.sigma['fx'] / camera.K[0, 0]
+    weak = [name for name, status in result.status.items() if status == 'unobservable']
+    sentence = (f'Calibrated from {len(result.frames)} views under {result.motion} motion: focal '
+                f'length {camera.K[0, 0]:.1f} px ± {share:.2g} %, reprojection '
+                f'{result.reprojection_rms_px:.3f} px rms over {result.observation_count} '
+                f'observations ({result.outlier_count} rejected).')
+    if weak:
+        sentence += (f' The data do not determine {", ".join(weak)}: state it as a fact, or '
+                     'record a motion that shows it.')
+    return sentence

@@ -1,0 +1,94 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From an input that a user names to tracks: frames are read, followed and verified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.sources import open_source
+
+
+@dataclass(frozen=True)
+class Reading:
+    """
+    Tracks of an input, and how they came about.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    description : str
+        The input in a few words.
+    notes : tuple of str
+        What a user should know, one sentence each.
+
+    """
+
+    tracks: Tracks
+    description: str
+    notes: tuple[str, ...] = ()
+
+
+def read_tracks(path, topic: str | None = None, mode: str = 'auto',
+                max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
+                progress: Callable | None = None) -> Reading:
+    """
+    Read an input of any kind that `open_source` knows, and find point tracks in it.
+
+    Parameters
+    ----------
+    path : str or Path
+    topic : str, optional
+        Image topic of a bag.
+    mode : {'auto', 'video', 'wide'}
+        How points are found again; see `selfcal_ros.features.extraction.extract_tracks`.
+    max_keyframes : int, optional
+        Images that the result may use at most.
+    image_size : (int, int), optional
+        Width and height in pixels, for tracks from a table.
+    progress : callable, optional
+        Called as progress(text, done, total); total is None where it is not known.
+
+    Returns
+    -------
+    Reading
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If the input cannot be used; the sentence says what to do.
+
+    """
+    with open_source(path, topic, image_size) as source:
+        if source.kind == 'tracks':
+            tracks = source.tracks()
+            return Reading(tracks, source.description)
+        # OpenCV loads here, not where the command line starts
+        from selfcal_ros.features.extraction import extract_tracks
+        total = source.count
+
+        def report(text, done):
+            # matching reports a share, reading a number of frames
+            progress(text, done, 1.0 if isinstance(done, float) else total)
+
+        limit = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
+        found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
+                               mode=mode, progress=report if progress else None, **limit)
+        if not len(found.tracks):
+            raise InputError(f'No point could be followed through the images of {path}; they need '
+                             'texture and overlap.')
+        return Reading(found.tracks, source.description, found.notes)
