@@ -104,15 +104,18 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
     few, _ = problem.observations.select(mask)
     priors = start_priors(problem)
     blocks = PointBlocks(few.point, few.view)
+    coarse = bundle_of(few, NEARLY_PLANAR, priors, 10 * problem.noise_px)
+    fine = bundle_of(few, NEARLY_PLANAR, priors, 1.5 * problem.noise_px)
     for camera in proposals:
-        state = planar_start(problem.pairs, blocks, few.xy, camera)
-        if state is None:
+        candidates = [planar_start(problem.pairs, blocks, few.xy, camera, exact)
+                      for exact in (True, False)]
+        costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
+        if not np.isfinite(min(costs)):
             continue
         # a coarse scale first: far from the optimum most residuals are large
-        for sigma, iterations in ((10 * problem.noise_px, 6), (1.5 * problem.noise_px, 10)):
-            bundle = bundle_of(few, NEARLY_PLANAR, priors, sigma)
-            state = bundle.optimise(state, iterations, 1.0)
-        yield state, bundle.noise_sigma(state)
+        state = coarse.optimise(candidates[int(np.argmin(costs))], 8, 1.0)
+        state = fine.optimise(state, 12, 1.0)
+        yield state, fine.noise_sigma(state)
 
 
 def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list] | None:

@@ -14,14 +14,14 @@
 """
 A start for the bundle adjustment, in closed form, once a calibration is supposed.
 
-Pairs of views give rotations (E = Kᵀ F K), all rotations together give the axis, and with
-rotations known the camera centres follow from one linear system in which the points are
-eliminated. Nothing here depends on which pair is taken first.
+Pairs of views give rotations (E = Kᵀ F K), all rotations together give the axis and the angles,
+and with rotations known every step of the camera follows from rays, its length from the points
+that are known already.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -30,7 +30,7 @@ from scipy.sparse.linalg import lsqr
 from selfcal_ros.calibration.bundle import BundleState, rescale
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist, twist_matrix
+from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 
 #: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
 VOTERS = 48
@@ -49,6 +49,8 @@ class PairGeometry:
         View indices.
     F : ndarray, shape (3, 3)
         x_secondᵀ F x_first = 0, pixels.
+    track : ndarray of int, shape (M,)
+        Track identity of the inlying matches.
     xy_first, xy_second : ndarray, shape (M, 2)
         Inlying matches, pixels.
 
@@ -57,6 +59,7 @@ class PairGeometry:
     first: int
     second: int
     F: np.ndarray
+    track: np.ndarray
     xy_first: np.ndarray
     xy_second: np.ndarray
 
@@ -142,7 +145,9 @@ def planar_angles(pairs: list[PairGeometry], rotations: np.ndarray, axis: np.nda
     columns = np.array([[p.first, p.second] for p in pairs]).ravel()
     weight = np.sqrt([len(p.xy_first) for p in pairs])
     # wide pairs wrap: chain the narrow ones first, then bring all to the same turn
-    angles = _chain(pairs, twist, views)
+    angles = np.zeros(views)
+    for k, old, new in spanning_order(pairs, views):
+        angles[new] = angles[old] + (twist[k] if pairs[k].first == old else -twist[k])
     expected = np.array([angles[p.second] - angles[p.first] for p in pairs])
     twist = twist + 2 * np.pi * np.round((expected - twist) / (2 * np.pi))
     for _ in range(4):
@@ -156,85 +161,126 @@ def planar_angles(pairs: list[PairGeometry], rotations: np.ndarray, axis: np.nda
     return angles
 
 
-def _chain(pairs, twist, views) -> np.ndarray:
-    """Angles along the best-supported path from view 0."""
-    angles = np.zeros(views)
-    known = {0}
-    order = sorted(range(len(pairs)), key=lambda k: (abs(pairs[k].second - pairs[k].first),
-                                                     -len(pairs[k].xy_first)))
-    progress = True
-    while progress:
-        progress = False
-        for k in order:
-            a, b = pairs[k].first, pairs[k].second
-            if (a in known) != (b in known):
-                if a in known:
-                    angles[b] = angles[a] + twist[k]
-                else:
-                    angles[a] = angles[b] - twist[k]
-                known |= {a, b}
-                progress = True
-                break
-    return angles
-
-
 def homogeneous(xy: np.ndarray) -> np.ndarray:
     """Append one to points (..., 2)."""
     return np.concatenate([xy, np.ones(xy.shape[:-1] + (1,))], axis=-1)
 
 
-def centres_and_points(blocks: PointBlocks, directions: np.ndarray, dimensions: int = 2,
-                       iterations: int = 4) -> tuple[np.ndarray, np.ndarray] | None:
+def spanning_order(pairs: list[PairGeometry], views: int) -> list[tuple[int, int, int]]:
     """
-    Camera centres and points from rays of known direction, in one linear system.
-
-    Minimises Σ weight² |(I - d dᵀ)(Y_j - C_i)|² with C_0 = 0 and Σ|C_i|² = 1: the points are
-    eliminated, the centres are the least eigenvector. Weights turn distances into angles and
-    drop rays that do not meet, and are found in a few rounds.
-
-    Parameters
-    ----------
-    blocks : PointBlocks
-    directions : ndarray, shape (N, 3)
-        Unit world directions of the rays.
-    dimensions : {2, 3}
-        2: the centres lie in the plane z = 0.
-    iterations : int
+    Order in which views can be attached, each to one that stands already.
 
     Returns
     -------
-    centres : ndarray, shape (V, 3)
-    points : ndarray, shape (P, 4)
-        Unit homogeneous.
+    list of (pair index, standing view, new view)
+        Neighbours in time first, then pairs with many matches.
 
     """
-    n, views = len(directions), blocks.view_count
-    Q = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    weight = np.ones(n)
-    none = np.zeros((n, 3, 0))
-    centres = points = None
-    for _ in range(iterations):
-        Qw = Q * weight[:, None, None]
-        system = blocks.reduce(none, -Qw[:, :, :dimensions], Qw, np.zeros((n, 3)))
-        S = system.matrix[dimensions:, dimensions:]
-        if not np.isfinite(S).all():
-            return None
-        _, vectors = np.linalg.eigh(S)
-        step = np.r_[np.zeros(dimensions), vectors[:, 0]]
-        points = system.point_steps(step)
-        centres = np.zeros((views, 3))
-        centres[:, :dimensions] = step.reshape(views, dimensions)
-        ray = points[blocks.point] - centres[blocks.view]
-        depth = np.einsum('ni,ni->n', ray, directions)
-        if np.sum(np.sign(depth) * weight / weight.max()) < 0:
-            centres, points, ray, depth = -centres, -points, -ray, -depth
-        span = np.linalg.norm(ray, axis=1)
-        miss = np.linalg.norm(np.einsum('nij,nj->ni', Q, ray), axis=1) / np.maximum(span, 1e-12)
-        scale = 2.5 * np.median(miss) + 1e-7
-        reach = np.median(span)
-        weight = 1 / np.clip(span, 0.05 * reach, 50 * reach) / (1 + (miss / scale)**2)
-        weight = np.where(depth > 0, weight, 0.05 * weight)
-    return centres, _homogeneous_points(blocks, directions, centres, points)
+    order, standing = [], {0}
+    waiting = sorted(range(len(pairs)), key=lambda k: (pairs[k].second - pairs[k].first,
+                                                       -len(pairs[k].track)))
+    while len(standing) < views:
+        for k in waiting:
+            a, b = pairs[k].first, pairs[k].second
+            if (a in standing) != (b in standing):
+                order.append((k, a, b) if a in standing else (k, b, a))
+                standing |= {a, b}
+                break
+        else:
+            break
+    return order
+
+
+def chained_rotations(pairs, relative: np.ndarray, views: int) -> np.ndarray:
+    """Rotations of all views against view 0 along the spanning order, shape (V, 3, 3)."""
+    rotations = np.tile(np.eye(3), (views, 1, 1))
+    for k, old, new in spanning_order(pairs, views):
+        step = relative[k] if pairs[k].first == old else relative[k].T
+        rotations[new] = step @ rotations[old]
+    return rotations
+
+
+def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) -> np.ndarray:
+    """
+    Camera centres from known rotations, view by view.
+
+    The direction of each step is that of the epipole; its length makes the depths of the
+    points that are known already agree (median ratio), so that no view can collapse onto
+    another as it can in a linear system for all of them.
+
+    Parameters
+    ----------
+    pairs : list of PairGeometry
+    camera : Camera
+    rotations : ndarray, shape (V, 3, 3)
+        Camera from world; for planar motion the world's z axis is the rotation axis.
+    planar : bool
+        Keep the centres in the plane z = 0.
+
+    Returns
+    -------
+    ndarray, shape (V, 3)
+
+    """
+    views = len(rotations)
+    centres = np.zeros((views, 3))
+    last = max(int(pair.track.max()) for pair in pairs) + 1
+    position, placed = np.zeros((last, 3)), np.zeros(last, dtype=bool)
+    for k, old, new in spanning_order(pairs, views):
+        pair = pairs[k]
+        sides = (pair.xy_first, pair.xy_second)
+        xy_old, xy_new = sides if pair.first == old else sides[::-1]
+        d_old, d_new = (_world_rays(camera, xy, rotations[view])
+                        for xy, view in ((xy_old, old), (xy_new, new)))
+        valid = np.isfinite(d_old).all(axis=1) & np.isfinite(d_new).all(axis=1)
+        d_old, d_new, track = d_old[valid], d_new[valid], pair.track[valid]
+        direction = _step_direction(d_old, d_new, planar)
+        # depths along the old ray for a step of unit length
+        normal = np.cross(d_old, d_new)
+        square = np.maximum(np.sum(normal**2, axis=1), 1e-18)
+        depth = np.sum(np.cross(direction, d_new) * normal, axis=1) / square
+        depth_new = np.sum(np.cross(direction, d_old) * normal, axis=1) / square
+        if np.sum(np.sign(depth) * square) < 0:
+            direction, depth, depth_new = -direction, -depth, -depth_new
+        good = (depth > 0) & (depth_new > 0) & (square > MINIMUM_PARALLAX**2)
+        both = good & placed[track]
+        length = 1.0
+        if both.sum() >= 3:
+            before = np.sum((position[track[both]] - centres[old]) * d_old[both], axis=1)
+            ratio = before / depth[both]
+            ratio = ratio[ratio > 0]
+            if len(ratio):
+                length = float(np.median(ratio))
+        elif placed.any():
+            return centres[:0]
+        centres[new] = centres[old] + length * direction
+        fresh = good & ~placed[track]
+        position[track[fresh]] = centres[old] + length * depth[fresh, None] * d_old[fresh]
+        placed[track[fresh]] = True
+    return centres
+
+
+def _world_rays(camera, xy, rotation) -> np.ndarray:
+    """Unit rays of pixels (M, 2) in world directions, shape (M, 3)."""
+    rays = homogeneous(camera.normalised(xy))
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True) @ rotation
+
+
+def _step_direction(d_old, d_new, planar) -> np.ndarray:
+    """Unit direction (3,) of a translation that all rays agree with, by re-weighting."""
+    normal = np.cross(d_old, d_new)
+    if planar:
+        normal = normal[:, :2]
+    weight = np.ones(len(normal))
+    for _ in range(5):
+        weighted = normal * weight[:, None]
+        _, vectors = np.linalg.eigh(weighted.T @ weighted)
+        direction = vectors[:, 0]
+        # angle of the ray out of the epipolar plane, about
+        miss = np.abs(normal @ direction) / np.maximum(np.linalg.norm(normal, axis=1), 1e-4)
+        weight = 1 / (1 + (miss / (2 * np.median(miss) + 1e-9))**2)
+        weight /= np.maximum(np.linalg.norm(normal, axis=1), 1e-3)
+    return np.append(direction, 0.0) if planar else direction
 
 
 def points_from_centres(blocks: PointBlocks, directions: np.ndarray,
@@ -291,7 +337,7 @@ def _homogeneous_points(blocks, directions, centres, points) -> np.ndarray:
 
 
 def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
-                 camera: Camera) -> BundleState | None:
+                 camera: Camera, exact: bool) -> BundleState | None:
     """
     Start for planar motion under a supposed calibration.
 
@@ -303,6 +349,9 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
     xy : ndarray, shape (N, 2)
         Pixels of the observations in `blocks`.
     camera : Camera
+    exact : bool
+        True: rotations about one axis only, which noise disturbs least. False: keep the tilt
+        that the images show, which a road vehicle's pitch needs.
 
     Returns
     -------
@@ -311,24 +360,26 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
 
     """
     views = blocks.view_count
-    rotations = relative_rotations(pairs, camera)
-    axis = common_axis(rotations)
-    angles = planar_angles(pairs, rotations, axis, views)
+    relative = relative_rotations(pairs, camera)
+    axis = common_axis(relative)
     mount = align_z(axis)
-    rays = homogeneous(camera.normalised(xy))
-    if not np.isfinite(rays).all():
-        return None
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    turn = twist_matrix(angles)
-    directions = np.einsum('nji,nj->ni', turn[blocks.view], rays @ mount)
-    solved = centres_and_points(blocks, directions)
-    if solved is None:
-        return None
-    centres, points = solved
     values = np.zeros((views, 6))
-    values[:, 0] = angles
-    values[:, [1, 2]] = -np.einsum('vij,vj->vi', turn, centres)[:, :2]
+    if exact:
+        values[:, 0] = planar_angles(pairs, relative, axis, views)
+    else:
+        turned = mount.T @ chained_rotations(pairs, relative, views) @ mount
+        values[:, 0], values[:, 3:5] = swing_twist(turned)
+        values[:, 0] = np.unwrap(values[:, 0])
     f, fy, cx, cy, skew, k1, k2, p1, p2 = camera.parameters
     state = BundleState(np.array([f, fy / f, cx, cy, skew, k1, k2, p1, p2]), mount, values,
-                        points)
-    return rescale(state)
+                        np.zeros((blocks.point_count, 4)))
+    rotations = mount @ state.rotations()
+    centres = chained_centres(pairs, camera, rotations, planar=exact)
+    rays = homogeneous(camera.normalised(xy))
+    if not len(centres) or not np.isfinite(rays).all():
+        return None
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)
+    values[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', state.rotations(), centres)
+    return rescale(replace(state, views=values,
+                           points=points_from_centres(blocks, directions, centres)))

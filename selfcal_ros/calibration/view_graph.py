@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -113,7 +113,8 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
         distance = found.distances[inlier]
         spreads.append((1.4826 * np.median(np.abs(distance))
                         * np.sqrt(inlier.sum() / max(inlier.sum() - 7, 1)), inlier.sum()))
-        pairs.append(PairGeometry(int(a), int(b), found.F, xy_a[inlier], xy_b[inlier]))
+        pairs.append(PairGeometry(int(a), int(b), found.F, both[inlier], xy_a[inlier],
+                                  xy_b[inlier]))
     if not pairs:
         return ('No two images share enough points with a consistent epipolar geometry '
                 f'(at least {MINIMUM_MATCHES} are needed).')
@@ -125,7 +126,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, label = connected_components(links, directed=False)
     largest = label == np.argmax(np.bincount(label))
     index = np.cumsum(largest) - 1
-    pairs = [PairGeometry(int(index[p.first]), int(index[p.second]), p.F, p.xy_first, p.xy_second)
+    pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
     kept = tracks.select(keep & largest[view]).with_at_least(2)
     noise, weight = np.array(spreads).T
