@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.pair_tests import classify_pairs, PairVerdicts
+from selfcal_ros.calibration.pair_tests import classify_pairs, FLOOR_PX, PairVerdicts
 from selfcal_ros.calibration.pencil import calibrate_from_fixed_points, PencilCalibration
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.calibration.tracks import Tracks
@@ -34,15 +34,17 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
-from selfcal_ros.geometry.projective import (canonical_transform, transform_points, unit,
-                                             unit_covariance)
+from selfcal_ros.geometry.projective import (canonical_transform, completed_frame,
+                                             transform_points, unit, unit_covariance)
+from selfcal_ros.geometry.ransac import ransac_fundamental
 from selfcal_ros.geometry.trifocal import circular_image, circular_points
 
 __all__ = ['calibrate_from_fixed_points', 'fixed_points', 'FixedPointEstimate',
            'PencilCalibration']
 
-#: v counts as undetermined when its direction in normalised coordinates is worse, in radians.
-CIRCULAR_SIGMA = 0.15
+#: The screw axes count as one, so that v is undetermined, below this mean squared deviation in
+#: sigmas per degree of freedom.
+COINCIDENT_CHI2 = 4.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ class FixedPointEstimate:
 
 
 def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: int = 24,
-                 least_common: int = 12, trim_sigma: float = 4.0):
+                 least_common: int = 12, trim_sigma: float = 4.0, most_matches: int = 300,
+                 rng=None):
     """
     Estimate the fixed points of planar motion from tracks in undistorted pixels.
 
@@ -107,6 +110,10 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     trim_sigma : float
         Matches with a larger epipolar distance, in robust sigmas, are left out of a second
         round.
+    most_matches : int
+        Of a pair; more are thinned out evenly, so that the time does not grow with them.
+    rng : numpy.random.Generator, optional
+        With it, gross errors are first removed from every pair by RANSAC.
 
     Returns
     -------
@@ -126,11 +133,14 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
                        axis=0)
     seen = np.isfinite(xy[..., 0])
     both = [np.flatnonzero(seen[a] & seen[b]) for a, b in wanted]
+    both = [t[::-(-len(t) // most_matches)] if len(t) > most_matches else t for t in both]
     enough = [k for k, tracks_of in enumerate(both) if len(tracks_of) >= 8]
     if not enough:
         return NoEstimate('No two views share 8 tracks.', 'too_few')
     wanted, both = wanted[enough], [both[k] for k in enough]
     data = PairMatches.from_pixels([(xy[a, t], xy[b, t]) for (a, b), t in zip(wanted, both)])
+    if rng is not None:
+        data = _without_gross_errors(data, xy, wanted, both, rng)
     found = _horizon_and_point(data, wanted, both, xy.shape[1], method, trim_sigma)
     if isinstance(found, NoEstimate):
         return found
@@ -141,7 +151,7 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     good = {tuple(p): None for p in wanted[kept]}
     usable = [t for t in chosen if any(p in good for p in
                                        ((t[0], t[1]), (t[1], t[2]), (t[0], t[2])))]
-    combined = _combine_triplets(canonical_xy, usable, unused, least_common)
+    combined = _combine_triplets(canonical_xy, usable, unused, least_common, most_matches)
     if isinstance(combined, NoEstimate):
         return combined
     kappa, covariance, used, kappas = combined
@@ -184,11 +194,11 @@ def _horizon_and_point(data, wanted, both, track_count, method, trim_sigma):
             f'The motion is not planar: planar epipolar geometry leaves {result.noise_px:.3g} px, '
             f'general motion {np.sqrt(np.mean(general ** 2)):.3g} px.', 'not_planar')
     screw_axis = result.screw_axes[0]
-    sigma_v = np.sqrt(np.linalg.eigvalsh(spread[2:, 2:])[-1]) * max(result.noise_px, 1e-3)
     motion = 'planar'
-    if len(kept) > 1 and sigma_v > CIRCULAR_SIGMA:
-        motion = 'circular'
-        screw_axis, point = _common_axis(result)
+    common, chi2 = _common_axis(data, state, planar_cost[kept], hessian[kept])
+    if len(kept) > 1 and chi2 < COINCIDENT_CHI2:
+        motion, screw_axis = 'circular', common
+        point = unit(np.array([-common[1], common[0], 0.0]))
         result = PlanarPairs(result.horizon, point, result.horizon_covariance,
                              result.vanishing_point_covariance, result.F, result.screw_axes,
                              result.residuals, result.noise_px, count)
@@ -199,6 +209,16 @@ def _horizon_and_point(data, wanted, both, track_count, method, trim_sigma):
         result = _pairs_method(data, result, state, planar_cost[kept], hessian[kept])
     unused = identity[(data.weight == 0) & (identity[..., 0] >= 0)]
     return kept, result, motion, screw_axis, unused
+
+
+def _without_gross_errors(data, xy, wanted, both, rng):
+    """Leave out what RANSAC calls outliers, pair by pair."""
+    weight = data.weight.copy()
+    for k, ((a, b), tracks_of) in enumerate(zip(wanted, both)):
+        found = ransac_fundamental(xy[a, tracks_of], xy[b, tracks_of], rng)
+        if not isinstance(found, NoEstimate):
+            weight[k, :len(tracks_of)] = found.inliers
+    return PairMatches(data.first, data.second, weight, data.transform)
 
 
 def _trimmed(data, F, cost, trim_sigma):
@@ -230,26 +250,35 @@ def _why_none(verdicts: PairVerdicts) -> NoEstimate:
         f'{np.median(verdicts.noise_px):.3g} px.', 'no_rotation')
 
 
-def _common_axis(result: PlanarPairs):
-    """Mean screw axis in the image, and the point of it farthest from the horizon."""
-    axes = result.screw_axes
-    # rows in pixels: weigh line coordinates alike by bringing them to a unit image
-    scale = np.array([1, 1, 1 / 1000])
-    axis = np.linalg.svd(unit(axes * scale))[2][0] / scale
-    return unit(axis), unit(np.array([-axis[1], axis[0], 0.0]))
+def _own_lines(state, data, cost, hessian):
+    """Each pair's l and m in normalised coordinates with their covariances (n, 3, 3)."""
+    _, Q, M = state
+    variance = np.maximum(cost, data.counts * FLOOR_PX ** 2) / np.maximum(data.counts - 6, 1)
+    spread = np.linalg.pinv(hessian, hermitian=True) * variance[:, None, None]
+    line_slope = np.stack([-Q[:, :, 2], Q[:, :, 1]], axis=2)
+    line_cov = line_slope @ spread[:, 2:4, 2:4] @ np.swapaxes(line_slope, 1, 2)
+    axis_cov = M[:, :, 1:] @ spread[:, 4:, 4:] @ np.swapaxes(M[:, :, 1:], 1, 2)
+    return Q[:, :, 0], line_cov, M[:, :, 0], axis_cov
+
+
+def _common_axis(data, state, cost, hessian):
+    """Mean screw axis in pixels, and how far the pairs' own ones deviate from it."""
+    _, _, axes, axis_cov = _own_lines(state, data, cost, hessian)
+    mean, _ = planar_pairs.weighted_mean(axes, axis_cov)
+    frame = completed_frame(mean)
+    flat = axes @ frame
+    offset = flat[:, 1:] / flat[:, :1]
+    tangent = frame[:, 1:].T @ axis_cov @ frame[:, 1:]
+    chi2 = np.einsum('ni,nij,nj->', offset, np.linalg.pinv(tangent, hermitian=True), offset)
+    return unit(data.transform.T @ mean), chi2 / max(2 * len(axes) - 2, 1)
 
 
 def _pairs_method(data, result, state, cost, hessian):
     """Means of the pairs' own l and m with their covariances (6.4, 6.5, C.5)."""
-    _, Q, M = state
+    lines, line_cov, axes, axis_cov = _own_lines(state, data, cost, hessian)
     T = data.transform
-    spare = np.maximum(data.counts - 6, 1)
-    spread = np.linalg.pinv(hessian, hermitian=True) * (cost / spare)[:, None, None]
-    line_slope = np.stack([-Q[:, :, 2], Q[:, :, 1]], axis=2)
-    line_cov = line_slope @ spread[:, 2:4, 2:4] @ np.swapaxes(line_slope, 1, 2)
-    axis_cov = M[:, :, 1:] @ spread[:, 4:, 4:] @ np.swapaxes(M[:, :, 1:], 1, 2)
-    line, cov_l = planar_pairs.weighted_mean(Q[:, :, 0], line_cov)
-    axes, v = M[:, :, 0], np.linalg.svd(M[:, :, 0])[2][-1]
+    line, cov_l = planar_pairs.weighted_mean(lines, line_cov)
+    v = np.linalg.svd(axes)[2][-1]
     for _ in range(5):
         weight = 1 / np.maximum(np.einsum('i,nij,j->n', v, axis_cov, v), 1e-300)
         v = np.linalg.svd(axes * np.sqrt(weight / weight.max())[:, None])[2][-1]
@@ -262,7 +291,7 @@ def _pairs_method(data, result, state, cost, hessian):
                        result.noise_px, 0)
 
 
-def _combine_triplets(xy, triplets, unused, least_common):
+def _combine_triplets(xy, triplets, unused, least_common, most_matches):
     """Robust covariance-weighted mean of the triplets' circular points."""
     seen = np.isfinite(xy).all(axis=-1)
     if len(unused):
@@ -274,6 +303,8 @@ def _combine_triplets(xy, triplets, unused, least_common):
         if common.sum() < min(least_common, 5):
             reasons.append(NoEstimate('Too few tracks in three views.', 'too_few'))
             continue
+        common = np.flatnonzero(common)
+        common = common[::-(-len(common) // most_matches)]
         found = circular_points(*xy[triplet][:, common])
         if not isinstance(found, NoEstimate):
             used.append(triplet)
