@@ -133,7 +133,7 @@ def _choose_mode(images):
     shares, steps = zip(*(followed_share(a, b) for a, b in zip(images, images[1:])))
     diagonal = float(np.hypot(*images[0].shape))
     share, step = float(np.median(shares)), float(np.median(steps)) / diagonal
-    mode = 'video' if share > 0.7 and step < 0.025 else 'wide'
+    mode = 'video' if share > 0.8 and step < 0.04 else 'wide'
     return mode, (f'Corners followed between the first frames: {share:.0%}, moving by '
                   f'{step:.1%} of the image diagonal: {mode} mode.')
 

@@ -15,8 +15,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+import os
 
 import cv2
 import numpy as np
@@ -28,8 +30,10 @@ from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental
 RATIO = 0.8
 #: Along an epipolar line fewer candidates compete, so that the ratio may be milder.
 GUIDED_RATIO = 0.85
-#: Descriptors less alike than this (cosine of Hellinger-normalised vectors) never match.
-_LEAST_SIMILARITY = 0.8
+#: Similarity (cosine of Hellinger-normalised vectors) of a runner-up where none was found.
+_USUAL_SIMILARITY = 0.8
+#: Less alike than this cannot pass the guided ratio test against the usual runner-up.
+_LEAST_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - _USUAL_SIMILARITY)
 #: Two places of one image more alike than this cannot be told apart, whatever the ratio says.
 _SAME_SIMILARITY = 0.95
 #: Images larger than this are searched at half size; registration restores the accuracy.
@@ -48,10 +52,11 @@ class Features:
         Pixels.
     size_px : ndarray, shape (N,)
         Standard deviation of the blob, full-resolution pixels.
-    descriptors : ndarray of float32, shape (D, 128)
-        Square roots of L1-normalised SIFT vectors, grouped by place; D >= N.
-    start : ndarray, shape (N,)
-        First descriptor of each place.
+    descriptors : ndarray of float32, shape (N + E, 128)
+        Square roots of L1-normalised SIFT vectors: one for each place, then those of E places
+        that have a second orientation.
+    second : ndarray of int, shape (E,)
+        The places that have a second one.
     twins : tuple of ndarray (a, b, similarity)
         Places of this image that look alike: what tells one from the other is not in the patch.
 
@@ -60,17 +65,17 @@ class Features:
     xy: np.ndarray
     size_px: np.ndarray
     descriptors: np.ndarray
-    start: np.ndarray
+    second: np.ndarray
     twins: tuple = ()
 
     def coarsest(self, most: int) -> np.ndarray:
         """Descriptors (at most, 128) of the largest blobs: a summary of the image."""
-        return self.descriptors[self.start[np.argsort(-self.size_px, kind='stable')[:most]]]
+        return self.descriptors[np.argsort(-self.size_px, kind='stable')[:most]]
 
     @property
     def twin_similarity(self) -> np.ndarray:
         """Similarity to the most alike other place of the same image, shape (N,)."""
-        most = np.full(len(self.xy), _LEAST_SIMILARITY, np.float32)
+        most = np.full(len(self.xy), _USUAL_SIMILARITY, np.float32)
         np.maximum.at(most, self.twins[0], self.twins[2])
         return most
 
@@ -137,8 +142,8 @@ def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
     image = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
         else gray
     sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
-    points = sift.detect(image, None)
-    if points:
+    points, descriptors = sift.detectAndCompute(image, None)
+    if len(points) > most:
         at = np.array([point.pt for point in points])
         strength = np.array([point.response for point in points])
         column, row = (at * cells / np.array(image.shape[::-1])).astype(int).T
@@ -146,23 +151,25 @@ def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
         cell = (row * cells + column)[order]
         rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
         keep = order[np.argsort(rank, kind='stable')[:most]]
-        points, descriptors = sift.compute(image, [points[k] for k in keep])
-    if not points:
+        points, descriptors = [points[k] for k in keep], descriptors[keep]
+    if not len(points):
         none = np.empty(0, int)
         return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32), none,
                         (none, none, np.empty(0, np.float32)))
     xy = np.array([point.pt for point in points], dtype=float) - _sift_offset_px()
     size = np.array([point.size for point in points]) / 2
     xy, size = (2 * xy + 0.5, 2 * size) if halved else (xy, size)
-    place, start, inverse = np.unique(np.round(xy, 1), axis=0, return_index=True,
-                                      return_inverse=True)
-    order = np.argsort(inverse.ravel(), kind='stable')
-    descriptors = descriptors[order].astype(np.float32)
+    descriptors = descriptors.astype(np.float32)
     descriptors = np.sqrt(descriptors / (descriptors.sum(axis=1, keepdims=True) + 1e-9))
-    features = Features(xy[start], size[start], descriptors,
-                        np.searchsorted(inverse.ravel()[order], np.arange(len(place))))
+    _, start, place = np.unique(np.round(xy, 1), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(place.ravel(), kind='stable')
+    place = place.ravel()[order]
+    rank = np.arange(len(place)) - np.searchsorted(place, place)
+    features = Features(xy[start], size[start],
+                        np.concatenate([descriptors[start], descriptors[order[rank == 1]]]),
+                        place[rank == 1])
     product = similarity(features, features)
-    a, b = np.nonzero(product > _LEAST_SIMILARITY)
+    a, b = _alike(product)
     # the same corner found at two scales is no twin
     apart = (np.abs(features.xy[a] - features.xy[b]).max(axis=1)
              > 1.5 * np.maximum(features.size_px[a], features.size_px[b]))
@@ -174,11 +181,16 @@ def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
 def similarity(a: Features, b: Features) -> np.ndarray:
     """Cosine between the best fitting descriptors of every two places, shape (N_a, N_b)."""
     product = a.descriptors @ b.descriptors.T
-    if len(a.start) < len(a.descriptors):
-        product = np.maximum.reduceat(product, a.start, axis=0)
-    if len(b.start) < len(b.descriptors):
-        product = np.maximum.reduceat(product, b.start, axis=1)
-    return product
+    places = product[:, :len(b.xy)]
+    places[:, b.second] = np.maximum(places[:, b.second], product[:, len(b.xy):])
+    places[a.second] = np.maximum(places[a.second], places[len(a.xy):])
+    return places[:len(a.xy)]
+
+
+def _alike(product):
+    """Rows and columns of what may match."""
+    flat = np.flatnonzero(product > _LEAST_SIMILARITY)
+    return flat // product.shape[1], flat % product.shape[1]
 
 
 def _distinctive(first: Features, second: Features, product: np.ndarray):
@@ -192,10 +204,9 @@ def _distinctive(first: Features, second: Features, product: np.ndarray):
     best = product[a, b]
     mutual = (product.argmax(axis=0)[b] == a) & (best > _LEAST_SIMILARITY)
     a, b, best = a[mutual], b[mutual], best[mutual]
-    rows, columns = product[a], product[:, b]
-    rows[np.arange(len(a)), b] = -1
-    columns[a, np.arange(len(a))] = -1
-    runner_up = np.maximum(rows.max(axis=1, initial=-1), columns.max(axis=0, initial=-1))
+    product[a, b] = -1
+    runner_up = np.maximum(product.max(axis=1, initial=-1)[a], product.max(axis=0, initial=-1)[b])
+    product[a, b] = best
     twin = np.maximum(first.twin_similarity[a], second.twin_similarity[b])
     # |p - q|^2 = 2 - 2 cos
     good = (1 - best) < RATIO ** 2 * (1 - np.maximum(runner_up, twin))
@@ -218,7 +229,7 @@ def _guided(first: Features, second: Features, straight_a, straight_b, candidate
         order = np.lexsort((-score, key))
         place = np.searchsorted(key[order], np.arange(count + 1))
         top = np.full(count, -1)
-        second_score = np.full(count, _LEAST_SIMILARITY)
+        second_score = np.full(count, _USUAL_SIMILARITY)
         some = place[1:] > place[:-1]
         two = place[1:] > place[:-1] + 1
         top[some] = order[place[:-1][some]]
@@ -247,7 +258,7 @@ def _twin_on_line(features: Features, straight, partner_xy, F, chosen, band_px: 
     a, b, alike = features.twins
     distance = (line[a, :2] * straight[b]).sum(axis=1) + line[a, 2]
     near = np.abs(distance) < 2 * band_px  # NaN, hence False, for places without a partner
-    most = np.full(len(features.xy), _LEAST_SIMILARITY, np.float32)
+    most = np.full(len(features.xy), _USUAL_SIMILARITY, np.float32)
     np.maximum.at(most, a[near], alike[near])
     return most[chosen]
 
@@ -333,14 +344,19 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         Distortion used for the verification, see `epipolar`.
 
     """
+    def compare(pair):
+        first, second = features[pair[0]], features[pair[1]]
+        product = similarity(first, second)
+        candidates = _alike(product)
+        return (*_distinctive(first, second, product), (*candidates, product[candidates]))
+
     seeds = []
-    for count, (i, j) in enumerate(pairs):
-        product = similarity(features[i], features[j])
-        a, b = _distinctive(features[i], features[j], product)
-        candidates = np.nonzero(product > _LEAST_SIMILARITY)
-        seeds.append((a, b, (*candidates, product[candidates])))
-        if progress:
-            progress(0.7 * (count + 1) / len(pairs))
+    # matrix products and reductions release the interpreter lock
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        for seed_matches in pool.map(compare, pairs):
+            seeds.append(seed_matches)
+            if progress:
+                progress(0.8 * len(seeds) / len(pairs))
     richest = sorted(range(len(pairs)), key=lambda k: -len(seeds[k][0]))
     richest = richest[len(richest) // 5:][:6]
     division = choose_division([_moving(features, pairs[k], seeds[k]) for k in richest],
@@ -365,7 +381,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         if good.sum() >= 16:
             matches.append(PairMatches(i, j, a[good], b[good], refined))
         if progress:
-            progress(0.7 + 0.3 * (count + 1) / len(pairs))
+            progress(0.8 + 0.2 * (count + 1) / len(pairs))
     return matches, division
 
 
