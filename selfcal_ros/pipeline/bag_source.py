@@ -53,8 +53,13 @@ def _readable(path):
 
 def is_bag_folder(path: Path) -> bool:
     """Tell a rosbag2 folder from a folder of images."""
-    return (path / 'metadata.yaml').is_file() or any(
-        entry.suffix in ('.mcap', '.db3') for entry in path.iterdir())
+    if any(entry.suffix in ('.mcap', '.db3') for entry in path.iterdir()):
+        return True
+    metadata = path / 'metadata.yaml'
+    if not metadata.is_file():
+        return False
+    with metadata.open('rb') as stream:
+        return b'rosbag2_bagfile_information' in stream.read(100_000)
 
 
 class BagSource(FrameSource):
@@ -228,6 +233,9 @@ def _check_file(path: Path) -> None:
         raise InputError(f'{path} is not {_KIND[path.suffix]}, although its name ends in '
                          f'{path.suffix}.')
     if path.suffix == '.db3':
+        if set(str(path)) & set('?#%'):
+            raise InputError(f'{path} cannot be opened because SQLite takes the characters ?, # '
+                             'and % in a path for parts of an address; rename it.')
         # SQLite notices missing pages only when a query meets them
         page = int.from_bytes(head[16:18], 'big')
         page = 65536 if page == 1 else page

@@ -76,6 +76,9 @@ def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_r
     if not _TOPIC.match(topic):
         raise ArgumentError(f'{topic!r} is no absolute topic name; write it like '
                             '/camera/image_raw.')
+    if storage == 'sqlite3' and set(str(path.absolute())) & set('?#%'):
+        raise ArgumentError(f'SQLite takes the characters ?, # and % in {path} for parts of an '
+                            'address; choose another name, or the storage mcap.')
     if path.exists():
         raise InputError(f'{path} exists already; remove it or choose another name.')
     store = get_typestore(Stores.ROS2_JAZZY)

@@ -139,7 +139,7 @@ class FrameSource(ABC):
             self.image_size = size
         if size != self.image_size:
             had = f'{self.image_size[0]}x{self.image_size[1]}'
-            if self.image_size == self._stated_size:
+            if frame.index == 0 and self._stated_size:
                 raise InputError(f'{self.path}: {frame.name} is {size[0]}x{size[1]}, but the '
                                  f'stated image size is {had}; correct the image size.')
             raise InputError(f'{self.path}: the images change size at {frame.name} from {had} to '

@@ -73,7 +73,8 @@ def open_source(path, topic: str | None = None, image_size: tuple[int, int] | No
         folder, file = path.is_dir(), path.is_file()
         bag = folder and is_bag_folder(path)
     except (OSError, ValueError) as error:
-        raise InputError(f'{str(path)!r:.200} cannot be opened: {error}.') from None
+        raise InputError(f'{str(path)!r:.200} cannot be opened: '
+                         f'{getattr(error, "strerror", None) or error}.') from None
     if not folder and not file:
         missing = 'is neither a file nor a folder' if path.exists() else 'does not exist'
         raise InputError(f'{path} {missing}; {_EXPECTED}.')

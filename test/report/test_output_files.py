@@ -1,0 +1,108 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Files appear whole or not at all."""
+
+import os
+from pathlib import Path
+import stat
+
+import pytest
+from selfcal_ros.errors import InputError
+from selfcal_ros.report import files
+from selfcal_ros.report.files import atomic_write, check_writable
+
+
+def test_write_and_replace(tmp_path):
+    path = tmp_path / 'a.txt'
+    assert atomic_write(str(path), 'ä\n') == path
+    assert path.read_bytes() == 'ä\n'.encode()
+    atomic_write(path, b'\x00\xff')
+    assert path.read_bytes() == b'\x00\xff'
+    assert [entry.name for entry in tmp_path.iterdir()] == ['a.txt']
+
+
+def test_permissions_are_those_of_a_plain_file(tmp_path):
+    (tmp_path / 'plain').write_text('x')
+    atomic_write(tmp_path / 'atomic', 'x')
+    assert stat.S_IMODE((tmp_path / 'atomic').stat().st_mode) == stat.S_IMODE(
+        (tmp_path / 'plain').stat().st_mode)
+    os.chmod(tmp_path / 'plain', 0o640)
+    atomic_write(tmp_path / 'plain', 'y')
+    assert stat.S_IMODE((tmp_path / 'plain').stat().st_mode) == 0o640
+
+
+def test_links_are_followed_and_devices_kept(tmp_path):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'folder' / 'target').write_text('old')
+    (tmp_path / 'link').symlink_to(tmp_path / 'folder' / 'target')
+    atomic_write(tmp_path / 'link', 'new')
+    assert (tmp_path / 'link').is_symlink()
+    assert (tmp_path / 'folder' / 'target').read_text() == 'new'
+    check_writable('/dev/null')
+    atomic_write('/dev/null', 'x')
+    assert stat.S_ISCHR(os.stat('/dev/null').st_mode)
+
+
+def test_a_failure_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / 'a.txt'
+    path.write_text('old')
+
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(files.os, 'fsync', full)
+    with pytest.raises(InputError, match='No space left'):
+        atomic_write(path, 'new')
+    assert path.read_text() == 'old' and len(list(tmp_path.iterdir())) == 1
+
+
+def test_check_writable_leaves_no_trace(tmp_path):
+    assert check_writable(tmp_path / 'a.txt') == tmp_path / 'a.txt'
+    assert list(tmp_path.iterdir()) == []
+
+
+def refused(path):
+    """Return the sentence with which both functions refuse the path."""
+    with pytest.raises(InputError) as first:
+        check_writable(path)
+    with pytest.raises(InputError) as second:
+        atomic_write(path, 'x')
+    assert str(first.value) == str(second.value) and str(first.value).endswith('.')
+    return str(first.value)
+
+
+def test_places_that_cannot_be_written(tmp_path, monkeypatch):
+    (tmp_path / 'file').write_text('x')
+    assert 'is a folder' in refused(tmp_path)
+    assert 'not a folder' in refused(tmp_path / 'file' / 'a.txt')
+    assert 'does not exist' in refused(tmp_path / 'missing' / 'a.txt')
+    assert 'cannot be written' in refused('a\0b')
+    assert 'cannot be written' in refused(tmp_path / ('x' * 300))
+    monkeypatch.chdir(tmp_path)
+    assert check_writable('bare.txt') == Path('bare.txt')
+
+
+@pytest.mark.skipif(not Path('/proc/self').is_dir(), reason='there is no /proc here')
+def test_a_folder_that_refuses_new_files():
+    assert 'refuses new files' in refused('/proc/camera.yaml')
+
+
+def test_a_read_only_folder(tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        if os.access(tmp_path, os.W_OK):
+            pytest.skip('this user may write anywhere')
+        assert 'refuses new files' in refused(tmp_path / 'a.txt')
+    finally:
+        tmp_path.chmod(0o700)
