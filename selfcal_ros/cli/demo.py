@@ -11,19 +11,120 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal demo`."""
+"""`selfcal demo`: a recorded drive through the real nodes, its calibration beside the truth."""
 
 from __future__ import annotations
 
 import argparse
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
 
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal demo`."""
+    parser.add_argument('--output-dir', type=Path, default=Path('selfcal_demo'), metavar='FOLDER',
+                        help='for camera.yaml, result.json and report.html (default selfcal_demo)')
+    parser.add_argument('--bag', type=Path, help='another bag (default: the recorded drive)')
+    parser.add_argument('--rate', type=float, default=1.0, help='playback speed (default 1)')
+    parser.add_argument('--no-ros', action='store_true', help='without nodes in any case')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Say that it is not there yet."""
-    raise ArgumentError('selfcal demo is not part of this version yet.')
+    """Run the demo; returns the exit status."""
+    from selfcal_ros.cli.outputs import Outputs
+    from selfcal_ros.cli.result_text import result_text
+    from selfcal_ros.cli.shared_files import shared_file
+    bag = args.bag or shared_file('bags/agv_drive')
+    folder = args.output_dir
+    folder.mkdir(parents=True, exist_ok=True)
+    outputs = Outputs(folder / 'camera.yaml', folder / 'result.json', folder / 'report.html')
+    outputs.check()
+    result = None
+    if args.no_ros or find_spec('rclpy') is None or find_spec('sensor_msgs') is None:
+        if not args.no_ros:
+            print('There is no ROS in this Python (rclpy is missing), so no nodes: calibrating '
+                  'straight from the bag.')
+    else:
+        print(f'Replaying {bag} through bag_player, feature_tracker and planar_calibrator ...',
+              flush=True)
+        result = _through_nodes(bag, folder, args.rate, shared_file('config/fastdds.xml'))
+        if result is None:
+            print('Calibrating straight from the bag instead.')
+    if result is None:
+        result = _from_bag(bag)
+    text = result_text(result, truth=_truth(bag))
+    written = outputs.write(result, text, str(bag))
+    print(f'\n{text}\n\nWritten: {", ".join(map(str, written))}.')
+    return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+
+
+def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
+    """Return the result of the nodes, None if they came to none."""
+    environment = dict(os.environ)
+    # a domain of its own: the demo neither hears nor disturbs robots on the network
+    environment['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(profile)
+    # everything that one drive tells shall come in order, whatever the user has overridden
+    environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
+    environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
+    command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
+               str(folder), '--rate', str(rate)]
+    done = subprocess.run(command, env=environment)
+    if done.returncode not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
+        return None
+    try:
+        return _result(json.loads((folder / 'result.json').read_text(encoding='utf-8')))
+    except (OSError, ValueError, KeyError) as error:
+        print(f'The nodes left no usable result ({error}).', file=sys.stderr)
+        return None
+
+
+def _from_bag(bag: Path):
+    """Calibrate without nodes."""
+    from selfcal_ros import calibrate, CameraFacts
+    from selfcal_ros.pipeline.feature_session import read_tracks
+    with ProgressBar() as progress:
+        reading = read_tracks(bag, progress=progress)
+    return calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+
+def _truth(bag: Path) -> dict | None:
+    """Read the truth beside a recording: the value of each parameter."""
+    path = bag.with_name(bag.name + '.truth.json')
+    if not path.is_file():
+        return None
+    truth = json.loads(path.read_text(encoding='utf-8'))
+    K, d = truth['K'], list(truth.get('distortion', ())) + [0.0] * 4
+    return {'fx': K[0][0], 'fy': K[1][1], 'cx': K[0][2], 'cy': K[1][2], 'skew': K[0][1],
+            'k1': d[0], 'k2': d[1], 'p1': d[2], 'p2': d[3]}
+
+
+def _result(content: dict):
+    """Turn result.json back into a result, as far as it is printed."""
+    import numpy as np
+    from selfcal_ros import Calibration, Camera, CameraFacts, NotCalibrated
+    facts = CameraFacts(**{name: tuple(value) if isinstance(value, list) else value
+                           for name, value in content.get('facts', {}).items()})
+    software = content.get('software', '')
+    if content['status'] != 'calibrated':
+        return NotCalibrated(content['reason'], content['advice'],
+                             content.get('motion', 'unknown'), facts=facts, software=software)
+    c = content['camera']
+    camera = Camera([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]], c['d'],
+                    c['width'], c['height'])
+    covariance = np.array([[np.nan if v is None else v for v in row]
+                           for row in content['covariance']], float)
+    return Calibration(
+        camera=camera, covariance=covariance, status=content['parameters'],
+        held_by=content['held_by'], motion=content['motion'], facts=facts,
+        frames=tuple(content['frames']), reprojection_rms_px=content['reprojection_rms_px'],
+        noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
+        outlier_count=content['outliers'], reconstruction=None, notes=tuple(content['notes']),
+        software=software)

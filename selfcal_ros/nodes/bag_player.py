@@ -20,10 +20,8 @@ import time
 
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import time_message
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -31,6 +29,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.parameters import BagPlayerParameters, declare
+from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.nodes.running import run_node
 from selfcal_ros.pipeline.replay import ImageRecording
 
@@ -52,9 +51,8 @@ class BagPlayer(Node):
         self.finished = Future()
         self._recording = ImageRecording(self.parameters.bag, self.parameters.topic or None)
         name, message = TOPICS[self._recording.message_type]
-        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._publisher = self.create_publisher(
-            message, name, qos,
+            message, name, PER_IMAGE,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
                        if self.parameters.publish_clock else None)
@@ -63,8 +61,7 @@ class BagPlayer(Node):
         self._messages = None
         self._next = None
         self._published = 0
-        self._timer = self.create_timer(0.05, self._tick,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.create_timer(0.05, self._tick, clock=STEADY)
         self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
                                f'{self.parameters.bag}, on {self._publisher.topic_name}')
 

@@ -17,8 +17,9 @@ from __future__ import annotations
 
 import time
 
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import ReliabilityPolicy
+
+from selfcal_ros.nodes.quality_of_service import STEADY
 
 
 class SilenceWatch:
@@ -40,9 +41,7 @@ class SilenceWatch:
         self._node, self._what, self._topics, self._limit_s = node, what, topics, limit_s
         self._last = time.monotonic()
         self._warned = False
-        # a steady clock: with use_sim_time nothing would tick while nothing is played
-        self._timer = node.create_timer(min(1.0, limit_s / 4), self._check,
-                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(min(1.0, limit_s / 4), self._check, clock=STEADY)
 
     def heard(self) -> None:
         """Note that something has arrived."""

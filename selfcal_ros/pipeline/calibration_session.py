@@ -221,7 +221,7 @@ class CalibrationSession:
         if self._image_size not in (None, image_size):
             reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
                       f'to {image_size[0]}x{image_size[1]}')
-        elif self._newest_ns is not None and stamp_ns <= self._newest_ns:
+        elif self._newest_ns is not None and stamp_ns < self._newest_ns:
             if self._newest_ns - stamp_ns < BACKWARD_JUMP_NS:
                 return ''
             reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'

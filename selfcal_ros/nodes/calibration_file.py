@@ -1,0 +1,74 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The calibration file of a camera, where its driver looks for it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import re
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+
+
+class CalibrationFile:
+    """
+    Where and under which name a calibration is written.
+
+    Parameters
+    ----------
+    camera_name : str
+        Letters, digits and underscores.
+    output : str
+        Path, also as file:// URL or with ~; empty: ${ROS_HOME}/camera_info/<name>.yaml, ROS_HOME
+        being ~/.ros by default, as camera_info_manager has it.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is impossible.
+
+    """
+
+    def __init__(self, camera_name: str, output: str = ''):
+        if not re.fullmatch(r'[A-Za-z0-9_]+', camera_name):
+            raise ArgumentError('The parameter camera_name takes letters, digits and underscores, '
+                                f'not {camera_name!r}.')
+        self.camera_name = camera_name
+        home = os.environ.get('ROS_HOME') or '~/.ros'
+        path = output.removeprefix('file://') or f'{home}/camera_info/{camera_name}.yaml'
+        self.path = Path(path.replace('${ROS_HOME}', home)).expanduser()
+
+    def write(self, calibration: Calibration) -> Path:
+        """
+        Write the file, whole or not at all; the folder is made where it is missing.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f'The folder {self.path.parent} cannot be made: '
+                             f'{error.strerror}.') from None
+        sigma = calibration.sigma
+        return write_camera_yaml(self.path, calibration.camera, self.camera_name, [
+            f'{calibration.software}: from {len(calibration.frames)} views',
+            ', '.join(f'{name} +- {sigma[name]:.3g} px' for name in ('fx', 'fy', 'cx', 'cy'))
+            + ' (one sigma)'])

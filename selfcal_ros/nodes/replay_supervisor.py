@@ -1,0 +1,215 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Replays a bag through the real nodes, as processes of their own, and waits for the calibration.
+
+The demo runs this as `python -m selfcal_ros.nodes.replay_supervisor BAG --output FOLDER`; it
+leaves camera.yaml and result.json in the folder. Exit status as `selfcal calibrate`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from msg_adapters.stamps import stamp_ns
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
+from selfcal_ros.pipeline.replay import ImageRecording
+from selfcal_ros.report.files import atomic_write
+
+#: A process that does not end by itself gets so long before it is killed.
+GRACE_S = 5.0
+
+
+class ReplayTimeout(Exception):
+    """The nodes did not come to a result in time."""
+
+
+class ReplaySupervisor(Node):
+    """Listens to what the calibrator says, and tells when it has seen everything."""
+
+    def __init__(self, context=None):
+        super().__init__('replay_supervisor', context=context)
+        self.camera_infos = []
+        self.results = []
+        self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, PER_IMAGE)
+        self.create_subscription(String, 'planar_calibrator/result', self._on_result, LATCHED)
+        self._calibrate = self.create_client(Trigger, 'planar_calibrator/calibrate')
+        self._save = self.create_client(Trigger, 'planar_calibrator/save')
+        self._heard = time.monotonic()
+
+    def _on_camera_info(self, msg):
+        self.camera_infos.append((stamp_ns(msg.header.stamp), float(msg.k[0])))
+        self._heard = time.monotonic()
+
+    def _on_result(self, msg):
+        self.results.append(json.loads(msg.data))
+
+    def wait_for(self, condition, timeout_s: float, what: str) -> None:
+        """
+        Spin until a condition holds.
+
+        Raises
+        ------
+        ReplayTimeout
+            If it does not in time.
+
+        """
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                raise ReplayTimeout(f'no {what} within {timeout_s:.0f} s')
+            rclpy.spin_once(self, timeout_sec=0.05)
+
+    def call(self, client, timeout_s: float = 10.0):
+        """Call a Trigger service and return its response."""
+        self.wait_for(client.service_is_ready, timeout_s, f'service {client.srv_name}')
+        future = client.call_async(Trigger.Request())
+        self.wait_for(future.done, timeout_s, f'answer of {client.srv_name}')
+        return future.result()
+
+    def final_result(self, last_stamp_ns: int, timeout_s: float) -> dict:
+        """Wait until the last image is through, then ask for an estimate from everything."""
+        self._heard = time.monotonic()
+        # the last image may have been dropped on a busy machine: then silence has to do
+        self.wait_for(lambda: (self.camera_infos and self.camera_infos[-1][0] >= last_stamp_ns)
+                      or time.monotonic() - self._heard > 2.0, timeout_s, 'end of the drive')
+        while True:
+            seen = len(self.results)
+            answer = self.call(self._calibrate)
+            if not answer.success and 'under way' not in answer.message:
+                return self.results[-1] if self.results else {
+                    'status': 'not_calibrated', 'reason': answer.message, 'advice': ''}
+            self.wait_for(lambda: len(self.results) > seen, timeout_s, 'result')
+            if answer.success:
+                return self.results[-1]
+
+
+def _start(stack: ExitStack, module: str, parameters: dict) -> subprocess.Popen:
+    """Start a node in a process and a session of its own; it ends with the stack."""
+    command = [sys.executable, '-m', f'selfcal_ros.nodes.{module}', '--ros-args']
+    for name, value in parameters.items():
+        command += ['-p', f'{name}:={json.dumps(value)}']
+    process = subprocess.Popen(command, start_new_session=True)
+    stack.callback(_stop, process)
+    return process
+
+
+def _stop(process: subprocess.Popen) -> None:
+    """End a process that we started, gently at first."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
+           calibrator: dict | None = None) -> tuple[dict, list]:
+    """
+    Replay a bag through feature_tracker and planar_calibrator, three processes over DDS.
+
+    Parameters
+    ----------
+    bag : str or Path
+    output : Path
+        Folder for camera.yaml; it must exist.
+    rate : float
+        Playback speed.
+    timeout_s : float
+        For each step, on top of the playing time.
+    calibrator : dict, optional
+        Further parameters of planar_calibrator.
+
+    Returns
+    -------
+    result : dict
+        As in result.json.
+    camera_infos : list of (int, float)
+        Stamp and K[0] of each CameraInfo that came.
+
+    Raises
+    ------
+    ReplayTimeout
+        If the nodes do not come to a result in time, or one of them fails.
+
+    """
+    with ImageRecording(bag) as recording:
+        stamps = [stamp for stamp, _ in recording.messages()]
+        last_ns = [frame.stamp_ns for frame in recording][-1]
+    playing_s = (stamps[-1] - stamps[0]) * 1e-9 / rate
+    rclpy.init()
+    with ExitStack() as stack:
+        stack.callback(rclpy.try_shutdown)
+        supervisor = ReplaySupervisor()
+        stack.callback(supervisor.destroy_node)
+        nodes = [_start(stack, 'planar_calibrator', {'output': str(Path(output) / 'camera.yaml'),
+                                                     **(calibrator or {})}),
+                 _start(stack, 'feature_tracker', {})]
+
+        def alive(process):
+            if process.poll() not in (None, 0):
+                raise ReplayTimeout(f'{" ".join(process.args[:3])} ended with status '
+                                    f'{process.returncode}')
+            return True
+
+        # nothing is played before everybody hears everybody
+        supervisor.wait_for(lambda: all(map(alive, nodes))
+                            and supervisor.count_publishers('camera_info') > 0
+                            and supervisor.count_subscribers('image/compressed') > 0,
+                            timeout_s, 'connection between the nodes')
+        player = _start(stack, 'bag_player', {'bag': str(Path(bag).absolute()), 'rate': rate})
+        supervisor.wait_for(lambda: all(map(alive, [*nodes, player]))
+                            and player.poll() is not None, playing_s + timeout_s, 'end of the bag')
+        result = supervisor.final_result(last_ns, timeout_s)
+        if result['status'] == 'calibrated':
+            supervisor.call(supervisor._save)
+        return result, list(supervisor.camera_infos)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('bag')
+    parser.add_argument('--output', type=Path, required=True)
+    parser.add_argument('--rate', type=float, default=1.0)
+    parser.add_argument('--timeout', type=float, default=120.0)
+    args = parser.parse_args(argv)
+    os.environ.setdefault('ROS_LOG_DIR', str(args.output / 'log'))
+    try:
+        result, _ = replay(args.bag, args.output, args.rate, args.timeout)
+    except ReplayTimeout as error:
+        print(f'The nodes came to no result: {error}.', file=sys.stderr)
+        return 2
+    atomic_write(args.output / 'result.json', json.dumps(result, indent=2) + '\n')
+    return 0 if result['status'] == 'calibrated' else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,38 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parameters of planar_calibrator as settings of a session."""
+
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.pipeline.calibration_session import SessionSettings
+
+
+def session_settings(parameters: PlanarCalibratorParameters) -> SessionSettings:
+    """
+    Translate; a parameter cannot be absent, so zero stands for an aspect ratio not known.
+
+    Raises
+    ------
+    ArgumentError
+        If values contradict each other.
+
+    """
+    facts = CameraFacts(aspect_ratio=parameters.aspect_ratio or None,
+                        aspect_ratio_sigma=parameters.aspect_ratio_sigma,
+                        skew=0.0 if parameters.zero_skew else None,
+                        distortion=parameters.distortion)
+    return SessionSettings(motion=parameters.motion, facts=facts,
+                           parallax=parameters.keyframe_parallax,
+                           max_keyframes=parameters.max_keyframes,
+                           first_estimate=parameters.first_estimate)
