@@ -180,7 +180,7 @@ def _horizon_and_point(data, wanted, both, track_count, method, trim_sigma):
     kept = np.flatnonzero(verdicts.sound)
     if not len(kept):
         return _why_none(verdicts)
-    data = PairMatches(data.first[kept], data.second[kept], data.weight[kept], data.transform)
+    data = data.subset(kept)
     state = tuple(s[kept] for s in state)
     identity = _observation_identity(wanted[kept], [both[k] for k in kept],
                                      data.weight.shape[1], track_count)

@@ -29,8 +29,9 @@ from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import calibration_from_iac, iac_from_calibration
 
-#: Largest relative change of the focal length per unit change of a fact (skew and principal
-#: point in focal lengths, aspect ratio as it is) with which a fact may pick the camera alone.
+#: Largest change of the camera per unit change of a fact with which a fact may pick the camera.
+#: Both are without dimension: focal lengths by their logarithm, aspect ratio as it is, skew and
+#: principal point in focal lengths.
 LEVERAGE_LIMIT = 20.0
 
 #: Spread given to an exact fact when it must be weighed against another: aspect ratio, skew
@@ -53,8 +54,9 @@ class PencilCalibration:
         Which fact picked it: 'aspect_ratio', 'skew', 'principal_point', or several joined
         by '+'.
     leverage : dict of str to float
-        Per fact, relative change of the focal length per unit change of the fact; large where
-        the fact is nearly useless, as zero skew is with a level horizon.
+        Per fact, change of the camera per unit change of the fact, see `LEVERAGE_LIMIT`; at
+        least about 1, and large where the fact is nearly useless, as zero skew is with a level
+        horizon.
 
     """
 
@@ -143,21 +145,22 @@ def _camera(C, ll, mu):
     return calibration_from_iac(C + mu * ll)
 
 
-def _slopes(C, ll, mu, K) -> dict:
-    """Derivative of the facts' values by the logarithm of the focal length along the pencil."""
+def _slopes(C, ll, mu) -> dict:
+    """Derivative of the facts' values along the pencil, per unit change of the camera."""
     step = 1e-6 * max(abs(mu), 1e-3)
     sides = [_camera(C, ll, mu + s) for s in (step, -step)]
     if any(isinstance(side, NoEstimate) for side in sides):
-        return {name: 0 * value for name, value in _values(K).items()}
-    span = np.log(sides[0][0, 0] / sides[1][0, 0])
+        return {name: np.zeros(1) for name in EXACT_SIGMAS}
     first, second = map(_values, sides)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return {name: np.nan_to_num((first[name] - second[name]) / span) for name in first}
+    change = {name: first[name] - second[name] for name in first}
+    focal = np.log(np.diag(sides[0])[:2] / np.diag(sides[1])[:2])
+    size = np.linalg.norm([*focal, *change['skew'], *change['principal_point']])
+    return {name: value / max(size, 1e-300) for name, value in change.items()}
 
 
 def _leverage(slope) -> float:
     size = float(np.linalg.norm(slope))
-    return 1 / size if size > 1e-12 else float('inf')
+    return 1 / size if size > 1e-9 else float('inf')
 
 
 def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: str | None = None):
@@ -197,9 +200,14 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
             if isinstance(K, NoEstimate):
                 failure = K
                 continue
-            slopes = _slopes(C, ll, mu, K)
+            slopes = _slopes(C, ll, mu)
             candidates.append((_misfit(K, known, facts, T), _leverage(slopes[name]), mu, slopes))
     if not candidates:
+        ratio = abs(ll[0, 1]) / (ll[0, 0] + ll[1, 1])
+        if known == ['skew'] and ratio < 1 / LEVERAGE_LIMIT:
+            return NoEstimate(
+                'The known skew cannot fix the camera: the horizon is inclined by only '
+                f'{np.degrees(ratio):.2g} degrees.', 'ill_conditioned')
         return failure
     _, _, mu, slopes = min(candidates, key=lambda c: (c[0], c[1]) if len(known) > 1 else c[1])
     leverage = {name: _leverage(slopes[name]) for name in slopes}
@@ -207,9 +215,9 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     if joint > LEVERAGE_LIMIT:
         tilt = np.degrees(np.arctan2(abs(working.horizon[0]), abs(working.horizon[1])))
         return NoEstimate(
-            f'The known {" and ".join(known).replace("_", " ")} cannot fix the focal length: an '
-            f'error of 0.001 would change it by {0.1 * joint:.3g} % (horizon inclined by '
-            f'{tilt:.2g} degrees).', 'ill_conditioned')
+            f'The known {" and ".join(known).replace("_", " ")} cannot fix the camera: an error '
+            f'in it comes out {joint:.3g} times as large, more than {LEVERAGE_LIMIT:g} (the '
+            f'horizon is inclined by {tilt:.2g} degrees).', 'ill_conditioned')
     if len(known) > 1:
         mu = _weighed(C, ll, mu, known, facts, T)
     K = _camera(C, ll, mu)

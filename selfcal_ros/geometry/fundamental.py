@@ -70,6 +70,11 @@ class PairMatches:
         second[valid, :2] = np.concatenate([b for _, b in pairs]) * scale + shift
         return cls(first, second, valid.astype(float), transform)
 
+    def subset(self, rows) -> PairMatches:
+        """Keep the pairs of the given rows."""
+        return PairMatches(self.first[rows], self.second[rows], self.weight[rows],
+                           self.transform)
+
     @property
     def counts(self) -> np.ndarray:
         """Matches per pair, shape (n,)."""
@@ -233,37 +238,40 @@ def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40):
         J^T J.
 
     """
+    state = tuple(np.array(s) for s in state)
     F, dF = model(state)
+    dF = np.array(dF)
     cost, gradient, matrix = normal_equations(data, F)
     damping = np.full(len(cost), 1e-3)
     floor = data.counts * ROUNDING_PX ** 2
-    active = np.ones(len(cost), bool)
+    rows = np.arange(len(cost))
+    part = data
     for _ in range(iterations):
-        turned = np.swapaxes(dF, 1, 2)
-        A = turned @ matrix @ dF
-        g = (turned @ gradient[..., None])[..., 0]
+        slopes = dF[rows]
+        turned = np.swapaxes(slopes, 1, 2)
+        A = turned @ matrix[rows] @ slopes
+        g = (turned @ gradient[rows, :, None])[..., 0]
         scale = np.einsum('npp->np', A)
         scale = np.maximum(scale, 1e-12 * scale.max(axis=1, keepdims=True) + 1e-300)
-        damped = A + (damping[:, None] * scale)[..., None] * np.eye(A.shape[1])
+        damped = A + (damping[rows, None] * scale)[..., None] * np.eye(A.shape[1])
         change = -np.linalg.solve(damped, g[..., None])[..., 0]
-        trial = step(state, change)
+        trial = step(tuple(s[rows] for s in state), change)
         new_F, new_dF = model(trial)
-        new = normal_equations(data, new_F)
-        better = active & (new[0] < cost)
-        gain = cost - new[0]
-        damping = np.where(better, damping / 10, damping * 10)
-        state = tuple(_choose(better, t, s) for t, s in zip(trial, state))
-        dF, gradient = _choose(better, new_dF, dF), _choose(better, new[1], gradient)
-        matrix = _choose(better, new[2], matrix)
-        cost = np.where(better, new[0], cost)
-        active &= ~(better & (gain < 1e-9 * cost)) & (damping < 1e9) & (cost > floor)
-        if not active.any():
+        new = normal_equations(part, new_F)
+        better = new[0] < cost[rows]
+        gain = cost[rows] - new[0]
+        damping[rows] *= np.where(better, 0.1, 10)
+        won = rows[better]
+        for old, values in zip((*state, dF, gradient, matrix, cost),
+                               (*trial, new_dF, new[1], new[2], new[0])):
+            old[won] = values[better]
+        keep = (~(better & (gain < 1e-8 * cost[rows])) & (damping[rows] < 1e6)
+                & (cost[rows] > floor[rows]))
+        if not keep.all():
+            rows, part = rows[keep], part.subset(keep)
+        if not len(rows):
             break
     return state, cost, np.swapaxes(dF, 1, 2) @ matrix @ dF
-
-
-def _choose(mask, yes, no):
-    return np.where(mask.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)
 
 
 # ---- general motion: F = U diag(cos s, sin s, 0) V^T, seven degrees of freedom

@@ -265,7 +265,7 @@ def refine_batch(data: PairMatches, L, V, own, iterations: int = 60):
             break
         gain = cost.sum() - new[0].sum()
         (L, V, own), (F, common, single), (cost, gradient, matrix) = trial, model, new
-        if gain < 1e-9 * cost.sum() or cost.sum() < floor:
+        if gain < 1e-8 * cost.sum() or cost.sum() < floor:
             break
     return L, V, own, cost, count
 
@@ -304,8 +304,9 @@ def _image_influence(data: PairMatches, F, common, single):
     S = A - (B @ np.swapaxes(back, 1, 2)).sum(axis=0)
     # gradient of the globals with the pairs' own parameters eliminated
     reduced = np.swapaxes(common, 1, 2) - back @ np.swapaxes(single, 1, 2)
-    by_residual = np.linalg.solve(S, np.einsum('ngi,nmri->gnmr', reduced, slope,
-                                               optimize=True).reshape(4, -1))
+    # where v is open along m the pseudo-inverse leaves that direction out
+    by_residual = np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ np.einsum(
+        'ngi,nmri->gnmr', reduced, slope, optimize=True).reshape(4, -1)
     by_residual = by_residual.reshape(4, *residuals.shape)
     line_b = data.first @ np.swapaxes(F, 1, 2)
     line_a = data.second @ F

@@ -33,12 +33,19 @@ def level_horizon(rng, noise_px: float = 0.1, pitch_deg: float = 20.0,
 
 
 def circular_motion(rng, noise_px: float = 0.1, views: int = 3, step_deg: float = 10.0,
-                    **options) -> PointSequence:
-    """SI on a turntable: the camera circles the axis through the grid's centre, facing it."""
+                    aside: float = 0.0, **options) -> PointSequence:
+    """
+    SI on a turntable: the camera circles an axis, facing it with aside = 0.
+
+    With `aside` the axis stands so far to the left of the grid's centre, in units of the grid's
+    side, that the principal point does not lie on the image of the axis.
+    """
     mount = mount_from_axis(si_axis() if options.get('axis') is None else options['axis'])
-    radius = 4.0 * (mount.T[:2, 2] @ mount.T[:2, 2]) ** 0.5
+    centre = np.array([4.0 * mount[2, 0], aside])
     angles = np.radians(step_deg) * np.arange(views)
-    positions = radius * np.column_stack([1 - np.cos(angles), -np.sin(angles)])
+    c, s = np.cos(angles), np.sin(angles)
+    positions = centre - np.column_stack([c * centre[0] - s * centre[1],
+                                          s * centre[0] + c * centre[1]])
     return sequence_si(rng, noise_px, views, step_deg, positions=positions, **options)
 
 
