@@ -15,8 +15,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 import itertools
+import os
 
 import numpy as np
 
@@ -31,6 +33,8 @@ _PROBE_FRAMES = 6
 _MOST_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
+#: Positions less certain than four times the median are dropped; bounds of that limit.
+_SIGMA_LIMIT_PX = (0.08, 0.5)
 
 
 @dataclass(frozen=True)
@@ -160,9 +164,10 @@ def _wide(frames, report, max_keyframes, seed, notes):
         indices, images = [indices[k] for k in chosen], [images[k] for k in chosen]
     if stride > 1 or len(indices) < len(stamps):
         notes.append(f'{len(indices)} of the frames were used, evenly spaced.')
-    for gray in images:
-        features.append(detect(gray))
-        report('features', len(features))
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        for found in pool.map(detect, images):
+            features.append(found)
+            report('features', len(features))
     size = (last[1], last[0])
     matches, division = match_pairs(features, propose_pairs(features), size, seed,
                                     lambda share: report('matching', share))
@@ -180,7 +185,9 @@ def _wide(frames, report, max_keyframes, seed, notes):
     xy = np.concatenate([feature.xy for feature in features])[node]
     size_px = np.concatenate([feature.size_px for feature in features])[node]
     report('registration', 0)
-    xy, good = refine(images, image, track, xy, size_px)
+    xy, good, sigma_px = refine(images, image, track, xy, size_px)
+    if good.any():
+        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *_SIGMA_LIMIT_PX)
     notes.append(f'{(~good).sum()} of {len(good)} positions could not be registered to '
                  'sub-pixel accuracy and were dropped.')
     tracks = Tracks(keyframes[image[good]], track[good], xy[good], size, stamps)

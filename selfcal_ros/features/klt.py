@@ -23,6 +23,9 @@ from selfcal_ros.features.registration import PatchRegistration, Templates
 _FLOW = {'winSize': (15, 15), 'maxLevel': 4,
          'criteria': (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03)}
 
+#: A position less certain than this is not worth an observation.
+_SIGMA_LIMIT_PX = 0.25
+
 
 def corners(gray: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
             quality: float = 0.002, border_px: int = 10) -> np.ndarray:
@@ -191,7 +194,8 @@ class KltTracker:
             self._templates, smooth, begin, self._affine, iterations=5, tolerance_px=0.02)
         found = found + (affine @ self._residue[:, :, None])[:, :, 0]
         size = np.sqrt(np.abs(np.linalg.det(affine)))
-        good = ((correlation > self.least_correlation) & (step < 0.1)
+        sigma = self._templates.position_sigma(correlation)
+        good = ((correlation > self.least_correlation) & (step < 0.1) & (sigma < _SIGMA_LIMIT_PX)
                 & (np.linalg.norm(found - there, axis=1) < 2.0) & (size > 0.4) & (size < 2.5))
         margin = self._registration.half_px
         limit = np.array(gray.shape[::-1]) - 1 - margin

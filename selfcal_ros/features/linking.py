@@ -105,10 +105,13 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     -------
     xy : ndarray, shape (N, 2)
     registered : ndarray of bool, shape (N,)
+    sigma_px : ndarray, shape (N,)
+        Standard deviation of each coordinate, predicted from texture and likeness; 0 for the
+        references.
 
     """
     if not len(track):
-        return xy.copy(), np.zeros(0, bool)
+        return xy.copy(), np.zeros(0, bool), np.zeros(0)
     order = np.lexsort((image, track))
     first = np.searchsorted(track[order], np.arange(track.max() + 1))
     length = np.bincount(track)
@@ -116,6 +119,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     coarseness = np.clip(np.round(np.log2(size_px[reference] / 1.8)), 0, _LEVELS - 1).astype(int)
     refined, registered = xy.copy(), np.zeros(len(xy), bool)
     registered[reference] = True
+    sigma = np.zeros(len(xy))
     smooth = [_pyramid(gray) for gray in images]
     for level in range(_LEVELS):
         scale = 2.0 ** level
@@ -144,7 +148,8 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
             good = (correlation > _LEAST_CORRELATION) & (step < 0.05) & (shift < 2.5)
             refined[rows[good]] = found[good] * scale
             registered[rows[good]] = True
-    return refined, registered
+            sigma[rows] = scale * templates.position_sigma(correlation, at)
+    return refined, registered, sigma
 
 
 def _pyramid(gray):

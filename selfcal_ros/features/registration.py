@@ -59,6 +59,15 @@ class Templates:
         """Keep the templates of an index or a mask."""
         return Templates(self.values[index], self.solver[index], self.sigma[index])
 
+    def position_sigma(self, correlation: np.ndarray, index=slice(None)) -> np.ndarray:
+        """
+        Predict the standard deviation in pixels of registered positions.
+
+        What the correlation lacks to 1 is taken as noise: two normalised patches with noise of
+        standard deviation n correlate by 1 - n^2 / 2.
+        """
+        return 100 * self.sigma[index] * np.sqrt(2 * np.clip(1 - correlation, 0, 1))
+
     def extended(self, other: Templates) -> Templates:
         """Append other templates."""
         return Templates(*(np.concatenate(pair) for pair in (
