@@ -1,0 +1,69 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Calibrate the camera of a robot while it drives; from a live camera, or from a bag.
+
+ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw camera_name:=front
+ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.conditions import LaunchConfigurationNotEquals
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+ARGUMENTS = {
+    'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
+    'bag': ('', 'play this bag instead of listening to a camera'),
+    'rate': ('1.0', 'playback speed'),
+    'loop': ('false', 'play the bag again and again'),
+    'namespace': ('', 'namespace of all nodes; one for each camera'),
+    'camera_name': ('camera', 'name in the calibration file'),
+    'output': ('', 'calibration file; empty: where camera drivers look'),
+    'auto_save': ('false', 'write the file after every estimate'),
+    'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
+                                          'agv.yaml']), 'parameters of the nodes'),
+}
+
+
+def generate_launch_description():
+    """Start tracker and calibrator, and the player where a bag is given."""
+    value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    text = {name: ParameterValue(value[name], value_type=str)
+            for name in ('bag', 'camera_name', 'output')}
+    topics = [('image', value['image']), ('image/compressed', [value['image'], '/compressed'])]
+    profiles = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config', 'fastdds.xml'])
+    return LaunchDescription([
+        *(DeclareLaunchArgument(name, default_value=default, description=description)
+          for name, (default, description) in ARGUMENTS.items()),
+        SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
+        Node(package='selfcal_ros', executable='planar_calibrator', output='screen',
+             namespace=value['namespace'],
+             parameters=[value['params_file'],
+                         {'camera_name': text['camera_name'], 'output': text['output'],
+                          'auto_save': ParameterValue(value['auto_save'], value_type=bool)}]),
+        Node(package='selfcal_ros', executable='feature_tracker', output='screen',
+             namespace=value['namespace'], parameters=[value['params_file']],
+             remappings=topics),
+        Node(package='selfcal_ros', executable='bag_player', output='screen',
+             namespace=value['namespace'], remappings=topics,
+             condition=LaunchConfigurationNotEquals('bag', ''),
+             parameters=[value['params_file'],
+                         {'bag': text['bag'],
+                          'rate': ParameterValue(value['rate'], value_type=float),
+                          'loop': ParameterValue(value['loop'], value_type=bool)}]),
+    ])

@@ -1,0 +1,201 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The session that the calibrator node drives: keyframes, bounded memory, resets, requests."""
+
+import numpy as np
+import pytest
+
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
+                                                      SessionSettings)
+from selfcal_ros.synthetic.special_scenes import drive
+
+SIZE = (640, 480)
+STEP_NS = 33_000_000
+
+
+def panning(step_px, frames, width=4000, seed=0):
+    """Yield ids and positions of a camera that slides along a wall of points."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform((0, 0), (width, 480), (width // 4, 2))
+    for k in range(frames):
+        xy = points - (k * step_px, 0)
+        seen = np.flatnonzero((xy[:, 0] >= 0) & (xy[:, 0] < 640))
+        yield seen, xy[seen]
+
+
+def fed(settings=SessionSettings(), step_px=10, frames=100):
+    session = CalibrationSession(settings)
+    for k, (ids, xy) in enumerate(panning(step_px, frames)):
+        session.add_tracks(k * STEP_NS, ids, xy, SIZE)
+    return session
+
+
+class FakeCalibration:
+    """Stands for a calibration; true."""
+
+    camera = 'a camera'
+
+
+def test_keyframes_are_one_step_of_parallax_apart():
+    session = fed(step_px=10, frames=30)
+    step = SessionSettings().parallax * np.hypot(*SIZE)
+    gaps = np.diff([frame.index for frame in session.keyframes])
+    assert (gaps == np.ceil(step / 10)).all()
+
+
+def test_a_robot_that_stands_gathers_nothing():
+    session = fed(step_px=0, frames=50)
+    assert len(session.keyframes) == 1
+    assert session.snapshot().frames == 50
+
+
+def test_memory_is_bounded_and_the_views_stay_spread_and_connected():
+    settings = SessionSettings(max_keyframes=12)
+    session = fed(settings, step_px=20, frames=170)
+    frames = session.keyframes
+    assert len(frames) <= 12
+    for before, after in zip(frames, frames[1:]):
+        assert np.intersect1d(before.ids, after.ids).size >= settings.min_common
+    # no more than the newest gap may differ from an even spread
+    gaps = np.diff([frame.index for frame in frames])
+    assert gaps.max() <= 3 * np.median(gaps)
+
+
+def test_an_empty_image_is_no_keyframe():
+    session = CalibrationSession()
+    session.add_tracks(0, [], np.zeros((0, 2)), SIZE)
+    assert not session.keyframes
+    assert session.request() is None
+
+
+def test_points_that_are_not_finite_or_twice_there_are_left_out():
+    session = CalibrationSession()
+    xy = np.random.default_rng(0).uniform(0, 400, (20, 2))
+    xy[3] = np.nan
+    ids = np.arange(20)
+    ids[5] = 4
+    session.add_tracks(0, ids, xy, SIZE)
+    assert session.keyframes[0].ids.tolist() == [i for i in range(20) if i not in (3, 5)]
+
+
+def test_time_that_jumps_back_starts_anew():
+    session = fed(frames=40)
+    ids, xy = next(panning(10, 1))
+    assert 'jumped back' in session.add_tracks(0, ids, xy, SIZE)
+    assert session.snapshot().frames == 1
+    assert len(session.keyframes) == 1
+
+
+def test_a_message_that_was_overtaken_is_ignored():
+    session = fed(frames=40)
+    ids, xy = next(panning(10, 1))
+    assert session.add_tracks(38 * STEP_NS, ids, xy, SIZE) == ''
+    assert session.snapshot().frames == 40
+
+
+def test_images_that_change_size_start_anew():
+    session = fed(frames=40)
+    ids, xy = next(panning(10, 1))
+    assert '640x480 to 320x240' in session.add_tracks(41 * STEP_NS, ids, xy, (320, 240))
+    assert session.snapshot().image_size == (320, 240)
+
+
+def test_estimates_come_when_there_is_enough_new():
+    settings = SessionSettings(first_estimate=5, growth=0.5)
+    session = CalibrationSession(settings)
+    due = []
+    for k, (ids, xy) in enumerate(panning(30, 30)):
+        session.add_tracks(k * STEP_NS, ids, xy, SIZE)
+        if session.is_due():
+            due.append(len(session.keyframes))
+            request = session.request()
+            assert not session.is_due() and session.request() is None, 'one at a time'
+            session.accept(request, NotCalibrated('not yet'))
+    assert due == [5, 10, 20]
+    assert session.is_due(idle=True), 'when nothing more comes, the rest is used'
+    session.accept(session.request(), NotCalibrated('not yet'))
+    assert not session.is_due(idle=True)
+
+
+def test_a_failure_leaves_the_calibration_that_there_is():
+    session = fed()
+    first = session.request()
+    assert session.accept(first, FakeCalibration())
+    again = session.request()
+    assert again.start is session.calibration
+    session.accept(again, NotCalibrated('worse'))
+    assert isinstance(session.calibration, FakeCalibration)
+    assert session.snapshot().failure.reason == 'worse'
+
+
+def test_a_result_that_was_asked_for_before_a_reset_is_dropped():
+    session = fed()
+    request = session.request()
+    session.reset()
+    assert not session.accept(request, FakeCalibration())
+    assert session.calibration is None
+    assert not session.snapshot().estimating
+
+
+def test_the_request_passes_on_facts_start_and_clean_tracks():
+    facts = CameraFacts(aspect_ratio=1.0, skew=0.0)
+    session = fed(SessionSettings(facts=facts))
+    session.accept(session.request(), FakeCalibration())
+    asked = {}
+
+    def calibrate(tracks, **options):
+        asked.update(options, tracks=tracks)
+        return NotCalibrated('a wall tells nothing')
+
+    request = session.request()
+    assert isinstance(request, EstimateRequest)
+    assert not request.run(calibrate)
+    assert asked['facts'] is facts and asked['start'] == 'a camera'
+    assert asked['tracks'].image_size == SIZE
+    assert len(asked['tracks']) > 0.9 * len(request.tracks)
+
+
+@pytest.mark.parametrize('settings', [{'parallax': 0.0}, {'first_estimate': 2},
+                                      {'first_estimate': 50, 'max_keyframes': 40}])
+def test_impossible_settings_are_refused(settings):
+    with pytest.raises(ArgumentError):
+        SessionSettings(**settings)
+
+
+def test_a_drive_is_calibrated_and_gets_better():
+    sequence = drive(np.random.default_rng(4), noise_px=0.1, views=24, tracks=1200)
+    tracks = sequence.tracks
+    session = CalibrationSession(SessionSettings(
+        parallax=1e-3, facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')))
+    results = []
+    for frame in tracks.frames:
+        mask = tracks.frame == frame
+        session.add_tracks(int(frame) * STEP_NS, tracks.track[mask], tracks.xy[mask],
+                           (sequence.camera.width, sequence.camera.height))
+        if session.is_due():
+            request = session.request()
+            session.accept(request, request.run())
+            results.append(session.calibration)
+    request = session.request()
+    session.accept(request, request.run())
+    last = session.calibration
+    assert last, session.snapshot().failure
+    error = last.camera.parameters - sequence.camera.parameters
+    for name, value in zip(('fx', 'fy', 'cx', 'cy'), error):
+        assert abs(value) < 4 * last.sigma[name], (name, value, last.sigma[name])
+    earlier = [result for result in results if result]
+    assert earlier and last.sigma['fx'] < earlier[0].sigma['fx']
