@@ -370,26 +370,6 @@ def test_wrong_paths(tmp_path):
         open_source(text, image_size=(0, 5))
 
 
-def test_the_bag_writer_leaves_nothing_half_written(tmp_path):
-    def broken():
-        yield frames()[0]
-        raise RuntimeError('camera unplugged')
-
-    with pytest.raises(RuntimeError):
-        write_image_bag(tmp_path / 'bag', broken())
-    with pytest.raises(InputError, match='no images'):
-        write_image_bag(tmp_path / 'bag', [])
-    assert list(tmp_path.iterdir()) == []
-    write_image_bag(tmp_path / 'bag', frames())
-    with pytest.raises(InputError, match='exists already'):
-        write_image_bag(tmp_path / 'bag', frames())
-    with pytest.raises(InputError, match='cannot be written'):
-        write_image_bag(tmp_path / 'bag' / 'metadata.yaml' / 'x', frames())
-    for wrong in ({'topic': 'no slash'}, {'storage': 'csv'}, {'compressed': 'gif'}):
-        with pytest.raises(ArgumentError):
-            write_image_bag(tmp_path / 'other', frames(), **wrong)
-
-
 def test_real_images():
     root = next((parent / 'shared' / 'data' for parent in Path(__file__).resolve().parents
                  if (parent / 'shared' / 'data').is_dir()), None)
