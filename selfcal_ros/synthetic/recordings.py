@@ -27,15 +27,13 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.synthetic import worlds
+from selfcal_ros.synthetic.paths import drive_path, look_at, planar_poses
 from selfcal_ros.synthetic.render import quantise, Renderer, Scene
 
 #: k1, k2, p1, p2, k3 of a common wide-angle lens.
 REALISTIC_DISTORTION = (-0.12, 0.05, 0.0, 0.0, 0.0)
 #: Time of the first image.
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
-
-# base frame x forward, y left, z up (REP 103) to optical frame x right, y down, z forward
-_OPTICAL_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -149,90 +147,6 @@ def default_camera(size=(640, 480), distortion=()) -> Camera:
     K = [[520 * scale, 0, 328.5 * scale - 0.5],
          [0, 520 * scale, (235.5 - 240) * scale + size[1] / 2 - 0.5], [0, 0, 1]]
     return Camera(K, distortion, *size)
-
-
-def drive_path(count: int, length_m: float = 3.2, left_deg: float = 65.0,
-               right_deg: float = 55.0, start_deg: float = -25.0):
-    """
-    Sample an S-shaped path: a turn to the left, then one to the right.
-
-    Parameters
-    ----------
-    count : int
-        Positions, equally spaced along the path; the path does not depend on it.
-    length_m : float
-        Length of the path of the rear axle.
-    left_deg, right_deg : float
-        Change of heading in each turn.
-    start_deg : float
-        First heading, from x towards y.
-
-    Returns
-    -------
-    xy : ndarray, shape (count, 2)
-        Axle positions in metres.
-    heading_rad : ndarray, shape (count,)
-
-    """
-    s = np.linspace(0, 1, 4001)
-    share = left_deg / (left_deg + right_deg)
-    bend = np.tanh((share - s) / 0.03)  # +1 to the left, -1 to the right
-    rate = np.where(bend > 0, bend * left_deg, bend * right_deg)
-    middle = (s[1:] + s[:-1]) / 2
-    step = np.interp(middle, s, rate)
-    for turn, total in ((step > 0, left_deg), (step < 0, right_deg)):
-        step[turn] *= total / np.abs(step[turn]).sum()
-    heading = np.deg2rad(start_deg + np.append(0, np.cumsum(step)))
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    xy = np.concatenate([[[0, 0]], np.cumsum((ahead[1:] + ahead[:-1]) / 2, axis=0)])
-    xy *= length_m / (len(s) - 1)
-    at = np.linspace(0, 1, count)
-    return (np.stack([np.interp(at, s, axis) for axis in xy.T], axis=1),
-            np.interp(at, s, heading))
-
-
-def planar_poses(xy, heading_rad, height_m: float, ahead_m: float, pitch_deg: float,
-                 roll_deg: float = 0.0) -> np.ndarray:
-    """
-    Poses of a camera fixed to a vehicle on a plane.
-
-    Parameters
-    ----------
-    xy : ndarray, shape (V, 2)
-        Positions of the vehicle.
-    heading_rad : ndarray, shape (V,)
-        Its headings, from x towards y.
-    height_m, ahead_m : float
-        The camera's place above the ground and ahead of the vehicle's centre.
-    pitch_deg : float
-        How far the optical axis points down.
-    roll_deg : float
-        Rotation about the optical axis.
-
-    Returns
-    -------
-    ndarray, shape (V, 3, 4)
-        cam_from_world.
-
-    """
-    mount = Rotation.from_euler('xz', [pitch_deg, -roll_deg], degrees=True).as_matrix()
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    base_from_world = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
-    R = mount @ _OPTICAL_FROM_BASE @ np.moveaxis(base_from_world, 2, 0)
-    centre = np.column_stack([xy[:, 0] + ahead_m * c, xy[:, 1] + ahead_m * s, height_m * one])
-    return np.concatenate([R, -R @ centre[:, :, None]], axis=2)
-
-
-def look_at(centre, target, up=(0.0, 0.0, 1.0)) -> np.ndarray:
-    """Pose (3, 4) of a camera at `centre` whose optical axis passes through `target`."""
-    centre = np.asarray(centre, float)
-    z = np.asarray(target, float) - centre
-    z /= np.linalg.norm(z)
-    x = np.cross(z, up)
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return np.column_stack([R, -R @ centre])
 
 
 def agv_drive(views: int = 24, size=(640, 480), camera: Camera | None = None,
@@ -365,8 +279,9 @@ def turntable(views: int = 36, step_deg: float = 10.0, size=(640, 480),
             'background': background, 'noise_sigma': noise_sigma, 'dirt': dirt,
             'rate_hz': rate_hz, 'seed': seed}
     camera = camera or default_camera(size, distortion)
-    fixed = look_at([-0.75, 0.0, 0.42], [0.0, 0.0, 0.04])
-    turn = Rotation.from_euler('z', np.arange(views) * step_deg, degrees=True).as_matrix()
+    fixed = look_at([-0.6, 0.0, 0.36], [0.0, 0.0, 0.03])
+    turn = Rotation.from_rotvec(
+        np.deg2rad(step_deg) * np.arange(views)[:, None] * [0, 0, 1]).as_matrix()
     poses = np.concatenate([fixed[:, :3] @ turn,
                             np.broadcast_to(fixed[:, 3:], (views, 3, 1))], axis=2)
     surfaces = worlds.turntable(np.random.default_rng([seed, 0]))

@@ -157,7 +157,7 @@ def box(rng, centre, size, yaw_rad: float, style: Style, body: int = 0) -> list[
     faces = [(corner, x, z), (corner + x, y, z), (corner + x + y, -x, z), (corner + y, -y, z),
              (corner + z, x, y)]
     # v runs down the image on the sides: start at the top edge and let u run the other way
-    return [rectangle(rng, o, u, v, style, np.clip(mean + rng.uniform(-35, 35), 50, 205), body)
+    return [rectangle(rng, o, u, v, style, np.clip(mean + rng.uniform(-35, 35), 55, 180), body)
             for o, u, v in faces]
 
 
@@ -200,7 +200,7 @@ def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) 
     path_xy, heading_rad = np.asarray(path_xy, float), np.asarray(heading_rad, float)
     low = np.append(path_xy.min(axis=0) - [2.0, 3.2], 0.0)
     high = np.append(path_xy.max(axis=0) + [4.5, 3.2], 3.0)
-    floor = Style(texel_m=0.006, smallest_m=0.035, largest_m=0.7, cover=1.0)
+    floor = Style(texel_m=0.006, smallest_m=0.045, largest_m=0.7, cover=0.9, contrast=60.0)
     ceiling = Style(texel_m=0.02, smallest_m=0.1, largest_m=1.0, cover=0.8, contrast=40.0)
     surfaces = room(rng, low, high, floor, ceiling)
     placed = []
@@ -222,13 +222,13 @@ def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) 
         if any(np.hypot(*(xy - other)) < radius + r + 0.1 for other, r in placed):
             continue
         placed.append((xy, radius))
-        style = Style(smallest_m=rng.uniform(0.015, 0.035), largest_m=rng.uniform(0.15, 0.35),
-                      cover=rng.uniform(0.7, 1.2), contrast=rng.uniform(55, 85))
+        style = Style(smallest_m=rng.uniform(0.018, 0.035), largest_m=rng.uniform(0.15, 0.35),
+                      cover=rng.uniform(0.7, 1.2), contrast=rng.uniform(45, 70))
         surfaces += box(rng, np.append(xy, 0.0), size, rng.uniform(0, np.pi), style)
     return surfaces
 
 
-def bench_top(rng, boxes: int = 14) -> list[Surface]:
+def bench_top(rng, boxes: int = 16) -> list[Surface]:
     """
     Lay out a bench top inside a small room, for a camera about a metre above the origin.
 
@@ -244,11 +244,11 @@ def bench_top(rng, boxes: int = 14) -> list[Surface]:
     list of Surface
 
     """
-    fine = Style(texel_m=0.0016, smallest_m=0.008, largest_m=0.15)
-    coarse = Style(texel_m=0.006, smallest_m=0.03, largest_m=0.4)
+    fine = Style(texel_m=0.002, smallest_m=0.011, largest_m=0.2, cover=0.8, contrast=60.0)
+    coarse = Style(texel_m=0.006, smallest_m=0.04, largest_m=0.5, cover=0.8, contrast=50.0)
     surfaces = room(rng, [-2.5, -2.5, -0.75], [2.5, 2.5, 2.25], coarse, coarse)
     surfaces.append(rectangle(rng, [-0.9, -0.75, 0.0], [1.8, 0, 0], [0, 1.5, 0], fine, 140.0))
-    return surfaces + scatter(rng, boxes, 0.62, fine)
+    return surfaces + scatter(rng, boxes, 0.55, fine, largest_m=0.4)
 
 
 def turntable(rng, boxes: int = 7) -> list[Surface]:

@@ -1,0 +1,112 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Make the recorded sequences of this folder again, with their truth beside them.
+
+Run from the root of the repository: ``python bags/make_recordings.py [--output DIR] [NAME ...]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+import shutil
+import tempfile
+
+from msg_adapters.image import compressed_image_message
+from msg_adapters.message_types import rosbags_types
+from msg_adapters.stamps import header_message
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+from selfcal_ros.synthetic import recordings
+
+TOPIC = '/camera/image_raw/compressed'
+FRAME_ID = 'camera_optical_frame'
+JPEG_QUALITY = 90
+_KIND = 'sensor_msgs/msg/CompressedImage'
+
+
+def agv_drive() -> recordings.Recording:
+    """Drive an S of 3.2 m at 0.54 m/s: 90 images at 15 Hz."""
+    return recordings.agv_drive(90, distortion=recordings.REALISTIC_DISTORTION)
+
+
+def arm_move() -> recordings.Recording:
+    """Move the arm over the bench: 8 translations, 8 rotations, 8 general moves."""
+    return recordings.arm_move(24, distortion=recordings.REALISTIC_DISTORTION, rate_hz=2.0)
+
+
+#: Name of the bag's folder to what makes it.
+RECIPES = {'agv_drive': agv_drive, 'arm_move': arm_move}
+
+
+def write(name: str, output) -> Path:
+    """
+    Write the bag ``<output>/<name>`` and ``<output>/<name>.truth.json``, replacing both.
+
+    Parameters
+    ----------
+    name : str
+        One of `RECIPES`.
+    output : str or Path
+        Folder that exists.
+
+    Returns
+    -------
+    Path
+        The bag.
+
+    """
+    recording, output = RECIPES[name](), Path(output)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = rosbags_types(store)
+    with tempfile.TemporaryDirectory(dir=output) as temporary:
+        # the file inside is named after the folder
+        bag = Path(temporary) / name
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection(TOPIC, _KIND, typestore=store)
+            for image, stamp_ns in recording.frames():
+                header = header_message(stamp_ns, FRAME_ID, types)
+                message = compressed_image_message(image, header, types, 'jpeg', JPEG_QUALITY)
+                writer.write(connection, stamp_ns, store.serialize_cdr(message, _KIND))
+        if (output / name).exists():
+            shutil.rmtree(output / name)
+        os.replace(bag, output / name)
+    recordings.write_truth(recording, output / f'{name}.truth.json')
+    return output / name
+
+
+def main(arguments=None) -> None:
+    """Read the command line and write the bags."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('names', nargs='*', metavar='NAME',
+                        help=f'which recordings to make: {", ".join(RECIPES)}; all by default')
+    parser.add_argument('--output', type=Path, default=Path(__file__).parent,
+                        help='folder to write to; this one by default')
+    options = parser.parse_args(arguments)
+    unknown = set(options.names) - set(RECIPES)
+    if unknown:
+        parser.error(f'unknown recording {sorted(unknown)[0]!r}; choose from '
+                     f'{", ".join(RECIPES)}')
+    for name in options.names or RECIPES:
+        bag = write(name, options.output)
+        size = sum(file.stat().st_size for file in bag.iterdir())
+        print(f'{bag}: {size / 1e6:.2f} MB')
+
+
+if __name__ == '__main__':
+    main()
