@@ -41,7 +41,7 @@ def decode_file(data, colour: bool = False) -> np.ndarray:
     ----------
     data : bytes or ndarray of uint8
     colour : bool
-        Return bgr instead of grey.
+        Return bgr, of images that have colours.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def decode_file(data, colour: bool = False) -> np.ndarray:
         raise InputError('The image is truncated: its end is missing.')
     if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise InputError(f'The image announces {size[0]} x {size[1]} pixels, which is impossible.')
-    flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
+    flags = cv2.IMREAD_ANYCOLOR if colour else cv2.IMREAD_GRAYSCALE
     try:
         image = cv2.imdecode(raw, flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     except (cv2.error, MemoryError):

@@ -124,13 +124,19 @@ class ImageDecoder:
         """
         return self._eight_bits(_convert(*_pixels(msg, colour=True), colour=True))
 
+    def colour(self, msg) -> np.ndarray | None:
+        """Return what `bgr` does, or None where the image has no colours."""
+        samples, order = _pixels(msg, colour=True)
+        return None if order == 'mono' else self._eight_bits(_convert(samples, order, True))
+
     def file_grey(self, data: bytes) -> np.ndarray:
         """Return an encoded image file (jpeg, png, ...) in grey, shape (H, W), uint8."""
         return self._eight_bits(decode_file(data, colour=False))
 
-    def file_bgr(self, data: bytes) -> np.ndarray:
-        """Return an encoded image file in colour, shape (H, W, 3), uint8."""
-        return self._eight_bits(decode_file(data, colour=True))
+    def file_colour(self, data: bytes) -> np.ndarray | None:
+        """Return an encoded image file in bgr, (H, W, 3), uint8; None if it has no colours."""
+        image = decode_file(data, colour=True)
+        return None if image.ndim == 2 else self._eight_bits(image)
 
     def _eight_bits(self, image: np.ndarray) -> np.ndarray:
         """Scale 16 bits to 8 by the depth of the stream."""

@@ -182,7 +182,7 @@ class BagSource(FrameSource):
             name = f'frame {index}'
             try:
                 image = decoder.grey(msg)
-                bgr = decoder.bgr(msg) if self._colour else None
+                bgr = decoder.colour(msg) if self._colour else None
             except InputError as error:
                 raise InputError(f'{self.path}, {self.topic}, {name}: {error}') from error
             stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)

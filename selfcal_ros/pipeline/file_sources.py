@@ -98,7 +98,7 @@ class ImageFolderSource(FrameSource):
             try:
                 data = file.read_bytes()
                 image = decoder.file_grey(data)
-                bgr = decoder.file_bgr(data) if self._colour else None
+                bgr = decoder.file_colour(data) if self._colour else None
             except InputError as error:
                 raise InputError(f'{file}: {error}') from error
             except OSError as error:

@@ -42,7 +42,7 @@ class Frame:
     name : str
         What to call this image before a user: a file name, or the like of 'frame 7'.
     bgr : ndarray of uint8, shape (H, W, 3), or None
-        Colour, where the source was opened with colour=True.
+        Colour, where the source was opened with colour=True and the image has colours.
 
     """
 

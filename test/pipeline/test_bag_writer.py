@@ -25,10 +25,11 @@ def frames():
     return [Frame(k, 1 + k, np.full((6, 8), k, np.uint8)) for k in range(3)]
 
 
-def test_colour_is_written_where_there_is_some(tmp_path):
+@pytest.mark.parametrize('compressed', [None, 'png'])
+def test_colour_is_written_where_there_is_some(tmp_path, compressed):
     bgr = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
     write_image_bag(tmp_path / 'bag', [Frame(0, 1, np.zeros((6, 8), np.uint8), bgr=bgr)],
-                    frame_id='front')
+                    compressed=compressed, frame_id='front')
     with open_source(tmp_path / 'bag', colour=True) as source:
         assert (next(iter(source)).bgr == bgr).all() and source.frame_id == 'front'
 

@@ -107,7 +107,7 @@ def test_compressed_images(tmp_path, storage, codec, tolerance):
         assert source.topic == TOPIC + '/compressed'
         for frame, truth in zip(source, images(), strict=True):
             assert np.abs(frame.image.astype(int) - truth).max() <= tolerance
-            assert frame.bgr.shape == (48, 64, 3)
+            assert frame.bgr is None   # it has no colours
 
 
 def test_ros1_bag(tmp_path):
@@ -270,6 +270,15 @@ def test_image_folder(tmp_path):
         for k, frame in enumerate(source):
             assert (frame.image == truth[k]).all() and frame.name.startswith(f'view{k}.')
     assert 'no topic' in refusal(tmp_path, topic='/camera')
+    bgr = np.dstack([truth[0], truth[1], truth[2]])
+    (tmp_path / 'view5.png').write_bytes(cv2.imencode('.png', bgr)[1].tobytes())
+    # colours with a transparent layer
+    (tmp_path / 'view6.png').write_bytes(
+        cv2.imencode('.png', np.dstack([bgr, truth[3]]))[1].tobytes())
+    with open_source(tmp_path, colour=True) as source:
+        colours = [frame.bgr for frame in source]
+    assert [k for k, colour in enumerate(colours) if colour is not None] == [5, 6]
+    assert (colours[5] == bgr).all() and (colours[6] == bgr).all()
 
 
 def test_sixteen_bit_files_and_the_orientation_of_the_sensor(tmp_path):
