@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.circular import calibrate_circular
 from selfcal_ros.calibration.pair_tests import classify_pairs, FLOOR_PX, PairVerdicts
 from selfcal_ros.calibration.pencil import calibrate_from_fixed_points, PencilCalibration
 from selfcal_ros.calibration.result import FixedPoints
@@ -35,12 +36,13 @@ from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairM
                                               refine_general)
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
 from selfcal_ros.geometry.projective import (canonical_transform, completed_frame,
-                                             transform_points, unit, unit_covariance)
+                                             transform_points, unit, unit_covariance,
+                                             weighted_mean)
 from selfcal_ros.geometry.ransac import ransac_fundamental
 from selfcal_ros.geometry.trifocal import circular_image, circular_points
 
-__all__ = ['calibrate_from_fixed_points', 'fixed_points', 'FixedPointEstimate',
-           'PencilCalibration']
+__all__ = ['calibrate_estimate', 'calibrate_from_fixed_points', 'fixed_points',
+           'FixedPointEstimate', 'PencilCalibration']
 
 #: The screw axes count as one, so that v is undetermined, below this mean squared deviation in
 #: sigmas per degree of freedom.
@@ -162,6 +164,21 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
                               frames[np.asarray(used)], kappas, screw_axis, notes)
 
 
+def calibrate_estimate(estimate: FixedPointEstimate, facts):
+    """
+    Pick the camera that agrees with the facts, by the rule that fits the motion.
+
+    Returns
+    -------
+    PencilCalibration or NoEstimate
+        See `pencil.calibrate_from_fixed_points` and `circular.calibrate_circular`.
+
+    """
+    if estimate.motion == 'circular':
+        return calibrate_circular(estimate.fixed.circular_point, estimate.screw_axis, facts)
+    return calibrate_from_fixed_points(estimate.fixed, facts)
+
+
 def _observation_identity(wanted, both, width, track_count):
     """Identity (n, width, 2) of every match's observation in its second and first view."""
     identity = np.full((len(wanted), width, 2), -1)
@@ -264,7 +281,7 @@ def _own_lines(state, data, cost, hessian):
 def _common_axis(data, state, cost, hessian):
     """Mean screw axis in pixels, and how far the pairs' own ones deviate from it."""
     _, _, axes, axis_cov = _own_lines(state, data, cost, hessian)
-    mean, _ = planar_pairs.weighted_mean(axes, axis_cov)
+    mean, _ = weighted_mean(axes, axis_cov)
     frame = completed_frame(mean)
     flat = axes @ frame
     offset = flat[:, 1:] / flat[:, :1]
@@ -277,7 +294,7 @@ def _pairs_method(data, result, state, cost, hessian):
     """Means of the pairs' own l and m with their covariances (6.4, 6.5, C.5)."""
     lines, line_cov, axes, axis_cov = _own_lines(state, data, cost, hessian)
     T = data.transform
-    line, cov_l = planar_pairs.weighted_mean(lines, line_cov)
+    line, cov_l = weighted_mean(lines, line_cov)
     v = np.linalg.svd(axes)[2][-1]
     for _ in range(5):
         weight = 1 / np.maximum(np.einsum('i,nij,j->n', v, axis_cov, v), 1e-300)

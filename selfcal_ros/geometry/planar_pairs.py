@@ -376,34 +376,3 @@ def result_in_pixels(data: PairMatches, L, V, own, cost, covariance, share,
     axes = np.cos(own[:, 1:2]) * V[:, 1] + np.sin(own[:, 1:2]) * V[:, 2]
     return PlanarPairs(line, point, line_cov, point_cov, data.pixels_F(F), unit(axes @ T),
                        pair_residuals(data, F), float(noise), iterations)
-
-
-def weighted_mean(vectors, covariances) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Covariance-weighted mean of homogeneous vectors that should be equal (6.4, 6.5).
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (n, 3)
-        Unit norm, any sign.
-    covariances : ndarray, shape (n, 3, 3)
-
-    Returns
-    -------
-    mean : ndarray, shape (3,)
-        Unit norm.
-    covariance : ndarray, shape (3, 3)
-
-    """
-    mean = vectors[np.argmin(np.trace(covariances, axis1=1, axis2=2))]
-    for _ in range(3):
-        frame = completed_frame(mean)
-        signed = vectors * np.sign(vectors @ mean)[:, None]
-        flat = signed @ frame
-        offset = flat[:, 1:] / flat[:, :1]
-        tangent = frame[:, 1:].T @ covariances @ frame[:, 1:]
-        information = np.linalg.pinv(tangent, hermitian=True)
-        covariance = np.linalg.pinv(information.sum(axis=0), hermitian=True)
-        step = covariance @ (information @ offset[..., None])[..., 0].sum(axis=0)
-        mean = unit(mean + frame[:, 1:] @ step)
-    return mean, frame[:, 1:] @ covariance @ frame[:, 1:].T

@@ -185,6 +185,37 @@ def euclidean_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
     return x[:2] / x[2], jacobian @ covariance @ jacobian.T
 
 
+def weighted_mean(vectors, covariances) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Covariance-weighted mean of homogeneous vectors that should be equal (6.4, 6.5).
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (n, 3)
+        Unit norm, any sign.
+    covariances : ndarray, shape (n, 3, 3)
+
+    Returns
+    -------
+    mean : ndarray, shape (3,)
+        Unit norm.
+    covariance : ndarray, shape (3, 3)
+
+    """
+    mean = vectors[np.argmin(np.trace(covariances, axis1=1, axis2=2))]
+    for _ in range(3):
+        frame = completed_frame(mean)
+        signed = vectors * np.sign(vectors @ mean)[:, None]
+        flat = signed @ frame
+        offset = flat[:, 1:] / flat[:, :1]
+        tangent = frame[:, 1:].T @ covariances @ frame[:, 1:]
+        information = np.linalg.pinv(tangent, hermitian=True)
+        covariance = np.linalg.pinv(information.sum(axis=0), hermitian=True)
+        step = covariance @ (information @ offset[..., None])[..., 0].sum(axis=0)
+        mean = unit(mean + frame[:, 1:] @ step)
+    return mean, frame[:, 1:] @ covariance @ frame[:, 1:].T
+
+
 def iac_from_calibration(K) -> np.ndarray:
     """Image of the absolute conic, (K K^T)^-1, shape (3, 3)."""
     inverse = np.linalg.inv(K)
