@@ -122,7 +122,12 @@ class Prior:
 
 
 def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
-    """Translate facts to measurements of the internal parameters; sigma 0 holds one."""
+    """
+    Translate facts to measurements of the internal parameters; sigma 0 holds one.
+
+    A distortion model that is not chosen yet ('auto') counts as 'radial2'.
+    """
+    free = DISTORTION_MODELS.get(facts.distortion, DISTORTION_MODELS['radial2'])
     priors = {}
     if facts.aspect_ratio is not None:
         priors[ASPECT] = Prior(facts.aspect_ratio, facts.aspect_ratio_sigma)
@@ -132,7 +137,7 @@ def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
         priors[CX] = Prior(facts.principal_point[0], facts.principal_point_sigma_px)
         priors[CY] = Prior(facts.principal_point[1], facts.principal_point_sigma_px)
     for name in ('k1', 'k2', 'p1', 'p2'):
-        if name not in DISTORTION_MODELS[facts.distortion]:
+        if name not in free:
             priors[PARAMETER_NAMES.index(name)] = Prior(0.0, 0.0)
     return priors
 
@@ -146,6 +151,27 @@ class Linearisation:
     shared: np.ndarray
     view: np.ndarray
     point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """
+    What an optimum rests on.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (n, n)
+        Of the shared and per-view unknowns, for independent noise.
+    influence : ndarray, shape (N, 11)
+        Share of every observation in the errors of the shared unknowns.
+    freedom_share : float
+        Degrees of freedom over the number of measured coordinates.
+
+    """
+
+    covariance: np.ndarray
+    influence: np.ndarray
+    freedom_share: float
 
 
 class Bundle:
@@ -442,34 +468,40 @@ class Bundle:
             sigma = float(np.sqrt(np.mean(np.minimum(distance, limit)**2) / (expected * share)))
         return max(sigma, 1e-9)
 
-    def covariance(self, state: BundleState) -> np.ndarray:
+    def evidence(self, state: BundleState) -> Evidence:
         """
-        Covariance of the shared and per-view unknowns at the optimum, shape (n, n).
+        Covariance at the optimum, and the influence of every observation.
 
-        First order, for the noise `sigma_px`; the Huber loss enters by the ratio of the mean of
-        ψ² to the square of the mean of ψ' (Huber 1981, 7.6). Held unknowns have zero rows.
-        Directions that neither the data nor a fact determine come out very large, not infinite.
+        First order. For independent noise of the level `sigma_px` the covariance is the inverse
+        of the normal matrix; the Huber loss enters by the ratio of the mean of ψ² to the square
+        of the mean of ψ' (Huber 1981, 7.6). Held unknowns have zero rows. Directions that
+        neither the data nor a fact determine come out very large, not infinite.
         """
-        system = self.normal_equations(state, robust=False)
+        system, _ = self._weighted(state, 0.0)
         distance = np.linalg.norm(self.residuals(state), axis=1) / self.sigma_px
         distance = distance[np.isfinite(distance)]
         # residuals are smaller than the noise by the square root of this
         share = max(self.degrees_of_freedom, 1) / (2 * len(distance))
         distance = distance / np.sqrt(share)
         psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2
+        weight = np.mean(huber_weights(distance, HUBER_SIGMAS))
         # beyond the threshold ψ' remains only across the residual's direction
         slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
                                  0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
-        inflation = psi_square / slope**2
         index = np.flatnonzero(self.free)
         H = system.matrix[np.ix_(index, index)]
         root = np.sqrt(np.maximum(np.diag(H), 1e-300))
         values, vectors = np.linalg.eigh(H / np.outer(root, root))
         values = np.maximum(values, 1e-13 * values[-1])
-        part = (vectors / values) @ vectors.T / np.outer(root, root)
-        result = np.zeros((len(self.free), len(self.free)))
-        result[np.ix_(index, index)] = inflation * part
-        return result
+        inverse = np.zeros((len(self.free), len(self.free)))
+        inverse[np.ix_(index, index)] = (vectors / values) @ vectors.T / np.outer(root, root)
+        # `matrix` carries the weights, whose mean differs from that of ψ'
+        influence = system.influence(inverse[:SHARED]) * weight / slope
+        return Evidence(inverse * psi_square * weight / slope**2, influence, share)
+
+    def covariance(self, state: BundleState) -> np.ndarray:
+        """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
+        return self.evidence(state).covariance
 
     def with_sigma(self, sigma_px: float) -> Bundle:
         """Return the same problem with another noise level."""

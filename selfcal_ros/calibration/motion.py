@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import BundleState, SHARED
+from selfcal_ros.calibration.bundle import BundleState
 from selfcal_ros.calibration.start import centres_from_state
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 
@@ -84,15 +84,13 @@ class PathDescription:
                 'principal point or a simpler distortion model as a fact.')
 
 
-def describe_path(state: BundleState, covariance: np.ndarray, exact: bool) -> PathDescription:
+def describe_path(state: BundleState, exact: bool) -> PathDescription:
     """
     Classify the motion of an optimum of the planar bundle adjustment.
 
     Parameters
     ----------
     state : BundleState
-    covariance : ndarray, shape (n, n)
-        Of the shared and per-view unknowns.
     exact : bool
         Whether the motion is exactly planar as far as the data can tell.
 
@@ -109,8 +107,7 @@ def describe_path(state: BundleState, covariance: np.ndarray, exact: bool) -> Pa
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     notes = []
     motion, refusal = 'planar', ''
-    sigma = np.sqrt(np.maximum(np.diag(covariance)[SHARED::6], 0))
-    if rotation < max(LEAST_ROTATION_RAD, 3 * float(sigma.max())):
+    if rotation < LEAST_ROTATION_RAD:
         motion = 'translation'
         refusal = (f'The camera did not rotate ({np.degrees(rotation):.2f} degrees in all); '
                    'planar self-calibration needs rotation.')

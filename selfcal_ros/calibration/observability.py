@@ -50,7 +50,7 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
     if facts.principal_point is not None and facts.principal_point_sigma_px == 0:
         held['cx'] = held['cy'] = 'principal point = ({:g}, {:g})'.format(*facts.principal_point)
     for name in ('k1', 'k2', 'p1', 'p2'):
-        if name not in DISTORTION_MODELS[facts.distortion]:
+        if name not in DISTORTION_MODELS.get(facts.distortion, ()):
             held[name] = f'distortion = {facts.distortion}'
     return held
 

@@ -225,6 +225,9 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
         return K
     K = np.linalg.solve(T, K)
     K = np.triu(K / K[2, 2])
+    if abs(K[0, 1]) > K[0, 0]:
+        return NoEstimate(f'The only camera that fits has a skew of {K[0, 1]:.3g} px at a focal '
+                          f'length of {K[0, 0]:.3g} px, which is no camera.', 'indefinite')
     return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage)
 
 

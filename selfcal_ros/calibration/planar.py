@@ -22,16 +22,18 @@ same bundle adjustment on a small share of the tracks, the best one is finished 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, K1, K2, MotionModel,
                                             parameter_covariance, Prior, priors_from_facts, SKEW)
+from selfcal_ros.calibration.dependence import assess_dependence, Dependence
 from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
-from selfcal_ros.calibration.refine import (bundle_of, Fit, fit_with_planarity, NEARLY_PLANAR,
-                                            Observations, with_all_points)
+from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
+                                            fit_robustly, NEARLY_PLANAR, Observations, refit,
+                                            with_all_points)
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
 from selfcal_ros.calibration.start import planar_start
@@ -54,6 +56,8 @@ GOOD_ENOUGH = 1.25
 START_TRACKS_PER_VIEW = 40
 #: Tracks per view that the estimate uses; more add time and little accuracy.
 TRACKS_PER_VIEW = 600
+#: Tracks per view on which the distortion model and the planarity are decided.
+MODEL_TRACKS_PER_VIEW = 100
 #: Fewer degrees of freedom than this cannot check themselves.
 MINIMUM_FREEDOM = 12
 
@@ -190,12 +194,56 @@ def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts
         return refuse('No focal length between 0.45 and 4.2 times the image width gives a '
                       'consistent reconstruction.')
     start, _ = chosen
-    start = with_all_points(start, observations)
-    if start is None:
+    medium, _ = observations.select(observations.longest(MODEL_TRACKS_PER_VIEW))
+    state = with_all_points(start, medium)
+    if state is None:
         return refuse('The distortion of the best start cannot be undone over the whole image.')
-    fit, exact = fit_with_planarity(observations, start, priors_from_facts(facts),
-                                    1.5 * problem.noise_px)
-    return conclude(fit, exact, problem, graph)
+    model = choose_model(problem, medium, state)
+    facts = model.facts
+    state = with_all_points(model.fit.state, observations)
+    if state is None:
+        return refuse(f'The distortion found ({facts.distortion}) cannot be undone over the '
+                      'whole image.', 'State a simpler distortion model.')
+    fit = fit_robustly(observations, state, model.fit.bundle.motion, priors_from_facts(facts),
+                       model.fit.bundle.sigma_px)
+    return conclude(fit, model.exact, replace(problem, facts=facts), graph)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What was decided on a share of the tracks: distortion, and how planar the motion is."""
+
+    fit: Fit
+    facts: CameraFacts
+    exact: bool
+
+
+def choose_model(problem: Problem, observations: Observations, state: BundleState) -> Model:
+    """Choose the distortion model, if the facts leave it open, and how planar the motion is."""
+    facts = problem.facts
+    soft = start_priors(problem)
+    fit = fit_robustly(observations, state, NEARLY_PLANAR, soft, 1.5 * problem.noise_px)
+    dependence = dependence_of(fit, problem.size).inflation**2
+    if facts.distortion == 'auto':
+        def determined(trial: Fit, trial_facts: CameraFacts) -> bool:
+            covariance = parameter_covariance(trial.bundle.covariance(trial.state),
+                                              trial.state.intrinsics) * dependence
+            status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
+            return 'unobservable' not in status.values()
+
+        fit, facts = choose_distortion(fit, facts, dependence, determined)
+    else:
+        fit = replace(fit, bundle=bundle_of(fit.observations, NEARLY_PLANAR,
+                                            priors_from_facts(facts), fit.bundle.sigma_px))
+        fit = refit(fit, NEARLY_PLANAR)
+    fit, exact = choose_motion(fit, dependence)
+    return Model(fit, facts, exact)
+
+
+def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:
+    """Assess how far the residuals of a fit are from independent."""
+    return assess_dependence(fit.bundle.evidence(fit.state), fit.observations.point,
+                             fit.observations.view, fit.observations.xy, size)
 
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
@@ -212,13 +260,13 @@ def conclude(fit: Fit, exact: bool, problem: Problem, graph: ViewGraph,
     facts, state = problem.facts, fit.state
     frames = tuple(int(f) for f in graph.frames)
     camera = state.camera(*problem.size)
-    full = fit.bundle.covariance(state)
-    covariance = parameter_covariance(full, state.intrinsics)
+    dependence = dependence_of(fit, problem.size)
+    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
     held = held_facts(facts)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
-    path = describe_path(state, full, exact)
+    path = describe_path(state, exact)
     status = parameter_status(camera, covariance, facts)
     residuals = fit.bundle.residuals(state)
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
@@ -236,4 +284,4 @@ def conclude(fit: Fit, exact: bool, problem: Problem, graph: ViewGraph,
                                       fit.observations.track, state.points),
         fixed_points=FixedPoints(np.linalg.solve(K.T, axis), K @ axis,
                                  K @ (state.mount[:, 0] + 1j * state.mount[:, 1])),
-        notes=path.notes, residuals=residuals)
+        notes=path.notes + dependence.notes(), residuals=residuals)

@@ -15,13 +15,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Bundle, BundleState, MotionModel, Prior, rescale
+from selfcal_ros.calibration.bundle import (Bundle, BundleState, K1, K2, MotionModel, P1, P2,
+                                            Prior, priors_from_facts, rescale)
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import CameraFacts, DISTORTION_MODELS
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
@@ -30,6 +32,11 @@ OUTLIER_SIGMAS = 4.0
 #: How far a vehicle may leave the plane, before it is told apart from an exact plane: one
 #: degree, and two hundredths of the distance between views.
 NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
+#: Models that are tried when none is stated. Tangential distortion is not among them: it trades
+#: against the principal point, which planar motion determines weakly enough.
+AUTOMATIC_DISTORTION = ('none', 'radial1', 'radial2')
+#: A distortion coefficient is taken when it lowers the cost by the square of so many sigmas.
+DISTORTION_GAIN = 3.5
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -193,39 +200,84 @@ def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fi
     return Fit(bundle, state, fit.observations, fit.outliers)
 
 
-def fit_with_planarity(observations: Observations, state: BundleState, priors, sigma_px,
-                       ) -> tuple[Fit, bool]:
+def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
     """
-    Fit nearly planar motion, then decide whether the plane is exact.
+    Decide whether the plane of motion is exact.
 
-    The exact plane is kept when its cost exceeds that of the relaxed motion by no more than its
-    additional degrees of freedom explain (a likelihood ratio test at 4 sigma). Otherwise the
-    out-of-plane sigmas are estimated from the data.
+    It is when its cost exceeds that of the relaxed motion by no more than the additional
+    freedom explains (a likelihood ratio test at 4 sigma). Otherwise the out-of-plane sigmas are
+    estimated from the data.
+
+    Parameters
+    ----------
+    relaxed : Fit
+        Of nearly planar motion.
+    dependence : float
+        Variance of the estimate over that with independent errors; the excess is divided by it.
 
     Returns
     -------
     fit : Fit
     exact : bool
-        Whether the motion is exactly planar as far as the data can tell.
 
     """
-    relaxed = fit_robustly(observations, state, NEARLY_PLANAR, priors, sigma_px)
     exact = refit(relaxed, MotionModel(), flatten(relaxed.state))
-    views = len(state.views)
-    freedom = 3 * views - 4
-    excess = 2 * (exact.cost - relaxed.cost)
-    # in relaxed the noise was fitted with the additional freedom
+    freedom = 3 * len(relaxed.state.views) - 1
+    excess = 2 * (exact.cost - relaxed.cost) / dependence
     if excess <= freedom + 4 * np.sqrt(2 * freedom):
-        return fit_robustly(relaxed.observations, exact.state, MotionModel(), priors,
-                            relaxed.bundle.sigma_px), True
+        return exact, True
     fit = relaxed
     for _ in range(3):
+        before = fit.bundle.motion
         tilt, height = out_of_plane(fit)
         fit = refit(fit, MotionModel(tilt, height))
-    return fit_robustly(fit.observations, fit.state, fit.bundle.motion, priors,
-                        fit.bundle.sigma_px), False
+        if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
+            break
+    return fit, False
 
 
-def camera_of(state: BundleState, size: tuple[int, int]) -> Camera:
-    """Return the camera of a state."""
-    return state.camera(*size)
+def choose_distortion(fit: Fit, facts: CameraFacts, dependence: float,
+                      determined: Callable[[Fit, CameraFacts], bool]) -> tuple[Fit, CameraFacts]:
+    """
+    Choose the simplest distortion model that the images do not reject.
+
+    A richer model is taken when it lowers the cost by more than chance (`DISTORTION_GAIN`
+    sigmas, dependence of the errors considered) and the camera remains determined.
+
+    Parameters
+    ----------
+    fit : Fit
+        With all coefficients free.
+    facts : CameraFacts
+        Its distortion is 'auto'.
+    dependence : float
+        Variance of the estimate over that with independent errors.
+    determined : callable
+        Whether a fit under facts determines the camera.
+
+    Returns
+    -------
+    Fit, CameraFacts
+        The latter with the model chosen.
+
+    """
+    best = None
+    for name in AUTOMATIC_DISTORTION:
+        free = DISTORTION_MODELS[name]
+        trial_facts = replace(facts, distortion=name)
+        priors = priors_from_facts(trial_facts)
+        intrinsics = fit.state.intrinsics.copy() if best is None else best.state.intrinsics.copy()
+        for index in (K1, K2, P1, P2):
+            if index in priors:
+                intrinsics[index] = 0.0
+        start = fit.state if best is None else best.state
+        bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
+        state = bundle.optimise(replace(start, intrinsics=intrinsics), 25, 0.1)
+        trial = Fit(bundle, state, fit.observations, fit.outliers)
+        if best is None:
+            best, chosen, cost, terms = trial, trial_facts, trial.cost, len(free)
+            continue
+        gain = 2 * (cost - trial.cost) / dependence
+        if (gain > DISTORTION_GAIN**2 * (len(free) - terms)) and determined(trial, trial_facts):
+            best, chosen, cost, terms = trial, trial_facts, trial.cost, len(free)
+    return best, chosen

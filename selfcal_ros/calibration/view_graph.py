@@ -23,13 +23,15 @@ from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry import fundamental
+from selfcal_ros.geometry.ransac import ransac_fundamental
 
 #: Every view is compared with so many successors.
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little.
 MINIMUM_MATCHES = 12
-#: Least threshold of an inlier's distance from its epipolar line, pixels.
+#: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
+RANSAC_MATCHES = 300
+#: Largest distance of an inlier from the epipolar geometry, pixels.
 EPIPOLAR_THRESHOLD_PX = 1.5
 
 
@@ -58,6 +60,28 @@ class ViewGraph:
     pairs: list
     noise_px: float
     rejected: int
+
+
+def sampson_distances(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
+    """
+    Signed first-order distances of matches from an epipolar geometry.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+    xy_a, xy_b : ndarray, shape (M, 2)
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        Pixels; with noise of sigma in every coordinate their spread is sigma.
+
+    """
+    lines_b = xy_a @ F[:, :2].T + F[:, 2]
+    lines_a = xy_b @ F[:2] + F[2]
+    value = np.sum(xy_b * lines_b[:, :2], axis=1) + lines_b[:, 2]
+    square = np.sum(lines_a[:, :2]**2, axis=1) + np.sum(lines_b[:, :2]**2, axis=1)
+    return value / np.sqrt(np.maximum(square, 1e-300))
 
 
 def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
@@ -103,15 +127,18 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
         rows_a, rows_b = row[a, both], row[b, both]
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        found = fundamental.ransac_fundamental(xy_a, xy_b, threshold_px=EPIPOLAR_THRESHOLD_PX, rng=rng)
-        if not found or found.inliers.sum() < MINIMUM_MATCHES:
+        few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
+        found = ransac_fundamental(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
+        if not found:
             continue
-        inlier = found.inliers
+        distance = sampson_distances(found.F, xy_a, xy_b)
+        inlier = np.abs(distance) < EPIPOLAR_THRESHOLD_PX
+        if inlier.sum() < MINIMUM_MATCHES:
+            continue
         for rows in (rows_a, rows_b):
             used[rows] += 1
             votes[rows] += inlier
-        distance = found.distances[inlier]
-        spreads.append((1.4826 * np.median(np.abs(distance))
+        spreads.append((1.4826 * np.median(np.abs(distance[inlier]))
                         * np.sqrt(inlier.sum() / max(inlier.sum() - 7, 1)), inlier.sum()))
         pairs.append(PairGeometry(int(a), int(b), found.F, both[inlier], xy_a[inlier],
                                   xy_b[inlier]))

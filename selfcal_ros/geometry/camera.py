@@ -25,7 +25,7 @@ from selfcal_ros.errors import ArgumentError
 #: Order of the calibration parameters in every covariance, status table and JSON file.
 PARAMETER_NAMES = ('fx', 'fy', 'cx', 'cy', 'skew', 'k1', 'k2', 'p1', 'p2')
 
-#: Distortion coefficients that each model leaves free.
+#: Distortion coefficients that each model leaves free, from the simplest to the richest.
 DISTORTION_MODELS = {
     'none': (),
     'radial1': ('k1',),
@@ -180,8 +180,9 @@ class CameraFacts:
         In pixels. None: not known.
     aspect_ratio_sigma, skew_sigma_px, principal_point_sigma_px : float
         Standard deviation of each fact; 0 means exact, and the parameter is held.
-    distortion : {'none', 'radial1', 'radial2', 'plumb_bob'}
-        Which distortion coefficients are estimated; the others are held at zero.
+    distortion : {'auto', 'none', 'radial1', 'radial2', 'plumb_bob'}
+        Which distortion coefficients are estimated; the others are held at zero. 'auto': the
+        simplest model that the images do not reject.
 
     Raises
     ------
@@ -196,13 +197,13 @@ class CameraFacts:
     aspect_ratio_sigma: float = 0.0
     skew_sigma_px: float = 0.0
     principal_point_sigma_px: float = 0.0
-    distortion: str = 'radial2'
+    distortion: str = 'auto'
 
     def __post_init__(self):
         """Refuse impossible facts."""
-        if self.distortion not in DISTORTION_MODELS:
+        if self.distortion not in ('auto', *DISTORTION_MODELS):
             raise ArgumentError(f'Distortion model {self.distortion!r} is unknown; choose one of '
-                                f'{", ".join(DISTORTION_MODELS)}.')
+                                f'auto, {", ".join(DISTORTION_MODELS)}.')
         if self.aspect_ratio is not None and not (
                 math.isfinite(self.aspect_ratio) and 0.1 <= self.aspect_ratio <= 10):
             raise ArgumentError('The aspect ratio fy/fx must lie between 0.1 and 10, '

@@ -205,6 +205,35 @@ class ReducedSystem:
             half[members] += (M @ local).reshape(-1, 3)
         return -np.einsum('pji,pj->pi', self._inverse_root, half)
 
+    def influence(self, rows: np.ndarray) -> np.ndarray:
+        """
+        First-order effect of every observation's residual on linear forms of the unknowns.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (k, n)
+            Linear forms times the inverse of `matrix`.
+
+        Returns
+        -------
+        ndarray, shape (N, k)
+            Their sum over the observations is the step -rows · gradient.
+
+        """
+        g = self._shared
+        rest = np.einsum('nmk,nm->nk', self.jac_rest, self.residual)
+        by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1).transpose(1, 2, 0)
+        effect = rest[:, :g] @ rows[:, :g].T
+        effect += np.einsum('nv,nvk->nk', rest[:, g:], by_view[self.blocks.view])
+        through_points = np.empty((self.blocks.point_count, 3, len(rows)))
+        for members, M, own in self._factors:
+            local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
+            through_points[members] = (M @ local.T).reshape(len(members), 3, -1)
+        own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
+        half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
+        effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
+        return -effect
+
     def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
         """Change J · step of the residuals (N, m) to first order."""
         g = self._shared
@@ -248,7 +277,9 @@ class DampedFactor:
     def __init__(self, matrix, diagonal, damping, free):
         self._index = np.flatnonzero(free)
         self._size = len(diagonal)
-        self._root = np.sqrt(np.maximum(diagonal[self._index], 1e-30))
+        scale = np.maximum(diagonal[self._index], 1e-300)
+        # an unknown that nothing measures must not blow up the scaled matrix
+        self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
         H = matrix[np.ix_(self._index, self._index)] / np.outer(self._root, self._root)
         H[np.diag_indices_from(H)] += damping
         try:
