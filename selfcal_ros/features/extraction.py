@@ -169,11 +169,15 @@ def _wide(frames, report, max_keyframes, seed, notes):
             features.append(found)
             report('features', len(features))
     size = (last[1], last[0])
-    matches, division = match_pairs(features, propose_pairs(features), size, seed,
-                                    lambda share: report('matching', share))
+    matches, division, static = match_pairs(features, propose_pairs(features), size, seed,
+                                            lambda share: report('matching', share))
     image, place, track, contradictory = link(features, matches)
     if division:
         notes.append(f'Verified with division-model distortion {division:g}.')
+    if static:
+        notes.append(f'Up to {static} matches a pair stay still in the image while the scene '
+                     "moves (dirt, the robot's own body, background of a turntable); they had no "
+                     'vote on the geometry.')
     if contradictory:
         notes.append(f'{contradictory} tracks that contradicted themselves were dropped.')
     keyframes = np.array(indices)
@@ -228,7 +232,7 @@ def _finish(tracks, notes, seed):
     tracks, static = drop_static(tracks)
     if static:
         notes.append(f'{static} tracks stay still in the image while the scene moves (dirt, the '
-                     "robot's own body, background of a turntable) and were dropped.")
+                     "robot's own body, background of a turntable); they were dropped.")
     tracks, removed, _ = verify(tracks, seed=seed)
     if removed:
         notes.append(f'{removed} positions that contradict the epipolar geometry were dropped.')

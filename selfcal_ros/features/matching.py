@@ -22,6 +22,7 @@ import os
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
                                            sampson_distance, straighten)
@@ -199,6 +200,8 @@ def _distinctive(first: Features, second: Features, product: np.ndarray):
 
     The squares of a chessboard pass the usual test where the right partner is out of view.
     """
+    if not product.size:
+        return np.empty(0, int), np.empty(0, int)
     a = np.arange(len(product))
     b = product.argmax(axis=1)
     best = product[a, b]
@@ -293,6 +296,8 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
     for i in range(count):
         for j in range(i + neighbours + 1, count):
             product = coarse[i] @ coarse[j].T
+            if not product.size:
+                continue
             a, b = np.arange(len(product)), product.argmax(axis=1)
             best = product[a, b]
             product[a, b] = -1
@@ -302,6 +307,16 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
         nearest = np.argsort(-shared[i], kind='stable')[:relatives]
         pairs |= {(min(i, j), max(i, j)) for j in nearest.tolist() if shared[i, j] >= 12}
     return sorted(pairs)
+
+
+def _agrees_with_neighbours(xy_a, xy_b, neighbours: int = 8, agreeing: int = 2):
+    """Tell which matches move like some of those next to them; on a line chance has its way."""
+    if len(xy_a) <= neighbours:
+        return np.ones(len(xy_a), bool)
+    distance, near = cKDTree(xy_a).query(xy_a, neighbours + 1)
+    motion = xy_b - xy_a
+    differs = np.linalg.norm(motion[near[:, 1:]] - motion[:, None], axis=2)
+    return (differs < 5 + 0.4 * distance[:, 1:]).sum(axis=1) >= agreeing
 
 
 def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
@@ -319,7 +334,7 @@ def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
 
 
 def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
-                seed: int = 0, progress=None) -> tuple[list[PairMatches], float]:
+                seed: int = 0, progress=None) -> tuple[list[PairMatches], float, int]:
     """
     Match image pairs, first the distinctive features, then all along epipolar lines.
 
@@ -342,6 +357,8 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         Only pairs whose geometry was found.
     division : float
         Distortion used for the verification, see `epipolar`.
+    static : int
+        Largest number of matches of one pair that stayed still while others moved.
 
     """
     def compare(pair):
@@ -362,9 +379,10 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
     division = choose_division([_moving(features, pairs[k], seeds[k]) for k in richest],
                                image_size)
     straight = [straighten(feature.xy, division, image_size) for feature in features]
-    matches = []
+    matches, static = [], 0
     for count, ((i, j), (a, b, candidates)) in enumerate(zip(pairs, seeds)):
         use = moving_part(features[i].xy[a], features[j].xy[b])
+        static = max(static, int((~use).sum()))
         F = estimate_fundamental(straight[i][a[use]], straight[j][b[use]], 1.5, seed=seed)
         if F is None:
             continue
@@ -378,11 +396,13 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         if refined is None:
             continue
         good = np.abs(sampson_distance(refined, straight[i][a], straight[j][b])) < 1.5
+        a, b = a[good], b[good]
+        good = _agrees_with_neighbours(features[i].xy[a], features[j].xy[b])
         if good.sum() >= 16:
             matches.append(PairMatches(i, j, a[good], b[good], refined))
         if progress:
             progress(0.8 + 0.2 * (count + 1) / len(pairs))
-    return matches, division
+    return matches, division, static
 
 
 def _moving(features, pair, seed):

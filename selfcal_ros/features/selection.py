@@ -119,7 +119,7 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0):
     return tracks.select(~static[inverse]), int(static.sum())
 
 
-def verify(tracks: Tracks, gaps=(1, 2, 4), threshold_px: float = 1.5, least_views: int = 2,
+def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_views: int = 2,
            seed: int = 0):
     """
     Remove what contradicts the epipolar geometry between frames.

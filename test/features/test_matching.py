@@ -1,0 +1,131 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Wide-baseline matching against known geometry."""
+
+import cv2
+from feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
+import numpy as np
+import pytest
+from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
+                                           sampson_distance, straighten)
+from selfcal_ros.features.linking import link
+from selfcal_ros.features.matching import (detect, Features, match_pairs, moving_part,
+                                           PairMatches, propose_pairs)
+
+SIZE = (WIDTH, HEIGHT)
+
+
+def test_keypoints_lie_on_the_centres_of_blobs():
+    y, x = np.mgrid[:120, :160].astype(float)
+    centres = np.array([[40.3, 50.6], [101.8, 61.1]])
+    image = np.full(x.shape, 30.0)
+    for cx, cy in centres:
+        image += 180 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * 4.0 ** 2))
+    found = detect(np.round(image).astype(np.uint8)).xy
+    for centre in centres:
+        assert np.linalg.norm(found - centre, axis=1).min() < 0.1
+
+
+def test_half_size_search_keeps_the_coordinates():
+    y, x = np.mgrid[:1100, :1200].astype(float)
+    image = 30 + 180 * np.exp(-((x - 600.4) ** 2 + (y - 500.7) ** 2) / (2 * 7.0 ** 2))
+    found = detect(np.round(image).astype(np.uint8)).xy
+    assert np.linalg.norm(found - [600.4, 500.7], axis=1).min() < 0.15
+
+
+@pytest.mark.parametrize('ahead, wrong', [(None, 0.002), (chessboard(), 0.02)])
+def test_matches_obey_the_true_geometry_even_with_a_chessboard_in_view(ahead, wrong):
+    room = Room(ahead=ahead)
+    cameras = [pose(0, 0, 0, 10), pose(0.4, 0.3, 8, 10)]
+    features = [detect(room.image(camera)) for camera in cameras]
+    (pair,), _, static = match_pairs(features, [(0, 1)], SIZE)
+    a, b = features[0].xy[pair.a], features[1].xy[pair.b]
+    assert len(a) > 200 and static == 0
+    expected = room.transfer(a, *cameras)
+    assert np.mean(np.linalg.norm(b - expected, axis=1) > 3) < wrong
+    residual = sampson_distance(true_fundamental(*cameras), a, b)
+    assert 1.4826 * np.median(np.abs(residual)) < 0.35
+
+
+def test_distorted_matches_are_straightened():
+    rng = np.random.default_rng(4)
+    points = rng.uniform([-3, -2, 3], [3, 2, 9], (600, 3))
+    pairs = []
+    for turn in (0.05, 0.15):
+        R = cv2.Rodrigues(np.array([0.02, turn, 0.0]))[0]
+        views = []
+        for moved in (points, points @ R.T + [0.5, 0.0, 0.3]):
+            n = moved[:, :2] / moved[:, 2:]
+            r2 = (n ** 2).sum(axis=1, keepdims=True)
+            views.append(n * (1 - 0.25 * r2 + 0.05 * r2 ** 2) * 260 + [200, 150])
+        inside = np.all([(v > 0).all(axis=1) & (v < SIZE).all(axis=1) for v in views], axis=0)
+        pairs.append(tuple(v[inside] + rng.normal(0, 0.1, v[inside].shape) for v in views))
+    division = choose_division(pairs, SIZE)
+    assert division < -0.05
+    for a, b in pairs:
+        straight = [straighten(v, division, SIZE) for v in (a, b)]
+        plain = sampson_distance(estimate_fundamental(a, b), a, b)
+        bent = sampson_distance(estimate_fundamental(*straight), *straight)
+        assert np.mean(np.abs(bent) < 0.75) > 0.97
+        assert np.std(bent) < np.std(plain)
+
+
+def test_sampson_distance_has_the_sigma_of_the_noise():
+    rng = np.random.default_rng(6)
+    F = true_fundamental(pose(), pose(0.5, 0.1, 5))
+    room = Room()
+    a = rng.uniform([20, 20], [380, 280], (3000, 2))
+    b = room.transfer(a, pose(), pose(0.5, 0.1, 5))
+    assert np.abs(sampson_distance(F, a, b)).max() < 1e-6
+    noisy = [v + rng.normal(0, 0.5, v.shape) for v in (a, b)]
+    assert abs(sampson_distance(F, *noisy).std() - 0.5) < 0.03
+
+
+def test_static_background_does_not_vote():
+    a = np.random.default_rng(0).uniform(0, 300, (60, 2))
+    b = a.copy()
+    b[:30] += 9
+    assert moving_part(a, b).sum() == 30
+    assert moving_part(a, a + 0.2).all()
+
+
+def _features(count):
+    none = np.empty(0, int)
+    return Features(np.zeros((count, 2)), np.ones(count), np.zeros((count, 128), np.float32),
+                    none, (none, none, np.empty(0, np.float32)))
+
+
+def test_link_joins_pairs_and_drops_contradictions():
+    features = [_features(5)] * 3
+    F = np.eye(3)
+    pairs = [PairMatches(0, 1, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
+             PairMatches(1, 2, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
+             # place 1 of image 0 is said to be place 3 of image 2, which it is not
+             PairMatches(0, 2, np.array([0, 1, 2]), np.array([0, 3, 2]), F)]
+    image, place, track, dropped = link(features, pairs)
+    assert dropped == 0
+    rows = {tuple(sorted(zip(image[track == k].tolist(), place[track == k].tolist())))
+            for k in np.unique(track)}
+    assert ((0, 0), (1, 0), (2, 0)) in rows and ((0, 2), (1, 2), (2, 2)) in rows
+    for row in rows:
+        assert len({i for i, _ in row}) == len(row)
+
+
+def test_images_without_features_match_nothing():
+    blank = detect(np.full((120, 160), 80, np.uint8))
+    assert len(blank.xy) == 0
+    assert propose_pairs([blank] * 12)
+    matches, division, _ = match_pairs([blank] * 3, propose_pairs([blank] * 3), (160, 120))
+    assert matches == [] and division == 0
+    assert link([blank] * 3, matches)[0].size == 0

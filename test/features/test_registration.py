@@ -1,0 +1,67 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Registration of patches against shifts and deformations that are known."""
+
+import cv2
+from feature_scenes import texture
+import numpy as np
+from selfcal_ros.features.registration import PatchRegistration
+
+
+def _scene(affine, shift, gain=1.0, offset=0.0):
+    rng = np.random.default_rng(5)
+    image = cv2.GaussianBlur(texture(rng, 256), (0, 0), 1.0)
+    centre = np.array([128.0, 128.0])
+    forward = np.column_stack([affine, centre + shift - affine @ centre])
+    moved = cv2.warpAffine(image, forward, (256, 256), flags=cv2.INTER_CUBIC,
+                           borderMode=cv2.BORDER_REFLECT)
+    grid = np.arange(70, 190, 12.0)
+    xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    return image, gain * moved + offset, xy, xy @ affine.T + forward[:, 2]
+
+
+def test_affine_motion_with_change_of_light_is_found_to_hundredths_of_a_pixel():
+    affine = np.array([[1.05, 0.04], [-0.06, 0.97]])
+    image, moved, xy, expected = _scene(affine, [0.37, -0.61], 0.7, 25)
+    registration = PatchRegistration(7)
+    templates = registration.templates(image, xy)
+    rng = np.random.default_rng(0)
+    found, deformation, correlation, step = registration.register(
+        templates, moved, expected + rng.uniform(-0.8, 0.8, xy.shape), iterations=15)
+    error = np.linalg.norm(found - expected, axis=1)
+    good = (correlation > 0.9) & (step < 0.02)
+    assert good.mean() > 0.9
+    assert np.median(error[good]) < 0.03
+    assert np.abs(np.median(deformation[good], axis=0) - affine).max() < 0.02
+
+
+def test_predicted_sigma_agrees_with_the_scatter_under_noise():
+    image, moved, xy, expected = _scene(np.eye(2), [0.5, 0.25])
+    rng = np.random.default_rng(1)
+    registration = PatchRegistration(7)
+    templates = registration.templates(image, xy)
+    noisy = (moved + rng.normal(0, 8, moved.shape)).astype(np.float32)
+    found, _, correlation, _ = registration.register(templates, noisy, expected)
+    ratio = (found - expected) / templates.position_sigma(correlation)[:, None]
+    assert 0.5 < 1.4826 * np.median(np.abs(ratio)) < 1.5
+
+
+def test_a_flat_patch_has_no_certain_position():
+    image = np.full((64, 64), 90, np.float32)
+    image += np.random.default_rng(2).normal(0, 0.01, image.shape).astype(np.float32)
+    registration = PatchRegistration(5)
+    templates = registration.templates(image, np.array([[32.0, 32.0]]))
+    other = image + np.random.default_rng(3).normal(0, 1, image.shape).astype(np.float32)
+    _, _, correlation, _ = registration.register(templates, other, np.array([[32.0, 32.0]]))
+    assert correlation[0] < 0.7
