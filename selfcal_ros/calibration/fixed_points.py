@@ -36,8 +36,8 @@ from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairM
                                               refine_general)
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
 from selfcal_ros.geometry.projective import (canonical_transform, completed_frame,
-                                             transform_points, transform_slopes, unit,
-                                             unit_covariance, weighted_mean)
+                                             transform_points, unit, unit_covariance,
+                                             weighted_mean)
 from selfcal_ros.geometry.ransac import ransac_fundamental
 from selfcal_ros.geometry.trifocal import circular_image, circular_points
 
@@ -149,11 +149,11 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     kept, result, motion, screw_axis, unused = found
     l_px, v_px = result.horizon, result.vanishing_point
     H = canonical_transform(l_px, v_px)
-    canonical_xy, slopes = transform_points(H, xy), transform_slopes(H, xy)
+    canonical_xy = transform_points(H, xy)
     good = {tuple(p): None for p in wanted[kept]}
     usable = [t for t in chosen if any(p in good for p in
                                        ((t[0], t[1]), (t[1], t[2]), (t[0], t[2])))]
-    combined = _combine_triplets(canonical_xy, slopes, usable, unused, least_common, most_matches)
+    combined = _combine_triplets(canonical_xy, usable, unused, least_common, most_matches)
     if isinstance(combined, NoEstimate):
         return combined
     kappa, covariance, used, kappas = combined
@@ -308,7 +308,7 @@ def _pairs_method(data, result, state, cost, hessian):
                        result.noise_px, 0)
 
 
-def _combine_triplets(xy, slopes, triplets, unused, least_common, most_matches):
+def _combine_triplets(xy, triplets, unused, least_common, most_matches):
     """Robust covariance-weighted mean of the triplets' circular points."""
     seen = np.isfinite(xy).all(axis=-1)
     if len(unused):
@@ -322,7 +322,7 @@ def _combine_triplets(xy, slopes, triplets, unused, least_common, most_matches):
             continue
         common = np.flatnonzero(common)
         common = common[::-(-len(common) // most_matches)]
-        found = circular_points(*xy[triplet][:, common], slopes[triplet][:, common])
+        found = circular_points(*xy[triplet][:, common])
         if not isinstance(found, NoEstimate):
             used.append(triplet)
             kappas.append(found.kappa)

@@ -44,15 +44,6 @@ def transform_points(H, xy) -> np.ndarray:
     return euclidean(homogeneous(xy) @ np.asarray(H).T)
 
 
-def transform_slopes(H, xy) -> np.ndarray:
-    """Derivative (..., 2, 2) of `transform_points` by the points (..., 2)."""
-    H = np.asarray(H)
-    moved = homogeneous(xy) @ H.T
-    with np.errstate(divide='ignore', invalid='ignore'):
-        target = moved[..., :2] / moved[..., 2:]
-        return (H[:2, :2] - target[..., :, None] * H[2, :2]) / moved[..., 2:, None]
-
-
 def cross_matrix(a) -> np.ndarray:
     """Matrix [a]x of the cross product, (..., 3) to (..., 3, 3)."""
     x, y, z = np.moveaxis(np.asarray(a), -1, 0)

@@ -178,53 +178,15 @@ def canonical_scaling(xy) -> np.ndarray:
     return np.array([[1 / spread, 0, -centre / spread], [0, 1 / height, 0], [0, 0, 1]])
 
 
-def equation_slopes(T, first, second, third) -> np.ndarray:
-    """
-    Derivative of the four equations of each triplet by its six image coordinates.
-
-    Parameters
-    ----------
-    T : ndarray, shape (3, 3, 3)
-    first, second, third : ndarray, shape (m, 2)
-
-    Returns
-    -------
-    ndarray, shape (m, 4, 3, 2)
-        Equation, view, coordinate.
-
-    """
-    count = len(first)
-    x = homogeneous(first)
-    left, right = np.zeros((2, count, 2, 3))
-    left[:, [0, 1], [0, 1]] = right[:, [0, 1], [0, 1]] = 1
-    left[:, :, 2], right[:, :, 2] = -second, -third
-    through = np.einsum('mi,ijk->mjk', x, T)
-    slopes = np.zeros((count, 2, 2, 3, 2))
-    slopes[:, :, :, 0] = np.einsum('maj,mbk,cjk->mabc', left, right, T[:2], optimize=True)
-    by_second = -np.einsum('mbk,mk->mb', right, through[:, 2])
-    by_third = -np.einsum('maj,mj->ma', left, through[:, :, 2])
-    for c in range(2):
-        slopes[:, c, :, 1, c] = by_second
-        slopes[:, :, c, 2, c] = by_third
-    return slopes.reshape(count, 4, 3, 2)
+def _reduced(rows):
+    """Least singular vector of (m, 12) rows, its covariance, and the ratio of singular values."""
+    _, s, Vt = np.linalg.svd(rows, full_matrices=False)
+    variance = s[-1] ** 2 / max(len(rows) // 4 * 3 - 11, 1)
+    spread = (Vt[:-1].T / np.maximum(s[:-1], 1e-300) ** 2) @ Vt[:-1] * variance
+    return Vt[-1], spread, s
 
 
-def _whitened(rows, slopes, pixel_slopes):
-    """
-    Combine four equations of each triplet into three with unit spread for one pixel of noise.
-
-    Noise-free triplets satisfy three independent equations; the fourth direction has next to no
-    noise of its own and would blow up.
-    """
-    J = np.einsum('mevc,vmcp->mevp', slopes, pixel_slopes, optimize=True)
-    J = J.reshape(len(J), 4, 6)
-    values, vectors = np.linalg.eigh(J @ np.swapaxes(J, 1, 2))
-    floor = 1e-12 * values[:, 3:].max(initial=1e-300)
-    weights = vectors[:, :, 1:] / np.sqrt(np.maximum(values[:, None, 1:], floor))
-    return (np.swapaxes(weights, 1, 2) @ rows).reshape(-1, rows.shape[-1])
-
-
-def reduced_tensor(first, second, third, pixel_slopes=None):
+def reduced_tensor(first, second, third):
     """
     Tensor of planar motion in the canonical frame: twelve elements, linearly (B.4).
 
@@ -232,10 +194,6 @@ def reduced_tensor(first, second, third, pixel_slopes=None):
     ----------
     first, second, third : array_like, shape (m, 2)
         In the canonical frame; well conditioned, see `canonical_scaling`.
-    pixel_slopes : ndarray, shape (3, m, 2, 2), optional
-        Derivative of these points by the pixels in which the noise is homogeneous. With it the
-        linear solution is repeated with equations weighted by their noise (the thesis has
-        the first solution only).
 
     Returns
     -------
@@ -244,28 +202,21 @@ def reduced_tensor(first, second, third, pixel_slopes=None):
         Of the elements of `PLANAR_ELEMENTS`, to first order; None with a NoEstimate.
 
     """
-    views = [np.asarray(xy, float) for xy in (first, second, third)]
-    count = len(views[0])
-    if count < 4:
+    if len(first) < 4:
         return NoEstimate('The reduced trifocal tensor needs at least 4 point triplets, 3 and '
-                          f'one to spare; there are {count}.', 'too_few'), None
+                          f'one to spare; there are {len(first)}.', 'too_few'), None
+    equations = point_equations(first, second, third).reshape(-1, 3, 3, 3)
     i, j, k = PLANAR_ELEMENTS.T
-    rows = point_equations(*views)[:, :, i, j, k]
-    equations = rows.reshape(-1, 12)
-    for again in range(1 if pixel_slopes is None else 3):
-        if again:
-            equations = _whitened(rows, equation_slopes(T, *views), pixel_slopes)
-        _, s, Vt = np.linalg.svd(equations, full_matrices=False)
-        if not s[-2] > 1e-11 * s[0]:
-            return NoEstimate('The point triplets leave more than one reduced tensor: equal '
-                              'views or no rotation.', 'ill_conditioned'), None
-        T = np.zeros((3, 3, 3))
-        T[i, j, k] = Vt[-1]
-    variance = s[-1] ** 2 / max(3 * count - 11, 1)
-    return T, (Vt[:-1].T / s[:-1] ** 2) @ Vt[:-1] * variance
+    values, covariance, s = _reduced(equations[:, i, j, k])
+    if not s[-2] > 1e-11 * s[0]:
+        return NoEstimate('The point triplets leave more than one reduced tensor: equal views '
+                          'or no rotation.', 'ill_conditioned'), None
+    T = np.zeros((3, 3, 3))
+    T[i, j, k] = values
+    return T, covariance
 
 
-def circular_points(first, second, third, pixel_slopes=None):
+def circular_points(first, second, third):
     """
     Circular points of one triplet of planar motion (5.25-5.33).
 
@@ -273,8 +224,6 @@ def circular_points(first, second, third, pixel_slopes=None):
     ----------
     first, second, third : array_like, shape (m, 2)
         In the canonical frame.
-    pixel_slopes : ndarray, shape (3, m, 2, 2), optional
-        Derivative of these points by pixels, see `reduced_tensor`.
 
     Returns
     -------
@@ -284,10 +233,8 @@ def circular_points(first, second, third, pixel_slopes=None):
     """
     scaling = canonical_scaling(np.vstack([first, second, third]))
     scale, shift = np.diag(scaling)[:2], scaling[:2, 2]
-    if pixel_slopes is not None:
-        pixel_slopes = scale[:, None] * pixel_slopes
     T, covariance = reduced_tensor(*(np.asarray(xy) * scale + shift
-                                     for xy in (first, second, third)), pixel_slopes)
+                                     for xy in (first, second, third)))
     if not isinstance(T, np.ndarray):
         return T
     cubic = circular_cubic(T)
