@@ -46,7 +46,10 @@ def run(args: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(folder / 'camera.yaml', folder / 'result.json', folder / 'report.html')
     outputs.check()
-    result = None
+    for path in (outputs.camera_yaml, outputs.result_json):
+        # of an earlier run
+        path.unlink(missing_ok=True)
+    result, written = None, []
     if args.no_ros or find_spec('rclpy') is None or find_spec('sensor_msgs') is None:
         if not args.no_ros:
             print('There is no ROS in this Python (rclpy is missing), so no nodes: calibrating '
@@ -57,10 +60,15 @@ def run(args: argparse.Namespace) -> int:
         result = _through_nodes(bag, folder, args.rate, shared_file('config/fastdds.xml'))
         if result is None:
             print('Calibrating straight from the bag instead.')
+        else:
+            # the nodes have written the rest
+            written = [path for path in (outputs.camera_yaml, outputs.result_json)
+                       if path.exists()]
+            outputs = Outputs(report=outputs.report)
     if result is None:
         result = _from_bag(bag)
     text = result_text(result, truth=_truth(bag))
-    written = outputs.write(result, text, str(bag))
+    written += outputs.write(result, text, str(bag))
     print(f'\n{text}\n\nWritten: {", ".join(map(str, written))}.')
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
 
@@ -71,7 +79,6 @@ def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
     # a domain of its own: the demo neither hears nor disturbs robots on the network
     environment['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
     environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(profile)
-    # everything that one drive tells shall come in order, whatever the user has overridden
     environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
     environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
     command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
@@ -124,7 +131,8 @@ def _result(content: dict):
     return Calibration(
         camera=camera, covariance=covariance, status=content['parameters'],
         held_by=content['held_by'], motion=content['motion'], facts=facts,
-        frames=tuple(content['frames']), reprojection_rms_px=content['reprojection_rms_px'],
+        frames=tuple(content['frames']['used']),
+        reprojection_rms_px=content['reprojection_rms_px'],
         noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
         outlier_count=content['outliers'], reconstruction=None, notes=tuple(content['notes']),
         software=software)

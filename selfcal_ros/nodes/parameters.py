@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, fields
 import math
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException
 
 from selfcal_ros.errors import ArgumentError
 
@@ -65,7 +66,11 @@ def declare(node, table):
     """
     values = {}
     for entry in fields(table):
-        given = node.declare_parameter(entry.name, entry.default, _descriptor(entry)).value
+        try:
+            given = node.declare_parameter(entry.name, entry.default, _descriptor(entry)).value
+        except InvalidParameterValueException:
+            # rclpy has looked at the range before us
+            raise ArgumentError(f'The parameter {entry.name} must be {_bounds(entry)}.') from None
         values[entry.name] = _checked(entry, given)
     return table(**values)
 
@@ -106,10 +111,17 @@ def _checked(entry, value):
     low, high = about['low'], about['high']
     # written so that NaN fails
     if (low is not None and not value >= low) or (high is not None and not value <= high):
-        bounds = (f'from {low} to {high}' if None not in (low, high)
-                  else f'at least {low}' if high is None else f'at most {high}')
-        raise ArgumentError(f'The parameter {entry.name} must be {bounds}, not {value!r}.')
+        raise ArgumentError(f'The parameter {entry.name} must be {_bounds(entry)}, '
+                            f'not {value!r}.')
     return value
+
+
+def _bounds(entry) -> str:
+    """Say between what a number must lie."""
+    low, high = entry.metadata['low'], entry.metadata['high']
+    if None in (low, high):
+        return f'at least {low}' if high is None else f'at most {high}'
+    return f'from {low} to {high}'
 
 
 @dataclass(frozen=True)

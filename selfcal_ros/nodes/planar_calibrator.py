@@ -122,8 +122,13 @@ class PlanarCalibrator(Node):
             NotCalibrated(f'The session was reset: {reason}.', 'Keep driving.'))))
 
     def _on_calibrate(self, _, response):
-        views = self._start()
         state = self._session.snapshot()
+        if state.calibration and not state.new_keyframes and not state.estimating:
+            self._take(state.calibration)
+            response.success = True
+            response.message = 'nothing new since the last result, which is published again'
+            return response
+        views = self._start()
         response.success = views > 0
         if views:
             response.message = f'estimating from {views} views; the result comes on ~/result'

@@ -169,9 +169,10 @@ def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
         stack.callback(rclpy.try_shutdown)
         supervisor = ReplaySupervisor()
         stack.callback(supervisor.destroy_node)
+        # the silence after the end of the bag is no reason to warn
         nodes = [_start(stack, 'planar_calibrator', {'output': str(Path(output) / 'camera.yaml'),
-                                                     **(calibrator or {})}),
-                 _start(stack, 'feature_tracker', {})]
+                                                     'silence_s': 600.0, **(calibrator or {})}),
+                 _start(stack, 'feature_tracker', {'silence_s': 600.0})]
 
         def alive(process):
             if process.poll() not in (None, 0):

@@ -177,10 +177,11 @@ def test_impossible_settings_are_refused(settings):
 
 
 def test_a_drive_is_calibrated_and_gets_better():
-    sequence = drive(np.random.default_rng(4), noise_px=0.1, views=24, tracks=1200)
+    sequence = drive(np.random.default_rng(4), noise_px=0.1, views=20, tracks=700)
     tracks = sequence.tracks
     session = CalibrationSession(SessionSettings(
-        parallax=1e-3, facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')))
+        parallax=1e-3, first_estimate=10, growth=1.0,
+        facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')))
     results = []
     for frame in tracks.frames:
         mask = tracks.frame == frame

@@ -1,0 +1,101 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A ROS graph for one test: domain of its own, log in a temporary folder, waits with a timeout."""
+
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import time
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+if find_spec('rclpy') is None:
+    collect_ignore_glob = ['test_*.py']
+
+
+@pytest.fixture(autouse=True)
+def ros_environment(tmp_path, monkeypatch):
+    """Keep the test to itself; sub-processes inherit it."""
+    # ids up to 101 are safe everywhere; another process of the test run has another one
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    monkeypatch.setenv('ROS_HOME', str(tmp_path / 'ros_home'))
+    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(ROOT / 'config' / 'fastdds.xml'))
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
+        filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])))
+
+
+class Graph:
+    """A node to talk with, and an executor that spins it and the nodes under test."""
+
+    def __init__(self):
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        self.executor = SingleThreadedExecutor()
+        self.nodes = []
+        self.probe = self.add(Node('probe'))
+
+    def add(self, node):
+        """Spin a node, too."""
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def wait_for(self, condition, timeout_s=20.0, what='condition'):
+        """Spin until a condition holds."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f'{what} did not come within {timeout_s} s'
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def spin_for(self, seconds):
+        """Spin for a while, to see that nothing comes."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def listen(self, message, topic, qos=10):
+        """Subscribe, and return the list that the messages go to."""
+        heard = []
+        self.probe.create_subscription(message, topic, heard.append, qos)
+        return heard
+
+    def call(self, service):
+        """Call a Trigger service."""
+        from std_srvs.srv import Trigger
+        client = self.probe.create_client(Trigger, service)
+        self.wait_for(client.service_is_ready, what=service)
+        future = client.call_async(Trigger.Request())
+        self.wait_for(future.done, what=f'answer of {service}')
+        return future.result()
+
+
+@pytest.fixture
+def graph(ros_environment):
+    """Start ROS with the parameters that a test asks for: graph('-p', 'x:=1')."""
+    import rclpy
+    made = []
+
+    def make(*parameters):
+        rclpy.init(args=['--ros-args', *parameters] if parameters else [])
+        made.append(Graph())
+        return made[0]
+
+    yield make
+    for one in made:
+        for node in one.nodes:
+            node.destroy_node()
+        one.executor.shutdown()
+    rclpy.try_shutdown()

@@ -1,0 +1,138 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""planar_calibrator: a CameraInfo for every tracks message, better as the drive goes on."""
+
+import json
+
+from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.stamps import header_message
+from msg_adapters.tracks import tracks_message
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
+
+from selfcal_ros.nodes.planar_calibrator import PlanarCalibrator
+from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.synthetic.special_scenes import drive
+
+STEP_NS = 200_000_000
+START_NS = 1_700_000_000_123_456_789
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: The scene's views are few and far apart: every one is a keyframe.
+OPTIONS = ('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=12', '-p', 'idle_s:=0.5',
+           '-p', 'distortion:=none')
+
+
+class Drive:
+    """A calibrator, and a drive that is fed to it message by message."""
+
+    def __init__(self, graph):
+        self.graph = graph
+        self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
+        graph.add(PlanarCalibrator())
+        self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
+        self.infos = graph.listen(CameraInfo, 'camera_info')
+        self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)
+        self.diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+        graph.wait_for(lambda: self.publisher.get_subscription_count() > 0)
+        graph.wait_for(lambda: graph.probe.count_publishers('camera_info') > 0)
+        graph.spin_for(0.3)
+
+    def publish(self, frames, start_ns=START_NS):
+        """Publish the tracks of frames; returns the headers."""
+        headers = []
+        camera, types = self.sequence.camera, rclpy_types()
+        for frame in frames:
+            mask = self.sequence.tracks.frame == frame
+            headers.append(header_message(start_ns + int(frame) * STEP_NS, 'cam_optical', types))
+            known = len(self.infos)
+            self.publisher.publish(tracks_message(
+                self.sequence.tracks.track[mask], self.sequence.tracks.xy[mask],
+                (camera.width, camera.height), headers[-1], types))
+            self.graph.wait_for(lambda: len(self.infos) > known, what='camera_info')
+        return headers
+
+    def calibrated(self):
+        """Wait for a calibration."""
+        self.graph.wait_for(lambda: any(json.loads(r.data)['status'] == 'calibrated'
+                                        for r in self.results), 60, 'calibration')
+        return [json.loads(r.data) for r in self.results
+                if json.loads(r.data)['status'] == 'calibrated'][-1]
+
+
+@pytest.fixture
+def on_the_road(graph):
+    return Drive(graph(*OPTIONS))
+
+
+def test_a_drive_is_calibrated_and_every_image_gets_its_camera_info(on_the_road, tmp_path):
+    truth = on_the_road.sequence.camera
+    headers = on_the_road.publish(range(11))
+    assert [info.header for info in on_the_road.infos] == headers
+    assert all(not info.k.any() and not info.p.any() for info in on_the_road.infos)
+    assert {(info.width, info.height) for info in on_the_road.infos} == {(640, 480)}
+    answer = on_the_road.graph.call('planar_calibrator/save')
+    assert not answer.success and 'no calibration' in answer.message
+    on_the_road.publish(range(11, 20))
+    on_the_road.calibrated()
+    # all that was gathered is used once nothing more comes, or on demand
+    while not on_the_road.graph.call('planar_calibrator/calibrate').success:
+        on_the_road.graph.spin_for(0.1)
+    on_the_road.graph.wait_for(lambda: json.loads(on_the_road.results[-1].data)['frames']['count']
+                               == 20, 60, 'estimate from everything')
+    result = on_the_road.calibrated()
+    for name, true in zip(('fx', 'fy', 'cx', 'cy'), truth.parameters):
+        assert abs(result['camera'][name] - true) < 4 * result['sigma'][name], name
+    headers = on_the_road.publish([19], START_NS + STEP_NS)
+    info = on_the_road.infos[-1]
+    assert info.header == headers[0]
+    assert info.k[0] == result['camera']['fx'] and info.p[0] == info.k[0] and info.r[0] == 1
+    assert info.distortion_model == 'plumb_bob'
+    # written where camera drivers look, only when asked to
+    path = tmp_path / 'ros_home' / 'camera_info' / 'camera.yaml'
+    assert not path.exists()
+    assert on_the_road.graph.call('planar_calibrator/save').success
+    assert read_camera_yaml(path)[0].K[0, 0] == info.k[0]
+    seen = len(on_the_road.diagnostics)
+    on_the_road.graph.wait_for(lambda: len(on_the_road.diagnostics) > seen)
+    status = on_the_road.diagnostics[-1].status[0]
+    assert status.level == b'\x00' and status.hardware_id == 'camera'
+    assert float({v.key: v.value for v in status.values}['fx']) == pytest.approx(info.k[0], 1e-4)
+
+
+def test_time_that_jumps_back_forgets_the_calibration(on_the_road):
+    on_the_road.publish(range(20))
+    on_the_road.calibrated()
+    on_the_road.publish([0], START_NS - 10 ** 9)
+    assert not on_the_road.infos[-1].k.any()
+    on_the_road.graph.wait_for(
+        lambda: 'jumped back' in json.loads(on_the_road.results[-1].data)['reason'])
+
+
+def test_reset_forgets_and_says_so(on_the_road):
+    on_the_road.publish(range(4))
+    assert on_the_road.graph.call('planar_calibrator/reset').success
+    answer = on_the_road.graph.call('planar_calibrator/calibrate')
+    assert not answer.success and '0 views' in answer.message
+
+
+def test_a_message_that_is_no_tracks_still_gets_its_camera_info(on_the_road):
+    msg = PointCloud2()
+    msg.header.stamp.sec = 7
+    on_the_road.publisher.publish(msg)
+    on_the_road.graph.wait_for(lambda: on_the_road.infos)
+    assert on_the_road.infos[-1].header == msg.header

@@ -1,0 +1,87 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A node that is told to stop ends at once, with status 0 and without a traceback."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.frame_source import Frame
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start a node as a process of its own; it is gone after the test."""
+    started = []
+
+    def run(name, *arguments):
+        process = subprocess.Popen(
+            [sys.executable, '-m', f'selfcal_ros.nodes.{name}', '--ros-args', *arguments],
+            stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
+            cwd=tmp_path, env=dict(os.environ))
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('name', ['feature_tracker', 'planar_calibrator', 'bag_player'])
+def test_a_signal_ends_a_node_cleanly(graph, start, tmp_path, name, number):
+    arguments = []
+    if name == 'bag_player':
+        write_image_bag(tmp_path / 'bag', [Frame(k, 10 ** 18 + k * 10 ** 9,
+                                                 np.zeros((48, 64), np.uint8))
+                                           for k in range(100)])
+        arguments = ['-p', f'bag:={tmp_path / "bag"}', '-p', 'wait_for_subscribers_s:=0']
+    process = start(name, *arguments)
+    graph = graph()
+    graph.wait_for(lambda: name in graph.probe.get_node_names(), 30, name)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=15)
+    assert process.returncode == 0, errors
+    assert 'Traceback' not in errors
+
+
+def test_two_signals_in_a_row_end_a_node_cleanly(graph, start):
+    process = start('planar_calibrator')
+    graph = graph()
+    graph.wait_for(lambda: 'planar_calibrator' in graph.probe.get_node_names(), 30)
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=15)
+    assert 'Traceback' not in errors
+    assert process.returncode == 0, errors
+
+
+@pytest.mark.parametrize('name, arguments, words', [
+    ('bag_player', [], 'needs a bag'),
+    ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere'),
+    ('feature_tracker', ['-p', 'max_features:=1'], 'max_features must be from 20 to 5000'),
+    ('planar_calibrator', ['-p', 'camera_name:=a/b'], 'camera_name'),
+    ('planar_calibrator', ['--params-file', '/nowhere.yaml'], 'nowhere.yaml')])
+def test_a_wrong_input_is_one_sentence_and_status_2(start, name, arguments, words):
+    process = start(name, *arguments)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 2, errors
+    assert words in errors and 'Traceback' not in errors
