@@ -50,8 +50,9 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        help='known principal point in pixels (default: estimated)')
     group.add_argument('--principal-point-sigma', type=float, default=0.0, metavar='PX',
                        help='standard deviation of the principal point (default 0: exact)')
-    group.add_argument('--distortion', choices=('none', 'radial1', 'radial2', 'plumb_bob'),
-                       default='radial2', help='coefficients to estimate (default radial2)')
+    group.add_argument('--distortion', choices=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
+                       default='auto', help='coefficients to estimate (default auto: the simplest '
+                       'model that the images do not reject)')
 
 
 def facts_from(args: argparse.Namespace) -> CameraFacts:

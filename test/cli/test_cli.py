@@ -1,0 +1,233 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The command line: exit statuses, sentences instead of tracebacks, files whole or not at all."""
+
+import json
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from selfcal_ros import Camera, CameraFacts
+from selfcal_ros.cli import main as command
+from selfcal_ros.cli.compare import pixel_difference
+from selfcal_ros.cli.facts import add_fact_arguments, facts_from
+from selfcal_ros.cli.shared_files import shared_file
+from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from selfcal_ros.synthetic.special_scenes import drive, pure_translation
+
+ROOT = Path(__file__).resolve().parents[2]
+SIZE = ['--image-size', '640', '480', '--distortion', 'none']
+
+
+@pytest.fixture(scope='module')
+def driven(tmp_path_factory):
+    """Write the tracks of a drive; returns the file and the true camera."""
+    sequence = drive(np.random.default_rng(3), noise_px=0.1, views=14, tracks=500)
+    path = tmp_path_factory.mktemp('drive') / 'tracks.csv'
+    sequence.tracks.to_csv(path)
+    return path, sequence.camera
+
+
+@pytest.fixture(autouse=True)
+def in_tmp(tmp_path, monkeypatch):
+    """Let default outputs land in the temporary folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def selfcal(*arguments):
+    """Run the command in this process; returns the exit status."""
+    try:
+        return command.main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return stop.code
+
+
+def test_calibrate_writes_what_was_asked_for_and_it_is_true(driven, capsys):
+    path, truth = driven
+    status = selfcal('calibrate', path, *SIZE, '--json', 'result.json', '--report', 'r.html',
+                     '--camera-name', 'front')
+    said = capsys.readouterr().out
+    assert status == 0, said
+    camera, name = read_camera_yaml('camera.yaml')
+    content = json.loads(Path('result.json').read_text(encoding='utf-8'))
+    assert name == 'front' and content['status'] == 'calibrated'
+    for key, estimate, true in zip(('fx', 'fy', 'cx', 'cy'), camera.parameters, truth.parameters):
+        assert abs(estimate - true) < 4 * content['sigma'][key]
+        assert content['camera'][key] == estimate
+    assert content['parameters']['skew'] == 'held'
+    assert 'aspect ratio 1 (held), skew 0 px (held)' in said
+    assert 'fx' in said and '±' in said and 'Written: camera.yaml, result.json, r.html.' in said
+    assert '<html' in Path('r.html').read_text(encoding='utf-8')
+    assert sorted(p.name for p in Path().iterdir()) == ['camera.yaml', 'r.html', 'result.json']
+
+
+def test_quiet_says_nothing(driven, capsys):
+    assert selfcal('calibrate', driven[0], *SIZE, '--quiet') == 0
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err == ''
+
+
+def test_what_cannot_be_calibrated_is_status_1_with_a_reason(capsys):
+    pure_translation(np.random.default_rng(1)).tracks.to_csv('tracks.csv')
+    assert selfcal('calibrate', 'tracks.csv', *SIZE, '--json', 'result.json') == 1
+    said = capsys.readouterr().out
+    assert said.startswith('Not calibrated: ')
+    assert not Path('camera.yaml').exists()
+    content = json.loads(Path('result.json').read_text(encoding='utf-8'))
+    assert content['status'] == 'not_calibrated' and content['reason'] in said
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['nowhere.mcap'], 'nowhere.mcap does not exist'),
+    (['.'], '.'),
+    (['empty.csv'], 'empty.csv'),
+    (['nan.csv'], 'line 2'),
+    (['good.csv', '--output', 'no/such/folder/camera.yaml'], 'does not exist'),
+    (['good.csv', '--json', 'camera.yaml'], 'same name'),
+    (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
+    (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
+    (['good.csv', '--topic', '/image'], 'topic'),
+    (['good.csv', '--motion', 'translation'], 'not part of this version'),
+    (['good.csv', '--max-keyframes', '1'], 'at least 3'),
+    (['good.csv', '--image-size', '0', '480'], 'image size'),
+])
+def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
+    Path('empty.csv').touch()
+    Path('nan.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    Path('good.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')
+    before = sorted(Path().iterdir())
+    assert selfcal('calibrate', *arguments, *([] if '--image-size' in arguments else SIZE)) == 2
+    heard = capsys.readouterr()
+    assert heard.out == ''
+    assert heard.err.startswith('selfcal calibrate: ') and heard.err.count('\n') == 1
+    assert words in heard.err
+    assert sorted(Path().iterdir()) == before, 'nothing half-written'
+
+
+def test_an_option_that_does_not_exist_is_status_2(capsys):
+    assert selfcal('calibrate', 'x', '--mood', 'good') == 2
+    assert selfcal('calibrate', 'x', '--skew', 'some') == 2
+    assert selfcal('sing') == 2
+    assert selfcal() == 2
+    capsys.readouterr()
+
+
+def test_a_fault_of_the_program_is_not_mistaken_for_data_that_do_not_suffice(monkeypatch, capsys):
+    def broken(*_, **__):
+        raise ZeroDivisionError('a fault')
+
+    monkeypatch.setattr('selfcal_ros.cli.facts.facts_from', broken)
+    monkeypatch.setattr('selfcal_ros.cli.calibrate.facts_from', broken)
+    assert selfcal('calibrate', 'x.csv') == 70
+    assert 'please report' in capsys.readouterr().err
+
+
+def test_help_comes_at_once_and_loads_nothing_heavy():
+    code = ('import sys; from selfcal_ros.cli.main import main\n'
+            'try: main(["calibrate", "--help"])\n'
+            'except SystemExit: pass\n'
+            'heavy = {"cv2", "matplotlib", "rosbags", "rclpy", "tqdm"} & set(sys.modules)\n'
+            'sys.exit(str(heavy) if heavy else 0)')
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True,
+                          timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert '--aspect-ratio' in done.stdout
+    # 0.3 s on a quiet machine
+    assert time.monotonic() - began < 5
+
+
+def test_version(capsys):
+    assert selfcal('--version') == 0
+    assert capsys.readouterr().out.startswith('selfcal_ros 0.')
+
+
+@pytest.mark.parametrize('arguments, expected', [
+    ([], CameraFacts(aspect_ratio=1.0, skew=0.0)),
+    (['--aspect-ratio', 'free'], CameraFacts(skew=0.0)),
+    (['--skew', 'free', '--aspect-ratio', '1.1', '--aspect-ratio-sigma', '0.01'],
+     CameraFacts(aspect_ratio=1.1, aspect_ratio_sigma=0.01)),
+    (['--principal-point', '320', '240', '--distortion', 'plumb_bob'],
+     CameraFacts(aspect_ratio=1.0, skew=0.0, principal_point=(320, 240),
+                 distortion='plumb_bob')),
+])
+def test_options_become_facts(arguments, expected):
+    import argparse
+    parser = argparse.ArgumentParser()
+    add_fact_arguments(parser)
+    assert facts_from(parser.parse_args(arguments)) == expected
+
+
+def test_compare_of_a_camera_with_itself_is_zero_and_with_another_is_not(capsys):
+    a = Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    b = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    assert pixel_difference(a, a).max() < 1e-6
+    # a shift of the principal point looks like a rotation, nearly; 1 % of focal length does not
+    apart = pixel_difference(a, b)
+    assert 1.0 < apart.max() < 5.0
+    write_camera_yaml('a.yaml', a, 'a')
+    write_camera_yaml('b.yaml', b, 'b')
+    assert selfcal('compare', 'a.yaml', 'b.yaml') == 0
+    assert f'{np.nanmax(apart):.3f} px at most' in capsys.readouterr().out
+    write_camera_yaml('c.yaml', Camera(a.K, a.distortion, 320, 240), 'c')
+    assert selfcal('compare', 'a.yaml', 'c.yaml') == 2
+    assert 'one size' in capsys.readouterr().err
+
+
+def test_an_image_folder_becomes_a_bag(capsys):
+    import cv2
+    folder = Path('images')
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 256, (48, 64), np.uint8) for _ in range(4)]
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f'{k:03d}.png'), image)
+    assert selfcal('convert', folder, 'bag', '--topic', '/front/image_raw') == 0
+    assert '4 images' in capsys.readouterr().out
+    with open_source('bag') as source:
+        assert source.topic == '/front/image_raw'
+        for frame, image in zip(source, images, strict=True):
+            assert np.array_equal(frame.image, image)
+    assert selfcal('convert', folder, 'bag') == 2
+    assert 'exists' in capsys.readouterr().err
+
+
+def test_shared_files_are_found_and_a_missing_one_is_a_sentence():
+    assert shared_file('config/fastdds.xml').is_file()
+    with pytest.raises(InputError, match='not installed'):
+        shared_file('config/no_such_file')
+
+
+def test_demo_without_nodes_prints_the_truth_beside_the_estimate(capsys):
+    assert selfcal('demo', '--no-ros', '--output-dir', 'out') == 0
+    said = capsys.readouterr().out
+    assert 'truth' in said and 'sigmas' in said and '520.000' in said
+    content = json.loads(Path('out/result.json').read_text(encoding='utf-8'))
+    assert abs(content['camera']['fx'] - 520) < 0.002 * 520
+    assert abs(content['camera']['cx'] - 328) < 1 and abs(content['camera']['cy'] - 235) < 1
+    assert Path('out/camera.yaml').is_file() and Path('out/report.html').is_file()
+
+
+def test_tracks_without_an_image_size_are_either_used_or_refused_in_a_sentence(driven, capsys):
+    status = selfcal('calibrate', driven[0], '--distortion', 'none')
+    heard = capsys.readouterr()
+    assert status in (0, 2)
+    if status == 2:
+        assert '--image-size' in heard.err or 'image size' in heard.err
