@@ -166,12 +166,16 @@ class Evidence:
         Share of every observation in the errors of the shared unknowns.
     freedom_share : float
         Degrees of freedom over the number of measured coordinates.
+    track_share : float
+        The same once the points are accounted for: the influences of a whole track do not
+        contain what its point has absorbed.
 
     """
 
     covariance: np.ndarray
     influence: np.ndarray
     freedom_share: float
+    track_share: float
 
 
 class Bundle:
@@ -449,7 +453,7 @@ class Bundle:
 
     def noise_sigma(self, state: BundleState) -> float:
         """
-        Estimate the standard deviation of an image coordinate from the residuals.
+        Estimate the standard deviation of an image coordinate while there may be outliers.
 
         Huber's proposal 2: the winsorised sum of squares, consistent for Gaussian noise.
         """
@@ -468,6 +472,11 @@ class Bundle:
             sigma = float(np.sqrt(np.mean(np.minimum(distance, limit)**2) / (expected * share)))
         return max(sigma, 1e-9)
 
+    def noise_rms(self, state: BundleState) -> float:
+        """Estimate the standard deviation of an image coordinate once outliers are gone."""
+        square = np.nansum(self.residuals(state)**2)
+        return max(float(np.sqrt(square / max(self.degrees_of_freedom, 1))), 1e-9)
+
     def evidence(self, state: BundleState) -> Evidence:
         """
         Covariance at the optimum, and the influence of every observation.
@@ -482,8 +491,7 @@ class Bundle:
         distance = distance[np.isfinite(distance)]
         # residuals are smaller than the noise by the square root of this
         share = max(self.degrees_of_freedom, 1) / (2 * len(distance))
-        distance = distance / np.sqrt(share)
-        psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2
+        psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2 / share
         weight = np.mean(huber_weights(distance, HUBER_SIGMAS))
         # beyond the threshold ψ' remains only across the residual's direction
         slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
@@ -497,7 +505,9 @@ class Bundle:
         inverse[np.ix_(index, index)] = (vectors / values) @ vectors.T / np.outer(root, root)
         # `matrix` carries the weights, whose mean differs from that of ψ'
         influence = system.influence(inverse[:SHARED]) * weight / slope
-        return Evidence(inverse * psi_square * weight / slope**2, influence, share)
+        measured = 2 * len(self.view) - 3 * self.blocks.point_count
+        return Evidence(inverse * psi_square * weight / slope**2, influence, share,
+                        max(self.degrees_of_freedom, 1) / max(measured, 1))
 
     def covariance(self, state: BundleState) -> np.ndarray:
         """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""

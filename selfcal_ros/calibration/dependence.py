@@ -14,8 +14,9 @@
 """
 How far from independent are the errors? What the covariance of ideal noise cannot see.
 
-Errors that the observations of one track, one view or one region of the image share (drift of a
-patch, a jolt, a lens that the model does not describe) do not average out. Sums of influences
+Errors that the observations of one track, of one view or stretch of views, or of one region of
+the image share (drift of a patch, a jolt, a lens that the model does not describe) do not average
+out. Sums of influences
 over such clusters measure what they do to the calibration (the cluster-robust covariance; Liang
 and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011).
 """
@@ -28,6 +29,8 @@ import numpy as np
 
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
+#: Stretches of successive views that errors may share, such as a moving object in sight.
+STRETCHES = 7
 #: A way of clustering counts when the variance that it finds exceeds that of independent errors
 #: by so many standard deviations of its own.
 SIGNIFICANT = 4.0
@@ -62,7 +65,7 @@ class Dependence:
     def notes(self) -> tuple:
         """Say what was found, a sentence each."""
         causes = ((self.track, 'a track', 'drift of its patch'),
-                  (self.view, 'an image', 'jolts or a rolling shutter'),
+                  (self.view, 'an image or a stretch of them', 'jolts, a rolling shutter, moving objects'),
                   (self.region, 'a region of the image', 'a lens that the distortion model does '
                    'not describe'))
         return tuple(f'Errors are shared within {cluster} ({cause}); sigmas are {ratio:.1f} times '
@@ -97,7 +100,9 @@ def assess_dependence(evidence, track: np.ndarray, view: np.ndarray, xy: np.ndar
                                                                          sigma[free]))
     usable = values > 1e-10 * values[-1]
     whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
-    effects = evidence.influence[:, free] @ whiten.T / np.sqrt(evidence.freedom_share)
+    effects = evidence.influence[:, free] @ whiten.T
+    of_tracks = effects / np.sqrt(evidence.track_share)
+    effects /= np.sqrt(evidence.freedom_share)
     unwhiten = np.linalg.pinv(whiten)
 
     along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
@@ -106,9 +111,13 @@ def assess_dependence(evidence, track: np.ndarray, view: np.ndarray, xy: np.ndar
     # what unequal noise does without any cluster
     alone = effects.T @ effects
     ratios, excess = [], np.zeros_like(alone)
-    for label, against in ((track, np.eye(len(alone))), (view, alone),
-                           (row * along + column, alone)):
-        ratio, more = _cluster_excess(effects, label, against)
+    stretch = view * STRETCHES // (int(view.max()) + 1)
+    identity = np.eye(len(alone))
+    for labels, part, against in (
+            ([track], of_tracks, identity), ([view, stretch], effects, alone),
+            ([row * along + column], effects, alone)):
+        ratio, more = max((_cluster_excess(part, label, against) for label in labels),
+                          key=lambda found: found[0])
         ratios.append(ratio)
         excess += more
     widened = base.copy()
@@ -126,7 +135,7 @@ def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:
     clusters = int(index.max()) + 1
     unknowns = effects.shape[1]
     nothing = 1.0, np.zeros((unknowns, unknowns))
-    if clusters <= unknowns + 1:
+    if clusters < 4:
         return nothing
     sums = np.zeros((clusters, unknowns))
     np.add.at(sums, index, effects)

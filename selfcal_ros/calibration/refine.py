@@ -168,7 +168,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
         state = replace(state, points=state.points[points])
     bundle = bundle_of(observations, motion, priors, sigma_px)
     state = bundle.optimise(rescale(state), 30)
-    return Fit(bundle.with_sigma(bundle.noise_sigma(state)), state, observations,
+    return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                before - len(observations.view))
 
 
