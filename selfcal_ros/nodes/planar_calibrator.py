@@ -124,7 +124,7 @@ class PlanarCalibrator(Node):
     def _on_calibrate(self, _, response):
         state = self._session.snapshot()
         if state.calibration and not state.new_keyframes and not state.estimating:
-            self._take(state.calibration)
+            self._result.publish(String(data=result_to_json(state.calibration)))
             response.success = True
             response.message = 'nothing new since the last result, which is published again'
             return response
