@@ -18,7 +18,8 @@ Errors that the observations of one track, of one view or stretch of views, or o
 the image share (drift of a patch, a jolt, a lens that the model does not describe) do not average
 out. Sums of influences
 over such clusters measure what they do to the calibration (the cluster-robust covariance; Liang
-and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011).
+and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011), and so do estimates
+that leave out one stretch of views each.
 """
 
 from __future__ import annotations
@@ -27,61 +28,64 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle import Evidence
+
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
-#: Stretches of successive views that errors may share, such as a moving object in sight.
-STRETCHES = 7
 #: A way of clustering counts when the variance that it finds exceeds that of independent errors
 #: by so many standard deviations of its own.
-SIGNIFICANT = 4.0
+SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
 class Dependence:
     """
-    Variance that clustered errors add, as ratios of sigma.
+    Variance that shared errors add.
 
     Attributes
     ----------
-    track, view, region : float
-        Sigma of the calibration with errors shared in such clusters over sigma with independent
-        errors, mean over the estimated parameters; 1 where nothing significant was found.
+    ratios : dict of str to float
+        Sigma of the calibration with errors shared within 'track', 'region' or 'stretch' over
+        sigma with independent errors, mean over the estimated parameters; 1 where nothing
+        significant was found.
     covariance : ndarray, shape (k, k)
         Of the shared unknowns, dependence included.
 
     """
 
-    track: float
-    view: float
-    region: float
+    ratios: dict
     covariance: np.ndarray
 
     @property
     def inflation(self) -> float:
         """Ratio of sigma with all dependence to sigma with none."""
-        return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in
-                                     (self.track, self.view, self.region))))
+        return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
+
+    def with_stretches(self, found: tuple[float, np.ndarray]) -> Dependence:
+        """Add what `stretch_excess` found."""
+        return Dependence({**self.ratios, 'stretch': found[0]}, self.covariance + found[1])
 
     def notes(self) -> tuple:
         """Say what was found, a sentence each."""
-        causes = ((self.track, 'a track', 'drift of its patch'),
-                  (self.view, 'an image or a stretch of them', 'jolts, a rolling shutter, moving objects'),
-                  (self.region, 'a region of the image', 'a lens that the distortion model does '
-                   'not describe'))
-        return tuple(f'Errors are shared within {cluster} ({cause}); sigmas are {ratio:.1f} times '
-                     'those of independent errors for it.'
-                     for ratio, cluster, cause in causes if ratio > 1)
+        causes = {'track': 'within a track, as when its patch drifts',
+                  'region': 'within a region of the image, as with a lens that the distortion '
+                            'model does not describe',
+                  'stretch': 'within a stretch of images, as with jolts, moving objects or a '
+                             'rolling shutter'}
+        return tuple(f'Errors are shared {causes[name]}: sigmas are {ratio:.1f} times those of '
+                     'independent errors for it.'
+                     for name, ratio in self.ratios.items() if ratio > 1)
 
 
-def assess_dependence(evidence, track: np.ndarray, view: np.ndarray, xy: np.ndarray,
+def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
                       size: tuple[int, int]) -> Dependence:
     """
     Widen a covariance by the dependence that the residuals show.
 
     Parameters
     ----------
-    evidence : selfcal_ros.calibration.bundle.Evidence
-    track, view : ndarray of int, shape (N,)
+    evidence : Evidence
+    track : ndarray of int, shape (N,)
     xy : ndarray, shape (N, 2)
         Pixels.
     size : (int, int)
@@ -93,36 +97,72 @@ def assess_dependence(evidence, track: np.ndarray, view: np.ndarray, xy: np.ndar
 
     """
     base = evidence.covariance[:evidence.influence.shape[1], :evidence.influence.shape[1]]
-    sigma = np.sqrt(np.diag(base))
-    free = np.flatnonzero(sigma > 0)
-    # whitened: the identity for independent errors
-    values, vectors = np.linalg.eigh(base[np.ix_(free, free)] / np.outer(sigma[free],
-                                                                         sigma[free]))
-    usable = values > 1e-10 * values[-1]
-    whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
+    whiten, unwhiten, free = _whitening(base)
     effects = evidence.influence[:, free] @ whiten.T
     of_tracks = effects / np.sqrt(evidence.track_share)
     effects /= np.sqrt(evidence.freedom_share)
-    unwhiten = np.linalg.pinv(whiten)
-
     along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
     column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
     row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
-    # what unequal noise does without any cluster
-    alone = effects.T @ effects
-    ratios, excess = [], np.zeros_like(alone)
-    stretch = view * STRETCHES // (int(view.max()) + 1)
-    identity = np.eye(len(alone))
-    for labels, part, against in (
-            ([track], of_tracks, identity), ([view, stretch], effects, alone),
-            ([row * along + column], effects, alone)):
-        ratio, more = max((_cluster_excess(part, label, against) for label in labels),
-                          key=lambda found: found[0])
-        ratios.append(ratio)
-        excess += more
     widened = base.copy()
-    widened[np.ix_(free, free)] += unwhiten @ excess @ unwhiten.T
-    return Dependence(*ratios, widened)
+    ratios = {}
+    # unequal noise counts with the tracks, and must not count again with the regions
+    for name, label, part, against in (
+            ('track', track, of_tracks, np.eye(len(whiten))),
+            ('region', row * along + column, effects, effects.T @ effects)):
+        ratios[name], more = _cluster_excess(part, label, against)
+        widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
+    return Dependence(ratios, widened)
+
+
+def stretch_excess(estimates: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray]:
+    """
+    Variance beyond a stated one, from estimates that each leave out one stretch of views.
+
+    The delete-a-group jackknife (Shao and Wu 1989): it also sees what a linear cluster sum of
+    few groups cannot, since every estimate is free to change.
+
+    Parameters
+    ----------
+    estimates : ndarray, shape (G, k)
+    covariance : ndarray, shape (k, k)
+        Of the estimate from all views, as stated so far.
+
+    Returns
+    -------
+    ratio : float
+        Of sigmas, mean over the parameters; 1 where nothing significant was found.
+    ndarray, shape (k, k)
+        Covariance to add.
+
+    """
+    groups = len(estimates)
+    nothing = 1.0, np.zeros_like(covariance)
+    if groups < 4:
+        return nothing
+    whiten, unwhiten, free = _whitening(covariance)
+    scatter = (estimates - estimates.mean(axis=0))[:, free] @ whiten.T
+    gram = (groups - 1) / groups * scatter.T @ scatter
+    unknowns = len(whiten)
+    spread = np.sqrt(2 / (unknowns * (groups - 1)))
+    if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
+        return nothing
+    values, vectors = np.linalg.eigh(gram - np.eye(unknowns))
+    more = (vectors * np.maximum(values, 0)) @ vectors.T
+    added = np.zeros_like(covariance)
+    added[np.ix_(free, free)] = unwhiten @ more @ unwhiten.T
+    return float(np.sqrt(1 + np.trace(more) / unknowns)), added
+
+
+def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
+    sigma = np.sqrt(np.diag(covariance))
+    free = np.flatnonzero(sigma > 0)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)]
+                                     / np.outer(sigma[free], sigma[free]))
+    usable = values > 1e-10 * values[-1]
+    whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
+    return whiten, np.linalg.pinv(whiten), free
 
 
 def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:

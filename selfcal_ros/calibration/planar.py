@@ -28,12 +28,13 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, K1, K2, MotionModel,
                                             parameter_covariance, Prior, priors_from_facts, SKEW)
-from selfcal_ros.calibration.dependence import assess_dependence, Dependence
+from selfcal_ros.calibration.dependence import (assess_dependence, Dependence,
+                                                stretch_excess)
 from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
-                                            fit_robustly, NEARLY_PLANAR, Observations, refit,
-                                            with_all_points)
+                                            fit_robustly, leave_out_stretches, NEARLY_PLANAR,
+                                            Observations, refit, with_all_points)
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
 from selfcal_ros.calibration.start import planar_start
@@ -206,7 +207,7 @@ def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts
                       'whole image.', 'State a simpler distortion model.')
     fit = fit_robustly(observations, state, model.fit.bundle.motion, priors_from_facts(facts),
                        model.fit.bundle.sigma_px)
-    return conclude(fit, model.exact, replace(problem, facts=facts), graph)
+    return conclude(fit, model, replace(problem, facts=facts), graph)
 
 
 @dataclass(frozen=True)
@@ -216,6 +217,7 @@ class Model:
     fit: Fit
     facts: CameraFacts
     exact: bool
+    stretches: tuple[float, np.ndarray]
 
 
 def choose_model(problem: Problem, observations: Observations, state: BundleState) -> Model:
@@ -237,13 +239,14 @@ def choose_model(problem: Problem, observations: Observations, state: BundleStat
                                             priors_from_facts(facts), fit.bundle.sigma_px))
         fit = refit(fit, NEARLY_PLANAR)
     fit, exact = choose_motion(fit, dependence)
-    return Model(fit, facts, exact)
+    stated = dependence_of(fit, problem.size).covariance
+    return Model(fit, facts, exact, stretch_excess(leave_out_stretches(fit), stated))
 
 
 def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:
     """Assess how far the residuals of a fit are from independent."""
     return assess_dependence(fit.bundle.evidence(fit.state), fit.observations.point,
-                             fit.observations.view, fit.observations.xy, size)
+                             fit.observations.xy, size)
 
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
@@ -254,19 +257,19 @@ def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
     return result.select(result.longest(TRACKS_PER_VIEW))[0]
 
 
-def conclude(fit: Fit, exact: bool, problem: Problem, graph: ViewGraph,
+def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
              ) -> Calibration | NotCalibrated:
     """Judge an optimum: what do the data determine, and what does the motion lack?"""
     facts, state = problem.facts, fit.state
     frames = tuple(int(f) for f in graph.frames)
     camera = state.camera(*problem.size)
-    dependence = dependence_of(fit, problem.size)
+    dependence = dependence_of(fit, problem.size).with_stretches(model.stretches)
     covariance = parameter_covariance(dependence.covariance, state.intrinsics)
     held = held_facts(facts)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
-    path = describe_path(state, exact)
+    path = describe_path(state, model.exact)
     status = parameter_status(camera, covariance, facts)
     residuals = fit.bundle.residuals(state)
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))

@@ -21,10 +21,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle import (Bundle, BundleState, K1, K2, MotionModel, P1, P2,
-                                            Prior, priors_from_facts, rescale)
+                                            Prior, priors_from_facts, rescale, SHARED)
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.geometry.camera import CameraFacts, DISTORTION_MODELS
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import swing_twist
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
 #: Gaussian residuals.
@@ -37,6 +38,8 @@ NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
 AUTOMATIC_DISTORTION = ('none', 'radial1', 'radial2')
 #: A distortion coefficient is taken when it lowers the cost by the square of so many sigmas.
 DISTORTION_GAIN = 3.5
+#: Stretches of views that are left out in turn, and the views that this needs.
+STRETCHES, STRETCH_LEAST_VIEWS = 7, 6
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -198,6 +201,37 @@ def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fi
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
     state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
     return Fit(bundle, state, fit.observations, fit.outliers)
+
+
+def leave_out_stretches(fit: Fit) -> np.ndarray:
+    """
+    Estimate anew without each of several stretches of views.
+
+    Returns
+    -------
+    ndarray, shape (G, 11)
+        Shared unknowns of every estimate, the axis relative to the optimum's; G = 0 where too
+        few views would remain.
+
+    """
+    views = len(fit.state.views)
+    groups = min(views, STRETCHES)
+    stretch = np.arange(views) * groups // views
+    if views < STRETCH_LEAST_VIEWS:
+        return np.zeros((0, SHARED))
+    estimates = []
+    for k in range(groups):
+        rest, points = fit.observations.select(stretch[fit.observations.view] != k)
+        kept, index = np.unique(rest.view, return_inverse=True)
+        if len(kept) < 3:
+            continue
+        state = replace(fit.state, views=fit.state.views[kept], points=fit.state.points[points])
+        bundle = bundle_of(replace(rest, view=index), fit.bundle.motion, fit.bundle.priors,
+                           fit.bundle.sigma_px)
+        state = bundle.optimise(state, 12, 0.05)
+        _, swing = swing_twist(fit.state.mount.T @ state.mount)
+        estimates.append(np.concatenate([state.intrinsics, swing]))
+    return np.array(estimates).reshape(-1, SHARED)
 
 
 def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
