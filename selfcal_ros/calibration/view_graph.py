@@ -23,14 +23,15 @@ from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry.ransac import ransac_fundamental
+from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.ransac import ransac_inliers
 
 #: Every view is compared with so many successors.
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little.
 MINIMUM_MATCHES = 12
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
-RANSAC_MATCHES = 300
+RANSAC_MATCHES = 200
 #: Largest distance of an inlier from the epipolar geometry, pixels.
 EPIPOLAR_THRESHOLD_PX = 1.5
 
@@ -84,6 +85,15 @@ def sampson_distances(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.n
     return value / np.sqrt(np.maximum(square, 1e-300))
 
 
+def _refined(samples) -> np.ndarray:
+    """Fundamental matrices of all pairs' inliers at once, pixels, shape (n, 3, 3)."""
+    if not samples:
+        return np.zeros((0, 3, 3))
+    data = PairMatches.from_pixels(samples)
+    F, *_ = refine_general(data, eight_point(data))
+    return data.pixels_F(F)
+
+
 def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames and the view pairs (n, 2) worth comparing."""
     frames, view = np.unique(tracks.frame, return_inverse=True)
@@ -121,27 +131,32 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
-    pairs, spreads = [], []
+    samples, matches = [], []
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
+        xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
+        few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
+        found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
+        if found:
+            few = few[found[0]]
+            samples.append((xy_a[few], xy_b[few]))
+            matches.append((a, b, both))
+    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
+    pairs, spreads = [], []
+    for (a, b, both), F in zip(matches, _refined(samples)):
         rows_a, rows_b = row[a, both], row[b, both]
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
-        found = ransac_fundamental(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
-        if not found:
-            continue
-        distance = sampson_distances(found.F, xy_a, xy_b)
+        distance = sampson_distances(F, xy_a, xy_b)
         inlier = np.abs(distance) < EPIPOLAR_THRESHOLD_PX
-        if inlier.sum() < MINIMUM_MATCHES:
+        count = int(inlier.sum())
+        if count < MINIMUM_MATCHES:
             continue
         for rows in (rows_a, rows_b):
             used[rows] += 1
             votes[rows] += inlier
         spreads.append((1.4826 * np.median(np.abs(distance[inlier]))
-                        * np.sqrt(inlier.sum() / max(inlier.sum() - 7, 1)), inlier.sum()))
-        pairs.append(PairGeometry(int(a), int(b), found.F, both[inlier], xy_a[inlier],
-                                  xy_b[inlier]))
+                        * np.sqrt(count / max(count - 7, 1)), count))
+        pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
     if not pairs:
         return ('No two images share enough points with a consistent epipolar geometry '
                 f'(at least {MINIMUM_MATCHES} are needed).')

@@ -25,7 +25,7 @@ from selfcal_ros.geometry.fundamental import (eight_point, epipolar_residuals, P
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform
 
 #: Hypotheses that are scored at a time.
-_CHUNK = 100
+_CHUNK = 40
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,43 @@ def ransac_fundamental(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: f
 
     """
     xy_a, xy_b = np.asarray(xy_a, float), np.asarray(xy_b, float)
+    found = ransac_inliers(xy_a, xy_b, rng, threshold_px, confidence, most_hypotheses)
+    if isinstance(found, NoEstimate):
+        return found
+    best, drawn = found
+    T = normalising_transform(np.vstack([xy_a, xy_b]))
+    first, second = (homogeneous(xy * T[0, 0] + T[:2, 2]) for xy in (xy_a, xy_b))
+    limit = threshold_px * T[0, 0]
+    for _ in range(2):
+        data = PairMatches.from_pixels([(xy_a[best], xy_b[best])], T)
+        F, _, _, _ = refine_general(data, eight_point(data))
+        distance = np.abs(epipolar_residuals(F[0], first[:, :2], second[:, :2])).max(axis=-1)
+        again = distance < limit
+        if again.sum() < 8:
+            break
+        best = again
+    return RansacEstimate(data.pixels_F(F)[0], best, drawn)
+
+
+def ransac_inliers(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: float = 0.999,
+                   most_hypotheses: int = 2000):
+    """
+    Matches of one pair that agree with one fundamental matrix, without refining it.
+
+    Parameters
+    ----------
+    xy_a, xy_b : array_like, shape (m, 2)
+        Matches in pixels.
+    rng, threshold_px, confidence, most_hypotheses
+        As in `ransac_fundamental`.
+
+    Returns
+    -------
+    (ndarray of bool, shape (m,), int) or NoEstimate
+        The inliers of the best sample, and the number of samples drawn.
+
+    """
+    xy_a, xy_b = np.asarray(xy_a, float), np.asarray(xy_b, float)
     count = len(xy_a)
     if count < 8:
         return NoEstimate('A robust fundamental matrix needs at least 8 matches; there are '
@@ -129,12 +166,4 @@ def ransac_fundamental(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: f
     if best is None or best.sum() < 8:
         return NoEstimate('No sample of seven matches is supported by an eighth within '
                           f'{threshold_px:g} px.', 'too_few')
-    for _ in range(2):
-        data = PairMatches.from_pixels([(xy_a[best], xy_b[best])], T)
-        F, _, _, _ = refine_general(data, eight_point(data))
-        distance = np.abs(epipolar_residuals(F[0], first[:, :2], second[:, :2])).max(axis=-1)
-        again = distance < limit
-        if again.sum() < 8:
-            break
-        best = again
-    return RansacEstimate(data.pixels_F(F)[0], best, drawn)
+    return best, drawn
