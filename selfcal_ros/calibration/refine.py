@@ -30,6 +30,8 @@ from selfcal_ros.geometry.rotation import swing_twist
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
 #: Gaussian residuals.
 OUTLIER_SIGMAS = 4.0
+#: Fewer outliers than this share of the observations end the search for them.
+FEW = 0.003
 #: How far a vehicle may leave the plane, before it is told apart from an exact plane: one
 #: degree, and two hundredths of the distance between views.
 NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
@@ -129,7 +131,7 @@ def bundle_of(observations: Observations, motion: MotionModel, priors: dict[int,
 
 
 def fit_robustly(observations: Observations, state: BundleState, motion: MotionModel,
-                 priors: dict[int, Prior], sigma_px: float, rounds: int = 6) -> Fit:
+                 priors: dict[int, Prior], sigma_px: float, rounds: int = 5) -> Fit:
     """
     Optimise, estimate the noise, drop outliers, and repeat until nothing changes.
 
@@ -158,7 +160,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
             break
         distance = np.linalg.norm(bundle.residuals(state), axis=1)
         keep = distance < OUTLIER_SIGMAS * estimate      # NaN, behind the camera: not kept
-        settled = abs(estimate / sigma_px - 1) < 0.02
+        settled = abs(estimate / sigma_px - 1) < 0.02 or len(keep) - keep.sum() < FEW * len(keep)
         sigma_px = estimate
         if keep.all():
             if settled:
@@ -169,8 +171,10 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
             break
         observations = smaller
         state = replace(state, points=state.points[points])
+        if settled:
+            break
     bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescale(state), 30)
+    state = bundle.optimise(rescale(state), 30, 0.01)
     return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                before - len(observations.view))
 
