@@ -20,14 +20,16 @@ ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
-from launch.conditions import LaunchConfigurationNotEquals
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.conditions import IfCondition
+from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
+                                  PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
+    'camera_info': ('camera_info', 'where the CameraInfo goes; consumers look beside the image'),
     'bag': ('', 'play this bag instead of listening to a camera'),
     'rate': ('1.0', 'playback speed'),
     'loop': ('false', 'play the bag again and again'),
@@ -52,7 +54,7 @@ def generate_launch_description():
           for name, (default, description) in ARGUMENTS.items()),
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
         Node(package='selfcal_ros', executable='planar_calibrator', output='screen',
-             namespace=value['namespace'],
+             namespace=value['namespace'], remappings=[('camera_info', value['camera_info'])],
              parameters=[value['params_file'],
                          {'camera_name': text['camera_name'], 'output': text['output'],
                           'auto_save': ParameterValue(value['auto_save'], value_type=bool)}]),
@@ -61,7 +63,7 @@ def generate_launch_description():
              remappings=topics),
         Node(package='selfcal_ros', executable='bag_player', output='screen',
              namespace=value['namespace'], remappings=topics,
-             condition=LaunchConfigurationNotEquals('bag', ''),
+             condition=IfCondition(NotEqualsSubstitution(value['bag'], '')),
              parameters=[value['params_file'],
                          {'bag': text['bag'],
                           'rate': ParameterValue(value['rate'], value_type=float),
