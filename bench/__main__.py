@@ -1,0 +1,72 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Print the figures that the project claims: `python -m bench [NAME ...]`.
+
+Exit status 1 when a figure misses its requirement.
+"""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+import sys
+import time
+
+from bench.tables import environment, Report
+
+#: Name on the command line, module, what it shows.
+BENCHES = {
+    'si_triplet': 'spread of K on sequence SI over the Cramér-Rao bound',
+    'si_horizon': 'horizon and vanishing point of SI: pairs, batch, bound, thesis',
+    'si_degenerate': 'degenerate motions and scenes: right, or refused for the right reason',
+    'rendered_drive': 'rendered drive, images to K, beside COLMAP',
+    'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
+    'dinosaur': 'the turntable of vgg_dino: steps and fixed points',
+    'speed': 'time of the estimate, of the command, and their growth',
+    'live': 'image to tracks at 30 Hz, in one process and over DDS',
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the benches that are named, all by default; returns the exit status."""
+    names = '\n'.join(f'  {name:15} {what}' for name, what in BENCHES.items())
+    parser = argparse.ArgumentParser(
+        prog='python -m bench', formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Print the figures that the project claims.', epilog=f'names:\n{names}')
+    parser.add_argument('names', nargs='*', metavar='NAME', help='all of them by default')
+    parser.add_argument('--runs', type=int, help='Monte Carlo runs, in place of the full number')
+    parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument('--peer', action='store_true',
+                        help='run COLMAP on the recorded sets, too (minutes)')
+    parser.add_argument('--no-peer', action='store_true',
+                        help='leave COLMAP out of the rendered drives')
+    args = parser.parse_args(argv)
+    unknown = set(args.names) - set(BENCHES)
+    if unknown or (args.runs is not None and args.runs < 2):
+        parser.error(f'unknown: {", ".join(sorted(unknown))}; choose from {", ".join(BENCHES)}'
+                     if unknown else '--runs must be at least 2')
+    report = Report()
+    report.say(environment())
+    for name in args.names or BENCHES:
+        began = time.perf_counter()
+        import_module(f'bench.{name}').run(report, args)
+        report.say(f'({name}: {time.perf_counter() - began:.0f} s)')
+    if report.failures:
+        report.say('\nMissed:\n' + '\n'.join(f'- {failure}' for failure in report.failures))
+    return 1 if report.failures else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

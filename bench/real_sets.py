@@ -1,0 +1,137 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Recorded sets whose camera is known: images only, and the true aspect ratio as a fact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+import tempfile
+import time
+
+import numpy as np
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.features.extraction import extract_tracks
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+
+from bench.colmap_peer import calibrate_with_colmap, is_installed
+from bench.inputs import data_folder, grey_frames, image_files, truth_of
+from bench.tables import percent, Report
+
+
+@dataclass(frozen=True)
+class RecordedSet:
+    """
+    One set.
+
+    Attributes
+    ----------
+    name : str
+        Folder in shared/data.
+    aspect_ratio : float
+        True fy / fx.
+    most_percent : float
+        Largest error of the focal length that is allowed.
+    numbers : tuple of int, optional
+        Images used, from 1.
+
+    """
+
+    name: str
+    aspect_ratio: float
+    most_percent: float
+    numbers: tuple | None = None
+
+
+SETS = (RecordedSet('kuka_chess', 1.0, 1.0, (8, 9, 10, 11, 12, 15)),
+        RecordedSet('kitti00_turn_a', 1.0, 2.0),
+        RecordedSet('mb_temple_ring', 1525.9 / 1520.4, 4.0))
+
+
+def run(report: Report, options) -> None:
+    """Print one table a set."""
+    for one in SETS:
+        folder = data_folder(one.name)
+        subset = f', images {", ".join(map(str, one.numbers))}' if one.numbers else ''
+        report.section(f'{one.name}{subset}', 'Facts: aspect ratio '
+                       f'{one.aspect_ratio:.4f}, skew 0. Distortion chosen by the data.')
+        if folder is None:
+            report.say(f'Left out: ../shared/data/{one.name} is not there.')
+            continue
+        measure(report, one, folder, options)
+
+
+def measure(report: Report, one: RecordedSet, folder: Path, options) -> None:
+    """Calibrate one set from its images and compare with the truth."""
+    truth, files = truth_of(folder), image_files(folder, one.numbers)
+    began = time.perf_counter()
+    extraction = extract_tracks(grey_frames(files))
+    middle = time.perf_counter()
+    result = calibrate(extraction.tracks,
+                       facts=CameraFacts(aspect_ratio=one.aspect_ratio, skew=0.0))
+    seconds = time.perf_counter() - began
+    report.say(f'{len(extraction.tracks)} observations in {len(extraction.keyframes)} of '
+               f'{len(files)} images, {extraction.mode} mode; features {middle - began:.1f} s, '
+               f'estimate {began + seconds - middle:.1f} s\n')
+    if not result:
+        report.judge(False, f'{result}')
+    else:
+        report_result(report, one, truth, result)
+    if options.peer and is_installed():
+        compare(report, truth, files, result, seconds)
+
+
+def report_result(report: Report, one: RecordedSet, truth: dict, result) -> None:
+    """Print every parameter beside the truth."""
+    K = truth['K']
+    true = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1], *truth['dist'][:4]]
+    rows, worst = [], 0.0
+    for k, name in enumerate(PARAMETER_NAMES):
+        if result.status[name] != 'estimated':
+            continue
+        value, sigma = result.camera.parameters[k], result.sigma[name]
+        away = (true[k] - value) / sigma
+        # k1 and k2 depend on how many coefficients there are: shown, but not judged
+        if name not in ('k1', 'k2', 'p1', 'p2'):
+            worst = max(worst, abs(away))
+        rows.append((name, f'{value:.5g}', f'{sigma:.2g}', f'{true[k]:.5g}',
+                     f'{value - true[k]:+.3g}', f'{away:+.2f}'))
+    report.table(('parameter', 'estimate', 'σ', 'truth', 'error', 'truth in σ'), rows)
+    report.say(f'\nDistortion {result.facts.distortion}; motion {result.motion}; noise '
+               f'{result.noise_sigma_px:.2f} px; {result.outlier_count} outliers. '
+               + ' '.join(result.notes))
+    error = percent(result.camera.K[0, 0], K[0, 0])
+    report.verdict('focal length error', error, one.most_percent, '%')
+    report.say(f'stated: ± {100 * result.sigma["fx"] / K[0, 0]:.2f} %')
+    report.verdict('truth from the result, largest', worst, 3.0, 'stated sigmas')
+
+
+def compare(report: Report, truth: dict, files, result, seconds: float) -> None:
+    """Run COLMAP on the same images."""
+    K, rows = truth['K'], []
+    if result:
+        own = result.camera.K
+        rows.append(('selfcal_ros', f'{percent(own[0, 0], K[0, 0]):+.2f}',
+                     f'{np.hypot(*(own[:2, 2] - K[:2, 2])):.1f}',
+                     f'{len(result.frames)}/{len(files)}', f'{seconds:.1f}', '1'))
+    with tempfile.TemporaryDirectory() as work:
+        for name, camera, registered, time_s in calibrate_with_colmap(files, Path(work) / 'peer'):
+            error, away = '-', '-'
+            if camera:
+                error = f'{percent(camera["fx"], K[0, 0]):+.2f}'
+                away = f'{np.hypot(camera["cx"] - K[0, 2], camera["cy"] - K[1, 2]):.1f}'
+            rows.append((f'COLMAP {name}', error, away, f'{registered}/{len(files)}',
+                         f'{time_s:.1f}', f'{time_s / seconds:.1f}'))
+    report.say('')
+    report.table(('method', 'fx error %', 'pp error px', 'views', 's', 'time / ours'), rows)
