@@ -1,0 +1,60 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The figures of a calibration.
+
+Every figure is drawn by an object of its own, without a display and without the state of pyplot.
+"""
+
+from __future__ import annotations
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.report.fixed_point_figure import fixed_points_figure
+from selfcal_ros.report.observed import observed
+from selfcal_ros.report.path_figure import path_figure
+from selfcal_ros.report.residual_figures import coverage_figure, residual_figure
+from selfcal_ros.report.style import Drawing
+from selfcal_ros.report.uncertainty_figures import projection_figure, sigma_figure
+
+__all__ = ['draw_figures', 'Drawing']
+
+
+def draw_figures(result: Calibration | NotCalibrated,
+                 tracks: Tracks | None = None) -> list[Drawing]:
+    """
+    Draw everything that there is to be seen.
+
+    Parameters
+    ----------
+    result : Calibration or NotCalibrated
+    tracks : Tracks, optional
+        Those that were calibrated from; residuals over the image and coverage need them.
+
+    Returns
+    -------
+    list of Drawing
+        Figures for which the result holds nothing are left out.
+
+    """
+    size = tracks.image_size if tracks is not None else None
+    if not result:
+        drawings = [coverage_figure(tracks, size) if size else None]
+    else:
+        size = (result.camera.width, result.camera.height)
+        seen = observed(result, tracks) if tracks is not None else None
+        drawings = [fixed_points_figure(result), projection_figure(result), sigma_figure(result),
+                    residual_figure(result, seen), path_figure(result),
+                    coverage_figure(tracks, size) if tracks is not None else None]
+    return [drawing for drawing in drawings if drawing is not None]

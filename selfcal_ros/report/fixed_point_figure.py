@@ -1,0 +1,209 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The fixed points of planar motion over the image plane, after the thesis's figure 5.14."""
+
+from __future__ import annotations
+
+from matplotlib.patches import Ellipse
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry
+from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_figure,
+                                      ORANGE, PURPLE, RED, styled)
+
+#: The whole view reaches no farther from the image than so many of its longer sides.
+FARTHEST = 4.0
+#: More lines than this make a black patch.
+MOST_LINES = 60
+#: Radius of a two-dimensional 95 % ellipse in sigmas.
+SIGMAS_95 = 2.4477
+
+
+def fixed_points_figure(result: Calibration) -> Drawing | None:
+    """
+    Draw horizon, epipoles, screw axes, vanishing point and principal point.
+
+    Parameters
+    ----------
+    result : Calibration
+
+    Returns
+    -------
+    Drawing or None
+        None if the calibration has no fixed points.
+
+    """
+    if result.fixed_points is None or result.camera.width <= 0:
+        return None
+    pairs = pair_geometry(result.reconstruction, result.camera.K)
+    with styled():
+        figure = new_figure(9.2, 4.9)
+        whole, zoom = figure.subplots(1, 2)
+        _draw(whole, result, pairs, _whole_window(result, pairs), 'Image plane')
+        _draw(zoom, result, pairs, _zoom_window(result.camera), 'The image')
+        note = _principal_point(zoom, result)
+        _vanishing_point(whole, result)
+        entries = {label: handle for axes in (whole, zoom)
+                   for handle, label in zip(*axes.get_legend_handles_labels())}
+        figure.legend(entries.values(), entries.keys(), loc='outside lower center', ncols=7,
+                      columnspacing=1.2, handlelength=1.4)
+    return Drawing('fixed-points', 'Fixed points of the motion', 'All epipoles lie on the horizon '
+                   'and all screw axes pass through the vanishing point of the rotation axis, in '
+                   'undistorted pixels' + (f'; {note}.' if note else '.'), figure)
+
+
+def outline(camera: Camera, steps: int = 40) -> np.ndarray:
+    """Return the border of the image in undistorted pixels, closed, shape (n, 2)."""
+    s = np.linspace(0, 1, steps, endpoint=False)
+    zero, one = np.zeros(steps), np.ones(steps)
+    border = np.concatenate([np.stack(side, axis=1) for side in
+                             ((s, zero), (one, s), (1 - s, one), (zero, 1 - s))])
+    border = border * [camera.width, camera.height] - 0.5
+    xy = camera.normalised(np.concatenate([border, border[:1]]))
+    return xy @ camera.K[:2, :2].T + camera.K[:2, 2]
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    """Return the homogeneous points that are not at infinity as pixels, shape (n, 2)."""
+    points = points.reshape(-1, 3)
+    points = points[np.abs(points[:, 2]) > 1e-9 * np.linalg.norm(points, axis=1)]
+    return points[:, :2] / points[:, 2:]
+
+
+def _centre(camera: Camera) -> np.ndarray:
+    return np.array([camera.width - 1, camera.height - 1]) / 2
+
+
+def _zoom_window(camera: Camera) -> tuple[np.ndarray, float]:
+    border = outline(camera)
+    half = 0.56 * max(camera.width, camera.height)
+    border = border[np.isfinite(border).all(axis=1)]
+    if len(border):
+        half = min(max(half, 1.04 * np.abs(border - _centre(camera)).max()), 2 * half)
+    return _centre(camera), half
+
+
+def _whole_window(result: Calibration, pairs: PairGeometry) -> tuple[np.ndarray, float]:
+    """Choose a square that shows the image, the vanishing point and most epipoles."""
+    camera = result.camera
+    longer = max(camera.width, camera.height)
+    centre = _centre(camera)
+    low, high = centre - 0.7 * longer, centre + 0.7 * longer
+    lines = pairs.screw_axes[np.isfinite(pairs.screw_axes).all(axis=1)]
+    feet = np.cross(lines, result.fixed_points.horizon)
+    epipoles = np.concatenate([_finite(pairs.epipoles), _finite(feet)])
+    near = epipoles[np.abs(epipoles - centre).max(axis=1) < FARTHEST * longer]
+    if len(near) > 4:
+        low = np.minimum(low, np.percentile(near, 10, axis=0))
+        high = np.maximum(high, np.percentile(near, 90, axis=0))
+    v = _finite(result.fixed_points.vanishing_point)
+    if len(v) and np.abs(v[0] - centre).max() < FARTHEST * longer:
+        low, high = np.minimum(low, v[0]), np.maximum(high, v[0])
+    half = 0.5 * float((high - low).max()) + 0.15 * longer
+    return (low + high) / 2, half
+
+
+def _segment(line: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray | None:
+    """Clip a line to a square; returns two points (2, 2) or None."""
+    foot = centre - line[:2] * (line[:2] @ centre + line[2]) / max(line[:2] @ line[:2], 1e-300)
+    if not np.isfinite(foot).all() or np.linalg.norm(foot - centre) > 1.5 * half:
+        return None
+    along = np.array([-line[1], line[0]]) / np.linalg.norm(line[:2])
+    return np.stack([foot - 3 * half * along, foot + 3 * half * along])
+
+
+def _draw(axes, result: Calibration, pairs: PairGeometry, window, title: str) -> None:
+    """Draw what both panels share."""
+    camera = result.camera
+    centre, half = window
+    lines = pairs.screw_axes[np.isfinite(pairs.screw_axes).all(axis=1)]
+    shown = lines[np.unique(np.linspace(0, len(lines) - 1, MOST_LINES).astype(int))] \
+        if len(lines) else lines
+    label = 'screw axes m'
+    for line in shown:
+        segment = _segment(line, centre, half)
+        if segment is not None:
+            axes.plot(*segment.T, color=PURPLE, linewidth=0.5, alpha=0.45, label=label)
+            label = None
+    horizon = _segment(result.fixed_points.horizon, centre, half)
+    if horizon is not None:
+        axes.plot(*horizon.T, color=BLUE, linewidth=1.4, label='horizon l')
+    epipoles = _finite(pairs.epipoles)
+    axes.plot(*epipoles.T, '.', color=ORANGE, markersize=4.5, markeredgewidth=0, alpha=0.8,
+              label='epipoles e')
+    axes.plot(*outline(camera).T, color=INK, linewidth=1.2, label='image border')
+    image_axes(axes, camera.width, camera.height)
+    axes.set_xlim(centre[0] - half, centre[0] + half)
+    axes.set_ylim(centre[1] + half, centre[1] - half)
+    axes.set_title(title)
+
+
+def _vanishing_point(axes, result: Calibration) -> None:
+    """Mark v, or point to it where it lies outside the panel."""
+    v = result.fixed_points.vanishing_point
+    left, right = axes.get_xlim()
+    low, high = axes.get_ylim()[::-1]
+    K = result.camera.K
+    axes.plot(K[0, 2], K[1, 2], '+', color=RED, markersize=6, label='principal point')
+    points = _finite(v)
+    if len(points) and left < points[0, 0] < right and low < points[0, 1] < high:
+        axes.plot(*points[0], 'D', color=GREEN, markersize=5, label='vanishing point v')
+        axes.annotate('v ({:.0f}, {:.0f})'.format(*points[0]), points[0], (7, 4),
+                      textcoords='offset points', color=GREEN)
+        return
+    start = _centre(result.camera)
+    direction = v[:2] - v[2] * start
+    direction = direction * (1 if v[2] >= 0 else -1)
+    direction = direction / max(np.linalg.norm(direction), 1e-300)
+    # as far as the border of the panel
+    with np.errstate(divide='ignore'):
+        room = np.where(direction > 0, [right, high] - start, start - [left, low])
+        reach = np.min(room / np.maximum(np.abs(direction), 1e-12))
+    tip = start + 0.97 * reach * direction
+    tail = start + 0.80 * reach * direction
+    axes.annotate('', tip, tail, arrowprops={'arrowstyle': '-|>', 'color': GREEN,
+                                             'linewidth': 1.6})
+    where = 'at infinity'
+    if len(points):
+        where = 'at ({:.0f}, {:.0f})'.format(*points[0])
+    axes.annotate(f'v {where}', tail, (6, 0), textcoords='offset points', color=GREEN,
+                  va='center', bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8,
+                                     'pad': 1})
+    axes.plot([], [], marker='>', linestyle='none', color=GREEN, label='towards v')
+
+
+def _principal_point(axes, result: Calibration) -> str:
+    """Mark the principal point with its ellipse; returns what the caption must say of it."""
+    K = result.camera.K
+    point = K[:2, 2]
+    axes.plot(*point, '+', color=RED, markersize=8, label='principal point')
+    covariance = np.asarray(result.covariance, float)[2:4, 2:4]
+    if not np.isfinite(covariance).all() or covariance.trace() <= 0:
+        return ''
+    values, vectors = np.linalg.eigh(covariance)
+    half = SIGMAS_95 * np.sqrt(np.maximum(values, 0))
+    longer = max(result.camera.width, result.camera.height)
+    scale = 1.0
+    while scale * half[1] < 0.015 * longer and scale < 1e6:
+        scale *= 10
+    axes.add_patch(Ellipse(point, 2 * scale * half[1], 2 * scale * half[0],
+                           angle=np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])),
+                           fill=False, edgecolor=RED, linewidth=1.2, label='its 95 % ellipse'
+                           + (f', ×{scale:.0f}' if scale > 1 else '')))
+    axes.axhline(point[1], color=GREY, linewidth=0.4, linestyle=':')
+    axes.axvline(point[0], color=GREY, linewidth=0.4, linestyle=':')
+    return ('the ellipse of the principal point is drawn '
+            + (f'{scale:.0f} times its size' if scale > 1 else 'to scale'))

@@ -1,0 +1,88 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which observations a calibration rests on, and how far they are from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.tracks import Tracks
+
+#: Observations farther than so many sigmas from the prediction were rejected.
+OUTLIER_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """
+    Observations of the reconstructed points.
+
+    Attributes
+    ----------
+    xy : ndarray, shape (N, 2)
+        Pixels, as measured.
+    residual : ndarray, shape (N, 2)
+        Predicted less measured, pixels; NaN behind the camera.
+    used : ndarray of bool, shape (N,)
+        False for outliers.
+
+    """
+
+    xy: np.ndarray
+    residual: np.ndarray
+    used: np.ndarray
+
+
+def observed(result: Calibration, tracks: Tracks) -> Observed:
+    """
+    Predict the observations of the reconstructed points.
+
+    Parameters
+    ----------
+    result : Calibration
+    tracks : Tracks
+        Those that were calibrated from.
+
+    Returns
+    -------
+    Observed
+
+    """
+    shape = result.reconstruction
+    view, seen = _places(shape.frames, tracks.frame)
+    point, known = _places(shape.tracks, tracks.track)
+    both = seen & known
+    view, point, xy = view[both], point[both], tracks.xy[both]
+    X = np.einsum('nij,nj->ni', shape.cam_from_world[view], shape.points[point])
+    # a homogeneous point has no sign: take the one that most of its views see ahead
+    balance = np.bincount(point, np.sign(X[:, 2]), minlength=len(shape.points))
+    ahead = X[:, 2] * np.where(balance[point] < 0, -1, 1) > 0
+    depth = np.where(ahead, X[:, 2], np.nan)
+    residual = result.camera.pixels(X[:, :2] / depth[:, None]) - xy
+    with np.errstate(invalid='ignore'):
+        used = np.linalg.norm(residual, axis=1) < OUTLIER_SIGMAS * result.noise_sigma_px
+    return Observed(xy, residual, used)
+
+
+def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find values among keys: their places, and whether they are there at all."""
+    keys = np.asarray(keys)
+    if not len(keys):
+        return np.zeros(len(wanted), int), np.zeros(len(wanted), bool)
+    order = np.argsort(keys)
+    place = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
+    return order[place], keys[order[place]] == wanted

@@ -1,0 +1,106 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Epipoles and screw axes of the pairs of views, in undistorted pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Reconstruction
+
+#: Pairs that turn by less than this, or come as close to half a turn, show no usable screw axis.
+LEAST_TURN_RAD = np.radians(2.0)
+
+
+@dataclass(frozen=True)
+class PairGeometry:
+    """
+    What the pairs of views look like in the image (thesis 5.1, figure 5.14).
+
+    Attributes
+    ----------
+    pairs : ndarray of int, shape (N, 2)
+        Indices of views, first < second.
+    epipoles : ndarray, shape (N, 2, 3)
+        Image in each view of the pair of the other view's centre, homogeneous, unit norm.
+    screw_axes : ndarray, shape (N, 3)
+        Line m, the image of the screw axis, the same in both views; unit norm, NaN where the
+        pair does not turn enough.
+
+    """
+
+    pairs: np.ndarray
+    epipoles: np.ndarray
+    screw_axes: np.ndarray
+
+
+def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
+                  most_pairs: int = 400) -> PairGeometry:
+    """
+    Derive the epipoles and the screw axes of pairs of views from their poses.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    K : ndarray, shape (3, 3)
+    most_pairs : int
+        An even choice of so many pairs, if there are more.
+
+    Returns
+    -------
+    PairGeometry
+
+    """
+    poses = np.asarray(reconstruction.cam_from_world, float)
+    first, second = np.triu_indices(len(poses), 1)
+    chosen = np.unique(np.linspace(0, len(first) - 1, most_pairs).astype(int)) \
+        if len(first) > most_pairs else np.arange(len(first))
+    pairs = np.stack([first[chosen], second[chosen]], axis=1)
+    R, t = poses[:, :, :3], poses[:, :, 3]
+    centres = -np.einsum('vji,vj->vi', R, t)
+    a, b = pairs.T
+    epipoles = np.stack([_seen(K, R[a], t[a], centres[b]), _seen(K, R[b], t[b], centres[a])],
+                        axis=1)
+    return PairGeometry(pairs, epipoles, _screw_axes(K, R, t, a, b))
+
+
+def _seen(K, R, t, points) -> np.ndarray:
+    """Project world points to unit homogeneous pixels, whether ahead or behind."""
+    image = (np.einsum('nij,nj->ni', R, points) + t) @ K.T
+    return image / np.maximum(np.linalg.norm(image, axis=1, keepdims=True), 1e-300)
+
+
+def _screw_axes(K, R, t, a, b) -> np.ndarray:
+    """
+    Return the lines m of the pairs.
+
+    A world point that both cameras have at the same place but for a shift along the axis is on
+    the screw axis: (R_b - R_a) X = t_a - t_b in the plane across the axis.
+    """
+    if not len(a):
+        return np.empty((0, 3))
+    turn = np.einsum('nji,njk->nik', R[a], R[b])
+    angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    U, s, Vt = np.linalg.svd(R[b] - R[a])
+    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > 0)
+    inverse[:, 2] = 0        # along the axis, where a rotation moves nothing
+    X = np.einsum('nij,ni->nj', Vt, inverse * np.einsum('nki,nk->ni', U, t[a] - t[b]))
+    on_axis = np.einsum('nij,nj->ni', R[a], X) + t[a]
+    direction = np.einsum('nij,nj->ni', R[a], Vt[:, 2])
+    lines = np.cross(on_axis @ K.T, direction @ K.T)
+    length = np.linalg.norm(lines, axis=1, keepdims=True)
+    usable = (angle > LEAST_TURN_RAD) & (angle < np.pi - LEAST_TURN_RAD) & (length[:, 0] > 0)
+    return np.where(usable[:, None], lines / np.maximum(length, 1e-300), np.nan)

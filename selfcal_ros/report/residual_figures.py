@@ -1,0 +1,186 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Residuals over the image, their distribution, and where the image was covered."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.report.observed import Observed
+from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, INK, new_figure, ORANGE,
+                                      SEQUENTIAL, styled)
+
+#: Cells along the longer side of the image.
+RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
+#: A cell with fewer residuals has no mean worth drawing.
+LEAST_IN_CELL = 5
+
+
+def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | None:
+    """
+    Draw the mean residual in cells of the image, and the histogram of all.
+
+    Parameters
+    ----------
+    result : Calibration
+    seen : Observed or None
+        None: the histogram alone.
+
+    Returns
+    -------
+    Drawing or None
+        None if there are no residuals.
+
+    """
+    if seen is not None and seen.used.any():
+        residual = seen.residual[seen.used]
+    elif result.residuals is not None and len(result.residuals):
+        seen, residual = None, np.asarray(result.residuals, float)
+    else:
+        return None
+    values = residual[np.isfinite(residual)]
+    if len(values) < 10:
+        return None
+    caption = ('Residuals of a lens that the model describes are noise: short arrows in all '
+               'directions, and a bell.')
+    with styled():
+        figure = new_figure(9.2 if seen else 4.6, 4.0)
+        if seen is not None:
+            left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
+            _field(left, result, seen.xy[seen.used], residual)
+        else:
+            right = figure.subplots()
+            caption = 'Residuals in both image coordinates.'
+        _histogram(right, values)
+    return Drawing('residuals', 'Residuals', caption, figure)
+
+
+def cells(size: tuple[int, int], xy: np.ndarray, along: int) -> tuple[np.ndarray, tuple, float]:
+    """
+    Sort image points into square cells.
+
+    Returns
+    -------
+    index : ndarray of int, shape (N,)
+        Flat index of the cell of each point, rows first.
+    shape : (int, int)
+        Rows and columns.
+    side_px : float
+
+    """
+    side = max(size) / along
+    shape = tuple(max(int(np.ceil(n / side - 1e-9)), 1) for n in size[::-1])
+    place = np.floor((xy + 0.5) / side).astype(int)
+    place = np.clip(place, 0, [shape[1] - 1, shape[0] - 1])
+    return place[:, 1] * shape[1] + place[:, 0], shape, side
+
+
+def _field(axes, result: Calibration, xy, residual) -> None:
+    """Draw an arrow for the mean residual of each cell."""
+    camera = result.camera
+    good = np.isfinite(residual).all(axis=1)
+    xy, residual = xy[good], residual[good]
+    index, shape, side = cells((camera.width, camera.height), xy, RESIDUAL_CELLS)
+    count = np.bincount(index, minlength=shape[0] * shape[1])
+    keep = count >= LEAST_IN_CELL
+    image_axes(axes, camera.width, camera.height)
+    if not keep.any():
+        axes.set_title('Mean residual: too few in each cell')
+        return
+    mean = np.stack([np.bincount(index, residual[:, k], minlength=len(count))
+                     for k in (0, 1)], axis=1)[keep] / count[keep, None]
+    place = np.stack([np.bincount(index, xy[:, k], minlength=len(count))
+                      for k in (0, 1)], axis=1)[keep] / count[keep, None]
+    length = np.linalg.norm(mean, axis=1)
+    # a round factor that makes the long arrows about a cell long
+    raw = side / max(float(np.percentile(length, 90)), 1e-12)
+    scale = _round_down(raw)
+    # what chance alone leaves of the mean of so many residuals
+    chance = np.std(residual) * np.sqrt(2 / count[keep])
+    arrows = axes.quiver(place[:, 0], place[:, 1], mean[:, 0], mean[:, 1], length / chance,
+                         angles='xy', scale_units='xy', scale=1 / scale, cmap='viridis_r',
+                         clim=(0, 4), width=0.004)
+    bar = axes.figure.colorbar(arrows, ax=axes, location='bottom', shrink=0.6,
+                               aspect=35, pad=0.02, extend='max')
+    bar.set_label('length / expected from noise')
+    sample = _round_down(side / scale)
+    axes.quiverkey(arrows, 0.86, 1.035, sample, f'{sample:g} px', labelpos='E', color=INK,
+                   fontproperties={'size': 8})
+    axes.set_title('Mean residual in cells')
+
+
+def _round_down(value: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that does not exceed the value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
+
+
+def _histogram(axes, values: np.ndarray) -> None:
+    """Draw the distribution of the residuals' coordinates against a Gaussian."""
+    sigma = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    sigma = sigma if sigma > 0 else float(values.std()) or 1.0
+    reach = 4.5 * sigma
+    edges = np.linspace(-reach, reach, 61)
+    axes.hist(np.clip(values, -reach, reach), edges, density=True, color=BLUE, alpha=0.45,
+              label=f'{len(values)} residual coordinates')
+    x = np.linspace(-reach, reach, 200)
+    axes.plot(x, np.exp(-0.5 * (x / sigma)**2) / (sigma * np.sqrt(2 * np.pi)), color=ORANGE,
+              linewidth=1.4, label=f'Gaussian, σ = {sigma:.3g} px')
+    axes.set_xlabel('residual / px')
+    axes.set_ylabel('density / px⁻¹')
+    axes.set_title('Distribution')
+    axes.spines[['top', 'right']].set_visible(False)
+    axes.set_ylim(0, axes.get_ylim()[1] * 1.25)
+    axes.legend(loc='upper left')
+
+
+def coverage_figure(tracks: Tracks, size: tuple[int, int]) -> Drawing | None:
+    """
+    Draw how many observations each part of the image has.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    size : (int, int)
+        Width and height of the image, pixels.
+
+    Returns
+    -------
+    Drawing or None
+        None if there are no observations or no image.
+
+    """
+    if not len(tracks) or min(size) <= 0:
+        return None
+    index, shape, _ = cells(size, tracks.xy, COVERAGE_CELLS)
+    count = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape)
+    with styled():
+        figure = new_figure(5.4, 5.0 * min(size[1] / size[0], 1.4))
+        axes = figure.subplots()
+        shown = np.ma.masked_equal(count, 0)
+        side = max(size) / COVERAGE_CELLS
+        picture = axes.imshow(shown, extent=(-0.5, shape[1] * side - 0.5,
+                                             shape[0] * side - 0.5, -0.5),
+                              cmap=SEQUENTIAL, interpolation='nearest', vmin=0)
+        image_axes(axes, *size)
+        axes.set_facecolor('#f3f3f3')
+        bar = figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        bar.set_label('observations')
+        bar.outline.set_edgecolor(GREY)
+        axes.set_title('Observations in cells')
+    empty = float(np.mean(count == 0))
+    return Drawing('coverage', 'Coverage of the image', f'{100 * empty:.0f} % of the image has no '
+                   'observation; distortion is extrapolated there.', figure)

@@ -1,0 +1,130 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How well the camera is known: parameter by parameter, and over the image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.report.projection_uncertainty import projection_uncertainty
+from selfcal_ros.report.style import (BLUE, Drawing, image_axes, INK, new_figure, SEQUENTIAL,
+                                      styled)
+
+
+def sigma_figure(result: Calibration) -> Drawing | None:
+    """
+    Draw the effect of each parameter's sigma, and the correlations.
+
+    Parameters
+    ----------
+    result : Calibration
+
+    Returns
+    -------
+    Drawing or None
+        None if nothing was estimated.
+
+    """
+    variance = np.diag(np.asarray(result.covariance, float))
+    free = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if not len(free):
+        return None
+    sigma = np.sqrt(variance[free])
+    names = [PARAMETER_NAMES[k] for k in free]
+    correlation = np.asarray(result.covariance)[np.ix_(free, free)] / np.outer(sigma, sigma)
+    effect = _corner_effect(result)[free] * sigma
+    with styled():
+        figure = new_figure(9.2, 3.5)
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        left.barh(range(len(free)), effect, color=BLUE, height=0.6)
+        left.set_yticks(range(len(free)), names)
+        left.invert_yaxis()
+        left.set_xlabel('shift of a point in the corner of the image / px')
+        left.set_title('Effect of one sigma')
+        left.spines[['top', 'right']].set_visible(False)
+        for k, value in enumerate(effect):
+            left.annotate(f'{value:.2g}', (value, k), (3, 0), textcoords='offset points',
+                          va='center', fontsize=7.5)
+        left.margins(x=0.15)
+        picture = right.imshow(correlation, cmap='RdBu_r', vmin=-1, vmax=1)
+        right.set_xticks(range(len(free)), names)
+        right.set_yticks(range(len(free)), names)
+        right.tick_params(length=0)
+        for i, row in enumerate(correlation):
+            for j, value in enumerate(row):
+                right.text(j, i, f'{value:+.2f}'.replace('+1.00', '1').replace('-0.00', '0.00'),
+                           ha='center', va='center', fontsize=7,
+                           color='white' if abs(value) > 0.6 else INK)
+        right.set_title('Correlation')
+        figure.colorbar(picture, ax=right, fraction=0.046, pad=0.03)
+    return Drawing('sigmas', 'Uncertainty of the parameters', 'What one sigma of each parameter '
+                   'alone moves in the corner of the image; parameters that are strongly '
+                   'correlated move together and hide part of this.', figure)
+
+
+def _corner_effect(result: Calibration) -> np.ndarray:
+    """Return the shift of a corner per unit of each parameter, pixels, shape (9,)."""
+    camera = result.camera
+    corner = np.array([camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]])
+    x, y = corner
+    r2 = x * x + y * y
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    return np.array([x, y, 1, 1, y, np.hypot(fx * x, fy * y) * r2,
+                     np.hypot(fx * x, fy * y) * r2**2,
+                     np.hypot(fx * 2 * x * y, fy * (r2 + 2 * y * y)),
+                     np.hypot(fx * (r2 + 2 * x * x), fy * 2 * x * y)])
+
+
+def projection_figure(result: Calibration) -> Drawing | None:
+    """
+    Draw the uncertainty of projection over the image, in pixels.
+
+    Parameters
+    ----------
+    result : Calibration
+
+    Returns
+    -------
+    Drawing or None
+        None if nothing was estimated, or the image size is not known.
+
+    """
+    camera = result.camera
+    covariance = np.asarray(result.covariance, float)
+    if camera.width <= 0 or not np.isfinite(covariance).all() or not covariance.any():
+        return None
+    found = projection_uncertainty(camera, covariance, 60)
+    sigma = np.ma.masked_invalid(found.sigma_px)
+    if sigma.count() == 0:
+        return None
+    with styled():
+        figure = new_figure(5.4, 5.0 * min(camera.height / camera.width, 1.4))
+        axes = figure.subplots()
+        top = float(sigma.max())
+        picture = axes.pcolormesh(found.u, found.v, sigma, cmap=SEQUENTIAL, vmin=0, vmax=top,
+                                  shading='gouraud' if not sigma.mask.any() else 'nearest',
+                                  rasterized=True)
+        if sigma.max() > 1.05 * sigma.min():
+            lines = axes.contour(found.u, found.v, sigma, 6, colors='white', linewidths=0.6)
+            axes.clabel(lines, fmt='%.2g', fontsize=7)
+        image_axes(axes, camera.width, camera.height)
+        axes.plot(camera.K[0, 2], camera.K[1, 2], '+', color='white', markersize=7)
+        bar = figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        bar.set_label('σ / px')
+        axes.set_title('σ of a projected point, worst direction')
+    return Drawing('projection', 'Uncertainty of projection', f'All parameters together, after '
+                   f'the best small rotation: at most {top:.2g} px, '
+                   f'{float(np.ma.median(sigma)):.2g} px in the median.', figure)

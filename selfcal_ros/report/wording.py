@@ -1,0 +1,159 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibration in words and tables, for a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+
+#: What each parameter is.
+MEANING = {
+    'fx': 'focal length along x, px', 'fy': 'focal length along y, px',
+    'cx': 'principal point, x, px', 'cy': 'principal point, y, px', 'skew': 'skew, px',
+    'k1': 'radial distortion', 'k2': 'radial distortion', 'p1': 'tangential distortion',
+    'p2': 'tangential distortion'}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table of parameters."""
+
+    name: str
+    meaning: str
+    value: str
+    sigma: str
+    share: str
+    status: str
+    held_by: str = ''
+
+
+def with_sigma(value: float, sigma: float) -> tuple[str, str]:
+    """Write a value and its sigma with the digits that mean something: two of sigma."""
+    if not np.isfinite(value):
+        return 'unknown', 'unknown'
+    if not np.isfinite(sigma):
+        return f'{value:.6g}', 'unknown'
+    if sigma <= 0:
+        return f'{value:.6g}', ''
+    decimals = 1 - int(np.floor(np.log10(sigma)))
+    decimals -= round(sigma, min(decimals, 12)) >= 10.0 ** (2 - decimals)
+    decimals = min(max(decimals, 0), 9)
+    return f'{value:.{decimals}f}', f'{sigma:.{decimals}f}'
+
+
+def verdict(result: Calibration) -> str:
+    """Say in a sentence or two what was found, and how good it is."""
+    sigma, K = _sigma(result), result.camera.K
+    words = []
+    for name, value in (('fx', K[0, 0]), ('fy', K[1, 1]), ('cx', K[0, 2]), ('cy', K[1, 2])):
+        status = result.status.get(name)
+        if status == 'unobservable':
+            continue
+        text, spread = with_sigma(value, sigma[name] if status == 'estimated' else 0.0)
+        words.append([name, f'{text} ± {spread} px' if spread else f'{text} px (held)'])
+    if len(words) > 1 and [w[0] for w in words[:2]] == ['fx', 'fy'] and words[0][1] == words[1][1]:
+        words[:2] = [['fx = fy', words[0][1]]]
+    words = [' = '.join(word) for word in words]
+    sentence = f'Calibrated from {result.motion} motion: {", ".join(words) or "in part"}.'
+    weak = [name for name, status in result.status.items() if status == 'unobservable']
+    if weak:
+        sentence += (f' The data do not determine {", ".join(weak)}: state it as a fact, or '
+                     'record a motion that shows it.')
+    return sentence
+
+
+def parameter_rows(result: Calibration) -> list[Row]:
+    """Return the nine parameters, then what follows from them."""
+    sigma = _sigma(result)
+    values = dict(zip(PARAMETER_NAMES, result.camera.parameters.tolist()))
+    rows = []
+    for name, value in values.items():
+        status = result.status.get(name, 'estimated')
+        text, spread = with_sigma(value, sigma[name] if status == 'estimated' else 0.0)
+        share = ''
+        if name in ('fx', 'fy') and spread:
+            share = f'{100 * sigma[name] / value:.2g} %'
+        rows.append(Row(name, MEANING[name], text,
+                        'not determined' if status == 'unobservable' else spread, share, status,
+                        result.held_by.get(name, '') if status == 'held' else ''))
+    return rows + _derived_rows(result)
+
+
+def _derived_rows(result: Calibration) -> list[Row]:
+    """Return aspect ratio and field of view, with first-order sigmas."""
+    camera, C = result.camera, np.asarray(result.covariance, float)
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    slope = np.zeros(9)
+    slope[0], slope[1] = -fy / fx**2, 1 / fx
+    spread = _root(slope @ C @ slope)
+    facts = result.facts
+    held = facts.aspect_ratio is not None and facts.aspect_ratio_sigma == 0
+    text, sigma = with_sigma(fy / fx, 0.0 if held or spread < 1e-9 else spread)
+    rows = [Row('fy / fx', 'aspect ratio', text, sigma, '', 'held' if held else 'derived',
+                f'aspect ratio = {facts.aspect_ratio:g}' if held else '')]
+    for name, size, axis in (('horizontal', camera.width, 0), ('vertical', camera.height, 1)):
+        if size <= 0:
+            continue
+        angle, spread = _field_of_view(camera, C, size, axis)
+        if np.isfinite(angle):
+            text, sigma = with_sigma(angle, spread)
+            rows.append(Row('FoV', f'{name} field of view, degrees', text, sigma, '', 'derived'))
+    return rows
+
+
+def _field_of_view(camera, covariance, size, axis) -> tuple[float, float]:
+    """Return the angle between the ends of the middle row or column, and its sigma, degrees."""
+    def angle(change):
+        moved = type(camera).from_parameters(camera.parameters + change)
+        ends = np.tile(camera.K[:2, 2], (2, 1))
+        ends[:, axis] = -0.5, size - 0.5
+        rays = np.arctan(moved.normalised(ends)[:, axis])
+        return float(np.degrees(rays[1] - rays[0]))
+
+    steps = np.array([1e-3] * 5 + [1e-6] * 4)
+    slope = np.array([(angle(d) - angle(-d)) / (2 * s)
+                      for s, d in zip(steps, np.diag(steps))])
+    return angle(np.zeros(9)), _root(slope @ covariance @ slope)
+
+
+def facts_lines(facts: CameraFacts) -> list[str]:
+    """Say what was taken as known, a line each."""
+    def spread(sigma, unit=''):
+        return 'exact' if sigma == 0 else f'σ = {sigma:g}{unit}'
+
+    lines = []
+    if facts.aspect_ratio is not None:
+        lines.append(f'aspect ratio fy / fx = {facts.aspect_ratio:g} '
+                     f'({spread(facts.aspect_ratio_sigma)})')
+    if facts.skew is not None:
+        lines.append(f'skew = {facts.skew:g} px ({spread(facts.skew_sigma_px, " px")})')
+    if facts.principal_point is not None:
+        lines.append('principal point = ({:g}, {:g}) px '.format(*facts.principal_point)
+                     + f'({spread(facts.principal_point_sigma_px, " px")})')
+    return lines + [f'distortion model: {facts.distortion}']
+
+
+def _sigma(result: Calibration) -> dict:
+    """Return the sigmas; rounding can leave a variance of zero slightly negative."""
+    variance = np.diag(np.asarray(result.covariance, float))
+    return {name: _root(value) for name, value in zip(PARAMETER_NAMES, variance)}
+
+
+def _root(variance: float) -> float:
+    return float(np.sqrt(max(variance, 0.0))) if not np.isnan(variance) else np.inf

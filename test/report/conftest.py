@@ -1,0 +1,52 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibration whose every part is known: sequence SI, seen by a lens with distortion."""
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
+from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.synthetic.scenes import sequence_si
+
+NOISE_PX = 0.1
+
+
+@pytest.fixture(scope='session')
+def sequence():
+    """Six views of SI, and more points than its grid has."""
+    rng = np.random.default_rng(1)
+    return sequence_si(rng, NOISE_PX, views=6, distortion=[-0.1, 0.02, 0, 0],
+                       points=rng.uniform(-1, 1, (300, 3)))
+
+
+@pytest.fixture(scope='session')
+def calibration(sequence):
+    """Return the truth of the sequence as a calibration, with sigmas."""
+    sigma = np.array([2.0, 2.0, 1.0, 3.0, 0, 1e-3, 2e-3, 0, 0])
+    held = {'skew': 'skew = 0', 'p1': 'distortion = radial2', 'p2': 'distortion = radial2'}
+    covariance = np.diag(sigma**2)
+    covariance[0, 1] = covariance[1, 0] = sigma[0] * sigma[1]
+    points = np.column_stack([sequence.points, np.ones(len(sequence.points))])
+    return Calibration(
+        camera=sequence.camera, covariance=covariance,
+        status={name: 'held' if name in held else 'estimated' for name in PARAMETER_NAMES},
+        held_by=held, motion='planar',
+        facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2'),
+        frames=tuple(range(6)), reprojection_rms_px=0.14, noise_sigma_px=NOISE_PX,
+        observation_count=len(sequence.tracks), outlier_count=3,
+        reconstruction=Reconstruction(np.arange(6), sequence.cam_from_world,
+                                      np.arange(len(points)), points),
+        fixed_points=FixedPoints(sequence.horizon, sequence.vanishing_point,
+                                 sequence.circular_point),
+        notes=('A note with <b>markup</b>.',), software='selfcal_ros 0.0')
