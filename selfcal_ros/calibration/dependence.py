@@ -115,18 +115,25 @@ def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
     return Dependence(ratios, widened)
 
 
-def stretch_excess(estimates: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray]:
+def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
+                   known: float = 1.0) -> tuple[float, np.ndarray]:
     """
-    Variance beyond a stated one, from estimates that each leave out one stretch of views.
+    Variance that errors shared by stretches of views add.
 
-    The delete-a-group jackknife (Shao and Wu 1989): it also sees what a linear cluster sum of
-    few groups cannot, since every estimate is free to change.
+    With independent errors the shift of an estimate that leaves out a part of the data has the
+    covariance of that estimate less that of the one from all (Hausman 1978). Shifts larger than
+    that tell of errors that a stretch shares; linear cluster sums of few groups would miss them.
 
     Parameters
     ----------
-    estimates : ndarray, shape (G, k)
+    shifts : ndarray, shape (G, k)
+        Estimates that each leave out one stretch, less the one from all.
+    covariances : ndarray, shape (G, k, k)
+        Of those estimates, for independent errors.
     covariance : ndarray, shape (k, k)
-        Of the estimate from all views, as stated so far.
+        Of the estimate from all, for independent errors.
+    known : float
+        Variance over that with independent errors which is accounted for already.
 
     Returns
     -------
@@ -136,22 +143,28 @@ def stretch_excess(estimates: np.ndarray, covariance: np.ndarray) -> tuple[float
         Covariance to add.
 
     """
-    groups = len(estimates)
+    groups = len(shifts)
     nothing = 1.0, np.zeros_like(covariance)
     if groups < 4:
         return nothing
-    whiten, unwhiten, free = _whitening(covariance)
-    scatter = (estimates - estimates.mean(axis=0))[:, free] @ whiten.T
-    gram = (groups - 1) / groups * scatter.T @ scatter
+    # a stretch without weight in some direction must not divide by nothing there
+    expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
+    whiten, unwhiten, free = _whitening(expected)
+    scatter = shifts[:, free] @ whiten.T
+    gram = scatter.T @ scatter
     unknowns = len(whiten)
-    spread = np.sqrt(2 / (unknowns * (groups - 1)))
+    spread = np.sqrt(2 / (unknowns * groups))
     if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
         return nothing
-    values, vectors = np.linalg.eigh(gram - np.eye(unknowns))
-    more = (vectors * np.maximum(values, 0)) @ vectors.T
+    values, vectors = np.linalg.eigh(gram)
+    # the axes of what was observed, each as long as a sigma of `covariance` in its direction
+    axes = unwhiten @ vectors
+    inverse = np.linalg.pinv(covariance[np.ix_(free, free)])
+    axes /= np.sqrt(np.einsum('ik,ij,jk->k', axes, inverse, axes))
+    more = known * (axes * np.maximum(values - 1, 0)) @ axes.T
     added = np.zeros_like(covariance)
-    added[np.ix_(free, free)] = unwhiten @ more @ unwhiten.T
-    return float(np.sqrt(1 + np.trace(more) / unknowns)), added
+    added[np.ix_(free, free)] = more
+    return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added
 
 
 def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -45,8 +45,8 @@ class PathDescription:
         Largest angle between two views.
     tilt_rms_rad : float
         Out-of-plane rotation, root mean square.
-    refusal : str
-        Why no calibration can come from such motion; empty if it can.
+    refusal, advice : str
+        Why no calibration can come from such motion, and what would help; empty if it can.
     notes : tuple of str
     roll_rad : float
         Angle of the horizon against the image's x axis.
@@ -57,13 +57,14 @@ class PathDescription:
     rotation_rad: float
     tilt_rms_rad: float
     refusal: str
+    advice: str
     notes: tuple
     roll_rad: float
 
     def explain(self, missing: list, camera: Camera, facts: CameraFacts) -> tuple[str, str]:
         """Say why the parameters in `missing` cannot be determined, and what would help."""
         if self.refusal:
-            return self.refusal, 'Drive curves: turn by 30 degrees or more, left and right.'
+            return self.refusal, self.advice
         names = ', '.join(missing)
         if facts.aspect_ratio is None and facts.principal_point is None:
             if facts.skew is None:
@@ -106,22 +107,24 @@ def describe_path(state: BundleState, exact: bool) -> PathDescription:
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     notes = []
-    motion, refusal = 'planar', ''
+    motion, refusal, advice = 'planar', '', ''
     if rotation < LEAST_ROTATION_RAD:
         motion = 'translation'
         refusal = (f'The camera did not rotate ({np.degrees(rotation):.2f} degrees in all); '
                    'planar self-calibration needs rotation.')
+        advice = 'Drive curves: turn by 30 degrees or more, left and right.'
     elif tilt > MOST_TILT_RAD:
         motion = 'general'
         refusal = (f'The motion is not planar: views are tilted out of the plane by '
                    f'{np.degrees(tilt):.0f} degrees (root mean square).')
+        advice = 'Use a stretch of the recording on even ground.'
     elif _is_circular(state):
         motion = 'circular'
         notes.append('The camera circles one axis; the calibration rests on square pixels.')
     if motion in ('planar', 'circular') and not exact:
         notes.append(f'The motion is not exactly planar: {np.degrees(tilt):.2f} degrees out of '
                      'the plane (root mean square), which was estimated too.')
-    return PathDescription(motion, rotation, tilt, refusal, tuple(notes), roll)
+    return PathDescription(motion, rotation, tilt, refusal, advice, tuple(notes), roll)
 
 
 def _is_circular(state: BundleState) -> bool:

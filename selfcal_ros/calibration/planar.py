@@ -27,11 +27,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, K1, K2, MotionModel,
-                                            parameter_covariance, Prior, priors_from_facts, SKEW)
+                                            parameter_covariance, Prior, priors_from_facts, SHARED,
+                                            SKEW)
 from selfcal_ros.calibration.dependence import (assess_dependence, Dependence,
                                                 stretch_excess)
 from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
                                             fit_robustly, leave_out_stretches, NEARLY_PLANAR,
                                             Observations, refit, with_all_points)
@@ -183,6 +185,12 @@ def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts
     if len(graph.frames) < 3:
         return refuse(f'Only {len(graph.frames)} images share points; planar motion needs at '
                       'least three.', 'Record a longer drive with turns.')
+    if graph.parallax < PARALLAX_RATIO:
+        return refuse('One homography explains every pair of images to within the noise '
+                      f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
+                      'lie on one plane.',
+                      'Planar self-calibration needs a camera that also moves, before a scene '
+                      'with depth.', 'rotation')
     problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02))
     freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
                         1.0).degrees_of_freedom
@@ -225,22 +233,25 @@ def choose_model(problem: Problem, observations: Observations, state: BundleStat
     facts = problem.facts
     soft = start_priors(problem)
     fit = fit_robustly(observations, state, NEARLY_PLANAR, soft, 1.5 * problem.noise_px)
-    dependence = dependence_of(fit, problem.size).inflation**2
     if facts.distortion == 'auto':
+        dependence = dependence_of(fit, problem.size).inflation**2
+
         def determined(trial: Fit, trial_facts: CameraFacts) -> bool:
             covariance = parameter_covariance(trial.bundle.covariance(trial.state),
                                               trial.state.intrinsics) * dependence
             status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
             return 'unobservable' not in status.values()
 
-        fit, facts = choose_distortion(fit, facts, dependence, determined)
+        fit, facts = choose_distortion(fit, facts, determined)
     else:
         fit = replace(fit, bundle=bundle_of(fit.observations, NEARLY_PLANAR,
                                             priors_from_facts(facts), fit.bundle.sigma_px))
         fit = refit(fit, NEARLY_PLANAR)
-    fit, exact = choose_motion(fit, dependence)
-    stated = dependence_of(fit, problem.size).covariance
-    return Model(fit, facts, exact, stretch_excess(leave_out_stretches(fit), stated))
+    known = dependence_of(fit, problem.size).inflation**2
+    fit, exact = choose_motion(fit, known)
+    independent = fit.bundle.covariance(fit.state)[:SHARED, :SHARED]
+    return Model(fit, facts, exact,
+                 stretch_excess(*leave_out_stretches(fit), independent, known))
 
 
 def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:

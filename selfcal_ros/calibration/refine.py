@@ -23,7 +23,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle import (Bundle, BundleState, K1, K2, MotionModel, P1, P2,
                                             Prior, priors_from_facts, rescale, SHARED)
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
-from selfcal_ros.geometry.camera import CameraFacts, DISTORTION_MODELS
+from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import swing_twist
 
@@ -35,11 +35,9 @@ FEW = 0.003
 #: How far a vehicle may leave the plane, before it is told apart from an exact plane: one
 #: degree, and two hundredths of the distance between views.
 NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
-#: Models that are tried when none is stated. Tangential distortion is not among them: it trades
-#: against the principal point, which planar motion determines weakly enough.
-AUTOMATIC_DISTORTION = ('none', 'radial1', 'radial2')
-#: A distortion coefficient is taken when it lowers the cost by the square of so many sigmas.
-DISTORTION_GAIN = 3.5
+#: Models that are tried when none is stated, the richest first. Tangential distortion is not
+#: among them: it trades against the principal point, which planar motion determines weakly enough.
+AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
 #: Stretches of views that are left out in turn, and the views that this needs.
 STRETCHES, STRETCH_LEAST_VIEWS = 7, 6
 #: Floor of the out-of-plane sigmas that are estimated from the data.
@@ -207,24 +205,24 @@ def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fi
     return Fit(bundle, state, fit.observations, fit.outliers)
 
 
-def leave_out_stretches(fit: Fit) -> np.ndarray:
+def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """
     Estimate anew without each of several stretches of views.
 
     Returns
     -------
-    ndarray, shape (G, 11)
-        Shared unknowns of every estimate, the axis relative to the optimum's; G = 0 where too
-        few views would remain.
+    shifts : ndarray, shape (G, 11)
+        Change of the shared unknowns, that of the axis in radians; G = 0 where too few views
+        would remain.
+    covariances : ndarray, shape (G, 11, 11)
+        Of the estimates without a stretch, for independent errors.
 
     """
     views = len(fit.state.views)
     groups = min(views, STRETCHES)
     stretch = np.arange(views) * groups // views
-    if views < STRETCH_LEAST_VIEWS:
-        return np.zeros((0, SHARED))
-    estimates = []
-    for k in range(groups):
+    shifts, covariances = [], []
+    for k in range(groups if views >= STRETCH_LEAST_VIEWS else 0):
         rest, points = fit.observations.select(stretch[fit.observations.view] != k)
         kept, index = np.unique(rest.view, return_inverse=True)
         if len(kept) < 3:
@@ -234,8 +232,10 @@ def leave_out_stretches(fit: Fit) -> np.ndarray:
                            fit.bundle.sigma_px)
         state = bundle.optimise(state, 12, 0.05)
         _, swing = swing_twist(fit.state.mount.T @ state.mount)
-        estimates.append(np.concatenate([state.intrinsics, swing]))
-    return np.array(estimates).reshape(-1, SHARED)
+        shifts.append(np.concatenate([state.intrinsics - fit.state.intrinsics, swing]))
+        covariances.append(bundle.covariance(state)[:SHARED, :SHARED])
+    return (np.array(shifts).reshape(-1, SHARED),
+            np.array(covariances).reshape(-1, SHARED, SHARED))
 
 
 def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
@@ -274,48 +274,38 @@ def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
     return fit, False
 
 
-def choose_distortion(fit: Fit, facts: CameraFacts, dependence: float,
+def choose_distortion(fit: Fit, facts: CameraFacts,
                       determined: Callable[[Fit, CameraFacts], bool]) -> tuple[Fit, CameraFacts]:
     """
-    Choose the simplest distortion model that the images do not reject.
+    Choose the richest distortion model with which the images still determine the camera.
 
-    A richer model is taken when it lowers the cost by more than chance (`DISTORTION_GAIN`
-    sigmas, dependence of the errors considered) and the camera remains determined.
+    The choice rests on the information in the images, not on the values that come out: a model
+    chosen because its coefficients look significant has sigmas that are too small.
 
     Parameters
     ----------
     fit : Fit
-        With all coefficients free.
     facts : CameraFacts
         Its distortion is 'auto'.
-    dependence : float
-        Variance of the estimate over that with independent errors.
     determined : callable
         Whether a fit under facts determines the camera.
 
     Returns
     -------
     Fit, CameraFacts
-        The latter with the model chosen.
+        The latter with the model chosen; the simplest if none determines the camera.
 
     """
-    best = None
     for name in AUTOMATIC_DISTORTION:
-        free = DISTORTION_MODELS[name]
-        trial_facts = replace(facts, distortion=name)
-        priors = priors_from_facts(trial_facts)
-        intrinsics = fit.state.intrinsics.copy() if best is None else best.state.intrinsics.copy()
+        facts = replace(facts, distortion=name)
+        priors = priors_from_facts(facts)
+        intrinsics = fit.state.intrinsics.copy()
         for index in (K1, K2, P1, P2):
             if index in priors:
                 intrinsics[index] = 0.0
-        start = fit.state if best is None else best.state
         bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
-        state = bundle.optimise(replace(start, intrinsics=intrinsics), 25, 0.1)
+        state = bundle.optimise(replace(fit.state, intrinsics=intrinsics), 25, 0.1)
         trial = Fit(bundle, state, fit.observations, fit.outliers)
-        if best is None:
-            best, chosen, cost, terms = trial, trial_facts, trial.cost, len(free)
-            continue
-        gain = 2 * (cost - trial.cost) / dependence
-        if (gain > DISTORTION_GAIN**2 * (len(free) - terms)) and determined(trial, trial_facts):
-            best, chosen, cost, terms = trial, trial_facts, trial.cost, len(free)
-    return best, chosen
+        if determined(trial, facts):
+            break
+    return trial, facts

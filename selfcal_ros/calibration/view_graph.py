@@ -21,6 +21,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from selfcal_ros.calibration.pair_tests import homography_cost
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -30,6 +31,8 @@ from selfcal_ros.geometry.ransac import ransac_inliers
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little.
 MINIMUM_MATCHES = 12
+#: Noise below this is rounding.
+LEAST_NOISE_PX = 1e-3
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
 RANSAC_MATCHES = 200
 #: Largest distance of an inlier from the epipolar geometry, pixels.
@@ -53,6 +56,9 @@ class ViewGraph:
         Robust standard deviation of an image coordinate, from epipolar distances.
     rejected : int
         Observations that fitted no pair.
+    parallax : float
+        What a homography leaves of the pair that it explains worst, in units of that pair's
+        noise; near 1 the scene is one plane or the camera only rotated.
 
     """
 
@@ -61,6 +67,7 @@ class ViewGraph:
     pairs: list
     noise_px: float
     rejected: int
+    parallax: float
 
 
 def sampson_distances(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
@@ -83,6 +90,13 @@ def sampson_distances(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.n
     value = np.sum(xy_b * lines_b[:, :2], axis=1) + lines_b[:, 2]
     square = np.sum(lines_a[:, :2]**2, axis=1) + np.sum(lines_b[:, :2]**2, axis=1)
     return value / np.sqrt(np.maximum(square, 1e-300))
+
+
+def _parallax(pairs, noise_px) -> float:
+    """Largest residual of a homography over the pairs, in units of the noise."""
+    data = PairMatches.from_pixels([(p.xy_first, p.xy_second) for p in pairs])
+    left = np.sqrt(homography_cost(data) / (4 * np.maximum(2 * data.counts - 8, 1)))
+    return float(left.max() / noise_px)
 
 
 def _refined(samples) -> np.ndarray:
@@ -175,4 +189,5 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
-    return ViewGraph(frames[largest], kept, pairs, median, len(tracks) - len(kept))
+    return ViewGraph(frames[largest], kept, pairs, median, len(tracks) - len(kept),
+                     _parallax(pairs, max(median, LEAST_NOISE_PX)))

@@ -1,0 +1,203 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The bundle adjustment: derivatives, elimination, optimum and covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from selfcal_ros import CameraFacts
+from selfcal_ros.calibration.bundle import (Bundle, BundleState, MotionModel, parameter_covariance,
+                                            priors_from_facts, SHARED, tangent_basis)
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.synthetic.scenes import sequence_si
+
+
+def true_state(sequence):
+    """Return state, view and point of a sequence at its truth, in the bundle's world frame."""
+    from selfcal_ros.geometry.rotation import align_z, swing_twist
+    camera = sequence.camera
+    mount = align_z(sequence.axis)
+    poses = sequence.cam_from_world
+    # the first view's camera is at the origin of the bundle's world, turned by the mount
+    first = np.vstack([poses[0], [0, 0, 0, 1]])
+    world_from_new = np.linalg.inv(first) @ np.block(
+        [[mount, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+    values = np.zeros((len(poses), 6))
+    for k, pose in enumerate(poses):
+        new = mount.T @ (pose @ world_from_new)
+        twist, swing = swing_twist(new[:, :3])
+        values[k] = [twist, new[0, 3], new[1, 3], *swing, new[2, 3]]
+    points = np.linalg.solve(world_from_new, np.vstack([sequence.points.T,
+                                                        np.ones(len(sequence.points))])).T
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    f, fy, cx, cy, skew, k1, k2, p1, p2 = camera.parameters
+    return BundleState(np.array([f, fy / f, cx, cy, skew, k1, k2, p1, p2]), mount, values, points)
+
+
+def problem(noise_px=0.0, motion=MotionModel(), facts=CameraFacts(distortion='plumb_bob'),
+            seed=1, **options):
+    """Return a bundle over sequence SI and the true state."""
+    sequence = sequence_si(np.random.default_rng(seed), noise_px, **options)
+    tracks = sequence.tracks
+    bundle = Bundle(tracks.frame, tracks.track, tracks.xy, motion=motion,
+                    priors=priors_from_facts(facts), sigma_px=max(noise_px, 0.1))
+    return bundle, true_state(sequence)
+
+
+def test_truth_has_no_residual():
+    bundle, state = problem(distortion=(-0.1, 0.05, 0.001, -0.002), aspect_ratio=1.1, skew=5)
+
+    assert np.abs(bundle.residuals(state)).max() < 1e-9
+
+
+def test_derivatives_are_those_of_differences():
+    bundle, state = problem(motion=MotionModel(0.1, 0.1), skew=3,
+                            distortion=(-0.1, 0.05, 0.001, -0.002))
+    rng = np.random.default_rng(2)
+    state = replace(state, views=state.views + 0.05 * rng.standard_normal(state.views.shape))
+    line = bundle.linearise(state)
+    none = np.zeros((len(state.points), 3))
+
+    def difference(step, points):
+        h = 1e-6
+        ahead, behind = (bundle.linearise(bundle.apply(state, s * h * step, s * h * points), False)
+                         for s in (1, -1))
+        return (ahead.residual - behind.residual) / (2 * h)
+
+    for k in range(SHARED):
+        step = np.zeros(len(bundle.free))
+        step[k] = 1
+        np.testing.assert_allclose(line.shared[:, :, k], difference(step, none), atol=2e-5)
+    for k in range(6):
+        step = np.zeros(len(bundle.free))
+        step[SHARED + 6 + k] = 1
+        expected = np.where((bundle.view == 1)[:, None], line.view[:, :, k], 0)
+        np.testing.assert_allclose(expected, difference(step, none), atol=2e-5)
+    for k in range(3):
+        points = none.copy()
+        points[:, k] = 1
+        np.testing.assert_allclose(line.point[:, :, k],
+                                   difference(np.zeros(len(bundle.free)), points), atol=2e-5)
+
+
+def test_elimination_solves_the_whole_system():
+    """The reduced step and the points' steps are those of the dense normal equations."""
+    bundle, state = problem(0.1)
+    line = bundle.linearise(state)
+    blocks, n, views = bundle.blocks, len(bundle.view), bundle.blocks.view_count
+    system = blocks.reduce(line.shared, line.view, line.point, line.residual)
+    rest = SHARED + 6 * views
+    J = np.zeros((n, 2, rest + 3 * blocks.point_count))
+    J[:, :, :SHARED] = line.shared
+    for k in range(n):
+        J[k, :, SHARED + 6 * bundle.view[k]:][:, :6] = line.view[k]
+        J[k, :, rest + 3 * bundle.point[k]:][:, :3] = line.point[k]
+    J = J.reshape(2 * n, -1)
+    H, g = J.T @ J, J.T @ line.residual.ravel()
+    schur = H[:rest, :rest] - H[:rest, rest:] @ np.linalg.solve(H[rest:, rest:], H[rest:, :rest])
+
+    np.testing.assert_allclose(system.matrix, schur, atol=1e-6 * np.abs(H).max())
+    step = np.random.default_rng(0).standard_normal(rest)
+    points = -np.linalg.solve(H[rest:, rest:], g[rest:] + H[rest:, :rest] @ step)
+    np.testing.assert_allclose(system.point_steps(step).ravel(), points, rtol=1e-5, atol=1e-8)
+    change = system.predict(step, system.point_steps(step))
+    np.testing.assert_allclose(change.ravel(), J @ np.r_[step, points], rtol=1e-5, atol=1e-6)
+
+
+def test_views_that_share_no_window_are_grouped_right():
+    """Groups of points over windows of views add up to the same matrix in any order."""
+    rng = np.random.default_rng(3)
+    point = np.repeat(np.arange(600), 3)
+    view = (np.arange(600) // 60)[:, None] + np.array([0, 1, 3])
+    blocks = PointBlocks(point, view.ravel())
+    n = len(point)
+    shared, own, points = (rng.standard_normal((n, 2, k)) for k in (4, 2, 3))
+    system = blocks.reduce(shared, own, points, rng.standard_normal((n, 2)))
+
+    np.testing.assert_allclose(system.matrix, system.matrix.T, atol=1e-9)
+    assert np.linalg.eigvalsh(system.matrix).min() > -1e-9
+    # views 0 and 9 share no point
+    a, b = slice(4, 6), slice(4 + 2 * 9, 6 + 2 * 9)
+    assert np.abs(system.matrix[a, a]).max() > 0
+    off = blocks.reduce(np.zeros((n, 2, 0)), own, points, np.zeros((n, 2))).matrix[:2, 18:20]
+    np.testing.assert_allclose(off, 0, atol=1e-12)
+    assert b.stop <= len(system.matrix)
+
+
+def test_it_returns_to_the_truth_from_afar():
+    facts = CameraFacts(aspect_ratio=1.0, distortion='none')
+    bundle, truth = problem(0.0, facts=facts)
+    rng = np.random.default_rng(7)
+    away = replace(truth, intrinsics=truth.intrinsics * [0.8, 1, 1.05, 0.95, 1, 0, 0, 0, 0],
+                   views=truth.views * [1.2, 1, 1, 0, 0, 0]
+                   + [0, 0, 0, 0, 0, 0] * rng.standard_normal((3, 6)))
+
+    found = bundle.optimise(away, 100, 1e-12)
+
+    np.testing.assert_allclose(found.intrinsics, truth.intrinsics, atol=1e-3)
+
+
+def test_covariance_is_that_of_many_runs():
+    """Spread over seeded runs against the stated covariance: chi-square of all parameters."""
+    facts = CameraFacts(aspect_ratio=1.0, distortion='none')
+    chosen = [0, 2, 3, 4]
+    distances = []
+    for seed in range(60):
+        bundle, truth = problem(0.2, facts=facts, seed=seed)
+        bundle = bundle.with_sigma(0.2)
+        found = bundle.optimise(truth, 50, 1e-6)
+        covariance = parameter_covariance(bundle.covariance(found), found.intrinsics)
+        error = (found.intrinsics - truth.intrinsics)[chosen]
+        distances.append(error @ np.linalg.solve(covariance[np.ix_(chosen, chosen)], error))
+
+    # mean of chi-square with four degrees of freedom over 60 runs: 4 ± 0.37
+    assert 4 - 4 * 0.37 < np.mean(distances) < 4 + 4 * 0.37
+
+
+def test_noise_is_estimated_without_bias():
+    estimates = []
+    for seed in range(20):
+        bundle, truth = problem(0.3, facts=CameraFacts(1.0, distortion='none'), seed=seed)
+        found = bundle.optimise(truth, 50, 1e-6)
+        estimates.append(bundle.noise_rms(found))
+
+    # 145 degrees of freedom: 6 % a run
+    assert np.mean(estimates) == pytest.approx(0.3, rel=4 * 0.06 / np.sqrt(20))
+
+
+def test_a_soft_fact_weighs_as_much_as_its_sigma():
+    """A fact far from the data pulls, one with a large sigma does not."""
+    wrong = {}
+    for sigma in (0.001, 1.0):
+        facts = CameraFacts(aspect_ratio=1.0, principal_point=(390.0, 300.0),
+                            principal_point_sigma_px=1000 * sigma, skew=0.0, distortion='none')
+        bundle, truth = problem(0.0, facts=facts)
+        wrong[sigma] = abs(bundle.optimise(truth, 100, 1e-10).intrinsics[2] - 400)
+
+    assert wrong[0.001] > 1
+    assert wrong[1.0] < 0.1
+
+
+def test_tangent_basis_is_orthonormal():
+    points = np.random.default_rng(0).standard_normal((50, 4))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points[0] = [0, 0, 0, 1]
+    points[1] = [0, 0, 0, -1]
+    B = tangent_basis(points)
+
+    np.testing.assert_allclose(np.swapaxes(B, 1, 2) @ B, np.tile(np.eye(3), (50, 1, 1)),
+                               atol=1e-12)
+    np.testing.assert_allclose(np.einsum('pi,pij->pj', points, B), 0, atol=1e-12)
