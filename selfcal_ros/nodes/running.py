@@ -20,7 +20,7 @@ import signal
 import sys
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from selfcal_ros.errors import SelfcalError
 
@@ -50,12 +50,15 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
         return 2
     node = None
     try:
+        # before the node: an executor whose making a signal interrupts complains as it goes
+        executor = SingleThreadedExecutor()
         node = make_node()
+        executor.add_node(node)
         finished = getattr(node, 'finished', None)
         if finished is None:
-            rclpy.spin(node)
+            executor.spin()
         else:
-            rclpy.spin_until_future_complete(node, finished)
+            executor.spin_until_future_complete(finished)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except SelfcalError as error:

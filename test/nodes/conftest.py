@@ -13,9 +13,11 @@
 # limitations under the License.
 """A ROS graph for one test: domain of its own, log in a temporary folder, waits with a timeout."""
 
+import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import tempfile
 import time
 
 import pytest
@@ -25,11 +27,26 @@ if find_spec('rclpy') is None:
     collect_ignore_glob = ['test_*.py']
 
 
+@pytest.fixture(scope='session')
+def domain_id():
+    """Reserve a domain among all tests of this machine; ids up to 101 are safe everywhere."""
+    for number in range(1, 102):
+        lock = open(Path(tempfile.gettempdir(), f'selfcal_ros_domain_{number}.lock'), 'a')
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            lock.close()
+            continue
+        yield number
+        lock.close()
+        return
+    pytest.fail('all ROS domains are taken by other tests')
+
+
 @pytest.fixture(autouse=True)
-def ros_environment(tmp_path, monkeypatch):
+def ros_environment(tmp_path, monkeypatch, domain_id):
     """Keep the test to itself; sub-processes inherit it."""
-    # ids up to 101 are safe everywhere; another process of the test run has another one
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
     monkeypatch.setenv('ROS_HOME', str(tmp_path / 'ros_home'))
     monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(ROOT / 'config' / 'fastdds.xml'))

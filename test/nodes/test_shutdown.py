@@ -54,9 +54,11 @@ def test_a_signal_ends_a_node_cleanly(graph, start, tmp_path, name, number):
                                                  np.zeros((48, 64), np.uint8))
                                            for k in range(100)])
         arguments = ['-p', f'bag:={tmp_path / "bag"}', '-p', 'wait_for_subscribers_s:=0']
-    process = start(name, *arguments)
+    # a name of its own: a node of the test before may still be known
+    called = f'{name}_{number.name.lower()}'
+    process = start(name, '-r', f'__node:={called}', *arguments)
     graph = graph()
-    graph.wait_for(lambda: name in graph.probe.get_node_names(), 30, name)
+    graph.wait_for(lambda: called in graph.probe.get_node_names(), 30, name)
     process.send_signal(number)
     _, errors = process.communicate(timeout=15)
     assert process.returncode == 0, errors
@@ -64,9 +66,9 @@ def test_a_signal_ends_a_node_cleanly(graph, start, tmp_path, name, number):
 
 
 def test_two_signals_in_a_row_end_a_node_cleanly(graph, start):
-    process = start('planar_calibrator')
+    process = start('planar_calibrator', '-r', '__node:=interrupted_twice')
     graph = graph()
-    graph.wait_for(lambda: 'planar_calibrator' in graph.probe.get_node_names(), 30)
+    graph.wait_for(lambda: 'interrupted_twice' in graph.probe.get_node_names(), 30)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=15)
