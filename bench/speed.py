@@ -1,0 +1,127 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Time of the estimate and of the command, and how the estimate grows with the drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
+from selfcal_ros.synthetic.special_scenes import drive
+
+from bench.inputs import ROOT
+from bench.tables import percent, Report
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
+GROWTH_VIEWS = (12, 24, 50, 100, 200)
+#: Observations a view that the growth is measured at, and the length of a track in views.
+OBSERVATIONS_PER_VIEW, TRACK_LENGTH = 150, 12
+#: Seconds a view may grow by so much from the shorter drives to the longest: a linear method
+#: with the scatter of a shared machine.
+MOST_GROWTH = 1.3
+
+
+def run(report: Report, options) -> None:
+    """Print the three tables."""
+    estimate(report)
+    growth(report)
+    command(report)
+
+
+def best_of(count: int, function):
+    """Shortest time of several calls, and the last result."""
+    times = []
+    for _ in range(count):
+        began = time.perf_counter()
+        result = function()
+        times.append(time.perf_counter() - began)
+    return min(times), float(np.median(times)), result
+
+
+def estimate(report: Report) -> None:
+    """24 views, 2000 tracks; with distortion known and chosen."""
+    report.section('The estimate alone: 24 views, 2000 tracks, 0.1 px')
+    scene, rows = drive(np.random.default_rng(0), 0.1, 24, 2000), []
+    for distortion in ('none', 'radial2', 'auto'):
+        facts = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion=distortion)
+        least, middle, result = best_of(3, lambda facts=facts: calibrate(scene.tracks,
+                                                                         facts=facts))
+        error = percent(result.camera.K[0, 0], scene.camera.K[0, 0]) if result else np.nan
+        rows.append((distortion, len(scene.tracks), f'{least:.2f}', f'{middle:.2f}',
+                     f'{error:+.4f}'))
+    report.table(('distortion', 'observations', 'best s', 'median s', 'fx error %'), rows)
+    report.say('')
+    report.verdict('longest, best of 3', max(float(row[2]) for row in rows), 1.0, 's')
+
+
+def growth(report: Report) -> None:
+    """Time of the estimate for drives of 12 to 200 views."""
+    report.section('Growth with the length of the drive',
+                   f'About {OBSERVATIONS_PER_VIEW} observations a view, tracks of up to '
+                   f'{TRACK_LENGTH} views, 0.1 px, distortion chosen by the data.')
+    rows, per_view = [], []
+    for views in GROWTH_VIEWS:
+        tracks = _tracks_for(views)
+        scene = drive(np.random.default_rng(1), 0.1, views, tracks, TRACK_LENGTH)
+        least, _, result = best_of(2, lambda scene=scene: calibrate(scene.tracks, facts=FACTS))
+        per_view.append(least / views)
+        error = percent(result.camera.K[0, 0], scene.camera.K[0, 0]) if result else np.nan
+        rows.append((views, f'{len(scene.tracks) / views:.0f}', f'{least:.2f}',
+                     f'{1000 * per_view[-1]:.1f}', f'{per_view[-1] / per_view[0]:.2f}',
+                     f'{error:+.4f}', '' if result else result.reason[:60]))
+    report.table(('views', 'observations a view', 's', 'ms a view', 'ms a view / shortest',
+                  'fx error %', ''), rows)
+    report.say('')
+    report.verdict('ms a view at 200 views over the mean of the shorter drives',
+                   per_view[-1] / float(np.mean(per_view[:-1])), MOST_GROWTH)
+
+
+def _tracks_for(views: int) -> int:
+    """Number of tracks that gives the wanted number of observations a view."""
+    probe = drive(np.random.default_rng(1), 0.1, views, 20 * views, TRACK_LENGTH)
+    return round(20 * views * OBSERVATIONS_PER_VIEW * views / len(probe.tracks))
+
+
+def command(report: Report) -> None:
+    """`selfcal calibrate` as a user runs it, and what starting it costs."""
+    report.section('The command, as a process of its own')
+    selfcal = [sys.executable, '-c',
+               'import sys; from selfcal_ros.cli.main import main; sys.exit(main())']
+    rows = []
+    least, middle, _ = best_of(3, lambda: _call([*selfcal, '--help']))
+    rows.append(('selfcal --help', f'{least:.2f}', f'{middle:.2f}', ''))
+    least, middle, _ = best_of(3, lambda: _call([sys.executable, '-c', 'import selfcal_ros']))
+    rows.append(('python -c "import selfcal_ros"', f'{least:.2f}', f'{middle:.2f}', ''))
+    with tempfile.TemporaryDirectory() as folder:
+        images = write_image_folder(agv_drive(24), Path(folder) / 'drive')
+        call = [*selfcal, 'calibrate', str(images), '--aspect-ratio', '1', '--skew', '0',
+                '--output', str(Path(folder) / 'camera.yaml'), '--quiet']
+        least, middle, status = best_of(3, lambda: _call(call))
+        rows.append(('selfcal calibrate, 24 views 640x480', f'{least:.2f}', f'{middle:.2f}',
+                     f'exit status {status}'))
+    report.table(('command', 'best s', 'median s', ''), rows)
+    report.say('')
+    report.verdict('selfcal calibrate on the 24-view drive, best of 3', least, 10.0, 's')
+    report.judge(status == 0, f'its exit status is {status}')
+
+
+def _call(arguments) -> int:
+    return subprocess.run(arguments, cwd=ROOT, stdout=subprocess.DEVNULL,
+                          timeout=300).returncode
