@@ -142,6 +142,15 @@ def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
     return priors
 
 
+def holding(state: BundleState, priors: dict[int, Prior]) -> BundleState:
+    """Put held parameters at the values that hold them."""
+    intrinsics = state.intrinsics.copy()
+    for index, prior in priors.items():
+        if prior.sigma == 0:
+            intrinsics[index] = prior.value
+    return replace(state, intrinsics=intrinsics)
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """Residuals (N, 2) in pixels and their Jacobians; `ahead` (N,) is false behind the camera."""

@@ -153,7 +153,9 @@ def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.n
     scatter = shifts[:, free] @ whiten.T
     gram = scatter.T @ scatter
     unknowns = len(whiten)
-    spread = np.sqrt(2 / (unknowns * groups))
+    each = whiten @ (known * (covariances - covariance))[:, free[:, None], free] @ whiten.T
+    # variance of a sum of squares of Gaussians; the ends of a drive may weigh most
+    spread = np.sqrt(2 * np.sum(each**2)) / unknowns
     if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
         return nothing
     values, vectors = np.linalg.eigh(gram)

@@ -26,11 +26,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, K1, K2, MotionModel,
-                                            parameter_covariance, Prior, priors_from_facts, SHARED,
-                                            SKEW)
-from selfcal_ros.calibration.dependence import (assess_dependence, Dependence,
-                                                stretch_excess)
+from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, holding, K1, K2,
+                                            MotionModel, parameter_covariance, Prior,
+                                            priors_from_facts, SHARED, SKEW)
+from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
+from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
@@ -48,6 +48,10 @@ from selfcal_ros.geometry.optimise import PointBlocks
 #: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a
 #: long one (13°), the likely ones first.
 FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
+#: A closed form outside this range (the same unit) is no start.
+FOCAL_SWEEP_LEAST, FOCAL_SWEEP_MOST = 0.2, 10.0
+#: Triplets that the closed form combines.
+CLOSED_FORM_TRIPLETS = 6
 #: While starts are compared, soft facts keep them from wandering: principal point within so
 #: much of the middle (share of the longer side), distortion of ordinary lenses.
 START_PRINCIPAL_POINT_SHARE = 0.06
@@ -119,10 +123,31 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
         costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
         if not np.isfinite(min(costs)):
             continue
+        chosen = holding(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
-        state = coarse.optimise(candidates[int(np.argmin(costs))], 8, 1.0)
+        state = coarse.optimise(chosen, 8, 1.0)
         state = fine.optimise(state, 12, 1.0)
         yield state, fine.noise_sigma(state)
+
+
+def closed_form(problem: Problem, frames: np.ndarray) -> list[Camera]:
+    """
+    Calibration of the thesis's chain: horizon, v, circular points, pencil (chapters 5 and 6).
+
+    Empty where it does not apply: distortion and uneven ground upset it, which the bundle
+    adjustment does not mind.
+    """
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    tracks = Tracks(frames[few.view], few.point, few.xy, problem.size)
+    estimate = fixed_points(tracks, limit=CLOSED_FORM_TRIPLETS)
+    found = calibrate_estimate(estimate, problem.facts) if estimate else None
+    if not found:
+        return []
+    K = np.triu(found.K)
+    focal = K[0, 0] / max(problem.size)
+    if not FOCAL_SWEEP_LEAST < focal < FOCAL_SWEEP_MOST:
+        return []
+    return [Camera(K / K[2, 2], width=problem.size[0], height=problem.size[1])]
 
 
 def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list] | None:
@@ -198,7 +223,7 @@ def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts
         return refuse(f'{len(observations.track)} points in {len(frames)} images leave '
                       f'{freedom} degrees of freedom; the estimate could not be checked.',
                       'More points or more images are needed.')
-    chosen = best_start(problem, proposals)
+    chosen = best_start(problem, [*proposals, *closed_form(problem, graph.frames)])
     if chosen is None:
         return refuse('No focal length between 0.45 and 4.2 times the image width gives a '
                       'consistent reconstruction.')

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import (Bundle, BundleState, K1, K2, MotionModel, P1, P2,
-                                            Prior, priors_from_facts, rescale, SHARED)
+from selfcal_ros.calibration.bundle import (Bundle, BundleState, holding, MotionModel, Prior,
+                                            priors_from_facts, rescale, SHARED)
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -299,12 +299,8 @@ def choose_distortion(fit: Fit, facts: CameraFacts,
     for name in AUTOMATIC_DISTORTION:
         facts = replace(facts, distortion=name)
         priors = priors_from_facts(facts)
-        intrinsics = fit.state.intrinsics.copy()
-        for index in (K1, K2, P1, P2):
-            if index in priors:
-                intrinsics[index] = 0.0
         bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
-        state = bundle.optimise(replace(fit.state, intrinsics=intrinsics), 25, 0.1)
+        state = bundle.optimise(holding(fit.state, priors), 25, 0.1)
         trial = Fit(bundle, state, fit.observations, fit.outliers)
         if determined(trial, facts):
             break
