@@ -28,6 +28,8 @@ from selfcal_ros.cli.compare import pixel_difference
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive, pure_translation
@@ -119,6 +121,35 @@ def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     assert heard.err.startswith('selfcal calibrate: ') and heard.err.count('\n') == 1
     assert words in heard.err
     assert sorted(Path().iterdir()) == before, 'nothing half-written'
+
+
+@pytest.fixture
+def bad_inputs():
+    """Make inputs that go wrong in the middle, or hold nothing."""
+    rng = np.random.default_rng(0)
+
+    def frames(sizes):
+        return [Frame(k, 10 ** 18 + k * 10 ** 8, rng.integers(0, 256, size, np.uint8))
+                for k, size in enumerate(sizes)]
+
+    write_image_bag('good', frames([(96, 128)] * 8))
+    write_image_bag('mixed', frames([(96, 128)] * 4 + [(64, 64)] * 4))
+    recording = next(Path('good').glob('*.mcap'))
+    content = recording.read_bytes()
+    Path('truncated.mcap').write_bytes(content[:len(content) // 2])
+    Path('folder').mkdir()
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['truncated.mcap'], 'truncated'), (['mixed'], 'change size'), (['folder'], 'folder'),
+    (['good', '--topic', '/nothing'], '/camera/image_raw')])
+def test_a_broken_recording_is_status_2_in_one_sentence(bad_inputs, capsys, arguments, words):
+    before = sorted(Path().rglob('*'))
+    assert selfcal('calibrate', *arguments, '--json', 'result.json') == 2
+    heard = capsys.readouterr()
+    assert heard.err.startswith('selfcal calibrate: ') and heard.err.count('\n') == 1
+    assert words in heard.err
+    assert sorted(Path().rglob('*')) == before, 'nothing half-written'
 
 
 def test_an_option_that_does_not_exist_is_status_2(capsys):
