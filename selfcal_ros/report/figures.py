@@ -50,11 +50,11 @@ def draw_figures(result: Calibration | NotCalibrated,
     """
     size = tracks.image_size if tracks is not None else None
     if not result:
-        drawings = [coverage_figure(tracks, size) if size else None]
+        drawings = [coverage_figure(tracks.xy, size) if size else None]
     else:
         size = (result.camera.width, result.camera.height)
         seen = observed(result, tracks) if tracks is not None else None
-        drawings = [fixed_points_figure(result), projection_figure(result), sigma_figure(result),
-                    residual_figure(result, seen), path_figure(result),
-                    coverage_figure(tracks, size) if tracks is not None else None]
+        drawings = [fixed_points_figure(result, seen), projection_figure(result),
+                    sigma_figure(result), residual_figure(result, seen), path_figure(result),
+                    None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]

@@ -20,25 +20,29 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry
+from selfcal_ros.report.observed import Observed
+from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry, single_pairs
 from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_figure,
                                       ORANGE, PURPLE, RED, styled)
 
 #: The whole view reaches no farther from the image than so many of its longer sides.
-FARTHEST = 4.0
+FARTHEST = 3.0
 #: More lines than this make a black patch.
 MOST_LINES = 60
 #: Radius of a two-dimensional 95 % ellipse in sigmas.
 SIGMAS_95 = 2.4477
 
 
-def fixed_points_figure(result: Calibration) -> Drawing | None:
+def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Drawing | None:
     """
     Draw horizon, epipoles, screw axes, vanishing point and principal point.
 
     Parameters
     ----------
     result : Calibration
+    seen : Observed, optional
+        With it, every pair's epipoles and screw axis come from its matches alone; without, from
+        the reconstruction.
 
     Returns
     -------
@@ -48,7 +52,10 @@ def fixed_points_figure(result: Calibration) -> Drawing | None:
     """
     if result.fixed_points is None or result.camera.width <= 0:
         return None
-    pairs = pair_geometry(result.reconstruction, result.camera.K)
+    pairs = single_pairs(result, seen) if seen is not None else None
+    single = pairs is not None and len(pairs.pairs) > 0
+    if not single:
+        pairs = pair_geometry(result.reconstruction, result.camera.K)
     with styled():
         figure = new_figure(9.2, 4.9)
         whole, zoom = figure.subplots(1, 2)
@@ -60,9 +67,25 @@ def fixed_points_figure(result: Calibration) -> Drawing | None:
                    for handle, label in zip(*axes.get_legend_handles_labels())}
         figure.legend(entries.values(), entries.keys(), loc='outside lower center', ncols=7,
                       columnspacing=1.2, handlelength=1.4)
-    return Drawing('fixed-points', 'Fixed points of the motion', 'All epipoles lie on the horizon '
-                   'and all screw axes pass through the vanishing point of the rotation axis, in '
-                   'undistorted pixels' + (f'; {note}.' if note else '.'), figure)
+    caption = ('In undistorted pixels. Under planar motion all epipoles lie on the horizon and '
+               'all screw axes pass through the vanishing point of the rotation axis')
+    caption += _distances(result, pairs) if single else '.'
+    return Drawing('fixed-points', 'Fixed points of the motion',
+                   caption + (f' {note}.' if note else ''), figure)
+
+
+def _distances(result: Calibration, pairs: PairGeometry) -> str:
+    """Say how far the epipoles of single pairs are from the horizon."""
+    line = result.fixed_points.horizon / np.linalg.norm(result.fixed_points.horizon[:2])
+    longer = max(result.camera.width, result.camera.height)
+    epipoles = _finite(pairs.epipoles)
+    near = epipoles[np.abs(epipoles - _centre(result.camera)).max(axis=1) < longer]
+    start = f'; here each of {len(pairs.pairs)} pairs of views was taken for itself'
+    if len(near) < 5:
+        return start + '.'
+    distance = np.median(np.abs(near @ line[:2] + line[2]))
+    return start + (f', and the median epipole near the image is {distance:.2g} px from the '
+                    'horizon.')
 
 
 def outline(camera: Camera, steps: int = 40) -> np.ndarray:
@@ -161,8 +184,7 @@ def _vanishing_point(axes, result: Calibration) -> None:
     points = _finite(v)
     if len(points) and left < points[0, 0] < right and low < points[0, 1] < high:
         axes.plot(*points[0], 'D', color=GREEN, markersize=5, label='vanishing point v')
-        axes.annotate('v ({:.0f}, {:.0f})'.format(*points[0]), points[0], (7, 4),
-                      textcoords='offset points', color=GREEN)
+        _label(axes, 'v ({:.0f}, {:.0f})'.format(*points[0]), points[0])
         return
     start = _centre(result.camera)
     direction = v[:2] - v[2] * start
@@ -179,10 +201,16 @@ def _vanishing_point(axes, result: Calibration) -> None:
     where = 'at infinity'
     if len(points):
         where = 'at ({:.0f}, {:.0f})'.format(*points[0])
-    axes.annotate(f'v {where}', tail, (6, 0), textcoords='offset points', color=GREEN,
-                  va='center', bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8,
-                                     'pad': 1})
+    _label(axes, f'v {where}', (tip + tail) / 2)
     axes.plot([], [], marker='>', linestyle='none', color=GREEN, label='towards v')
+
+
+def _label(axes, text: str, point: np.ndarray) -> None:
+    """Write beside a point, on the side that has room."""
+    side = 1 if point[0] < np.mean(axes.get_xlim()) else -1
+    axes.annotate(text, point, (9 * side, 6), textcoords='offset points', color=GREEN,
+                  ha='left' if side > 0 else 'right', va='center', zorder=9,
+                  bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1})
 
 
 def _principal_point(axes, result: Calibration) -> str:
@@ -205,5 +233,5 @@ def _principal_point(axes, result: Calibration) -> str:
                            + (f', ×{scale:.0f}' if scale > 1 else '')))
     axes.axhline(point[1], color=GREY, linewidth=0.4, linestyle=':')
     axes.axvline(point[0], color=GREY, linewidth=0.4, linestyle=':')
-    return ('the ellipse of the principal point is drawn '
+    return ('The ellipse of the principal point is drawn '
             + (f'{scale:.0f} times its size' if scale > 1 else 'to scale'))

@@ -33,6 +33,9 @@ class Observed:
 
     Attributes
     ----------
+    view : ndarray of int, shape (N,)
+        Index of the view in the reconstruction.
+    track : ndarray of int, shape (N,)
     xy : ndarray, shape (N, 2)
         Pixels, as measured.
     residual : ndarray, shape (N, 2)
@@ -42,6 +45,8 @@ class Observed:
 
     """
 
+    view: np.ndarray
+    track: np.ndarray
     xy: np.ndarray
     residual: np.ndarray
     used: np.ndarray
@@ -75,7 +80,7 @@ def observed(result: Calibration, tracks: Tracks) -> Observed:
     residual = result.camera.pixels(X[:, :2] / depth[:, None]) - xy
     with np.errstate(invalid='ignore'):
         used = np.linalg.norm(residual, axis=1) < OUTLIER_SIGMAS * result.noise_sigma_px
-    return Observed(xy, residual, used)
+    return Observed(view, tracks.track[both], xy, residual, used)
 
 
 def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

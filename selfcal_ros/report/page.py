@@ -81,11 +81,16 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     return _environment().get_template('page.html.j2').render(
         calibrated=calibrated, result=result, text=text, source=source, drawings=drawings,
         figures=[Markup(figure) for figure in figures], camera_name=camera_name,
-        verdict=verdict(result) if calibrated else result.reason,
+        verdict=_unbroken(verdict(result)) if calibrated else result.reason,
         rows=parameter_rows(result) if calibrated else [],
         facts=facts_lines(result.facts),
         notes=list(dict.fromkeys([*(result.notes if calibrated else ()), *notes])),
         numbers=_numbers(result), yaml=_yaml(result, camera_name))
+
+
+def _unbroken(sentence: str) -> str:
+    """Keep a number, its sigma and its unit on one line."""
+    return sentence.replace(' ± ', '\u00a0±\u00a0').replace(' px', '\u00a0px')
 
 
 def _environment() -> Environment:

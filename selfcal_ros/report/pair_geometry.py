@@ -11,7 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Epipoles and screw axes of the pairs of views, in undistorted pixels."""
+"""
+Epipoles and screw axes of the pairs of views, in undistorted pixels.
+
+Either from the poses of a reconstruction, where they obey its motion model exactly, or from
+every pair's own fundamental matrix, where they tell whether that model holds.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +24,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.result import Reconstruction
+from selfcal_ros.calibration.result import Calibration, Reconstruction
+from selfcal_ros.geometry.fundamental import fundamental
+from selfcal_ros.geometry.planar_pairs import decompose_planar
+from selfcal_ros.report.observed import Observed
 
 #: Pairs that turn by less than this, or come as close to half a turn, show no usable screw axis.
 LEAST_TURN_RAD = np.radians(2.0)
+#: Pairs this many views apart are looked at singly, if they share so many points.
+STEPS, LEAST_COMMON = (1, 2, 3, 5, 8), 30
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,58 @@ def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
     return PairGeometry(pairs, epipoles, _screw_axes(K, R, t, a, b))
 
 
+def single_pairs(result: Calibration, seen: Observed, most_pairs: int = 150) -> PairGeometry:
+    """
+    Estimate the epipoles and the screw axis of pairs, each from its own matches alone.
+
+    Parameters
+    ----------
+    result : Calibration
+        Its camera removes the distortion.
+    seen : Observed
+    most_pairs : int
+
+    Returns
+    -------
+    PairGeometry
+        Empty where no pair shares enough points.
+
+    """
+    K = result.camera.K
+    poses = np.asarray(result.reconstruction.cam_from_world, float)
+    xy = result.camera.normalised(seen.xy) @ K[:2, :2].T + K[:2, 2]
+    usable = np.flatnonzero(seen.used & np.isfinite(xy).all(axis=1))
+    rows = [usable[seen.view[usable] == view] for view in range(len(poses))]
+    candidates = [(a, a + step) for step in STEPS for a in range(len(poses) - step)]
+    stride = max(len(candidates) / most_pairs, 1.0)
+    pairs, matrices = [], []
+    for k in np.unique(np.arange(0, len(candidates), stride).astype(int)):
+        a, b = candidates[k]
+        _, in_a, in_b = np.intersect1d(seen.track[rows[a]], seen.track[rows[b]],
+                                       return_indices=True)
+        if len(in_a) < LEAST_COMMON:
+            continue
+        found = fundamental(xy[rows[a][in_a]], xy[rows[b][in_b]])
+        if found and np.isfinite(found.F).all():
+            pairs.append((a, b))
+            matrices.append(found.F)
+    if not pairs:
+        return PairGeometry(np.empty((0, 2), int), np.empty((0, 2, 3)), np.empty((0, 3)))
+    pairs, F = np.array(pairs), np.array(matrices)
+    U, _, Vt = np.linalg.svd(F)
+    _, axes, _, _, real = decompose_planar(F)
+    turning = _turns(poses[:, :, :3], *pairs.T) & real
+    return PairGeometry(pairs, np.stack([Vt[:, 2], U[:, :, 2]], axis=1),
+                        np.where(turning[:, None], axes, np.nan))
+
+
+def _turns(R, a, b) -> np.ndarray:
+    """Tell which pairs turn enough, and not by half a turn."""
+    turn = np.einsum('nji,njk->nik', R[a], R[b])
+    angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    return (angle > LEAST_TURN_RAD) & (angle < np.pi - LEAST_TURN_RAD)
+
+
 def _seen(K, R, t, points) -> np.ndarray:
     """Project world points to unit homogeneous pixels, whether ahead or behind."""
     image = (np.einsum('nij,nj->ni', R, points) + t) @ K.T
@@ -92,8 +154,6 @@ def _screw_axes(K, R, t, a, b) -> np.ndarray:
     """
     if not len(a):
         return np.empty((0, 3))
-    turn = np.einsum('nji,njk->nik', R[a], R[b])
-    angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
     U, s, Vt = np.linalg.svd(R[b] - R[a])
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > 0)
     inverse[:, 2] = 0        # along the axis, where a rotation moves nothing
@@ -102,5 +162,5 @@ def _screw_axes(K, R, t, a, b) -> np.ndarray:
     direction = np.einsum('nij,nj->ni', R[a], Vt[:, 2])
     lines = np.cross(on_axis @ K.T, direction @ K.T)
     length = np.linalg.norm(lines, axis=1, keepdims=True)
-    usable = (angle > LEAST_TURN_RAD) & (angle < np.pi - LEAST_TURN_RAD) & (length[:, 0] > 0)
+    usable = _turns(R, a, b) & (length[:, 0] > 0)
     return np.where(usable[:, None], lines / np.maximum(length, 1e-300), np.nan)

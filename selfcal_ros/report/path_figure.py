@@ -61,7 +61,7 @@ def path_figure(result: Calibration) -> Drawing | None:
         figure = new_figure(6.4, 5.2)
         axes = figure.subplots()
         low, high = _window(path, points)
-        axes.plot(*points.T, '.', color=GREY, markersize=2.0, markeredgewidth=0, alpha=0.6,
+        axes.plot(*points.T, '.', color=GREY, markersize=2.6, markeredgewidth=0, alpha=0.7,
                   rasterized=True, label=f'points ({len(points)})')
         axes.plot(*path.T, color=INK, linewidth=0.8)
         reach = min(0.04 * float((high - low).max()), 2.0)
@@ -77,7 +77,7 @@ def path_figure(result: Calibration) -> Drawing | None:
         axes.set_xlabel('x / distance between views')
         axes.set_ylabel('y / distance between views')
         axes.set_title('Plan view')
-        axes.legend(loc='best', handlelength=1.2)
+        axes.legend(loc='best', handlelength=1.2, markerscale=2)
         bar = figure.colorbar(lines, ax=axes, fraction=0.035, pad=0.02)
         bar.set_label('view')
     return Drawing('path', 'Camera path and structure', 'Seen along the rotation axis; the unit '

@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.report.observed import Observed
 from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, INK, new_figure, ORANGE,
                                       SEQUENTIAL, styled)
@@ -147,13 +146,14 @@ def _histogram(axes, values: np.ndarray) -> None:
     axes.legend(loc='upper left')
 
 
-def coverage_figure(tracks: Tracks, size: tuple[int, int]) -> Drawing | None:
+def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     """
     Draw how many observations each part of the image has.
 
     Parameters
     ----------
-    tracks : Tracks
+    xy : ndarray, shape (N, 2)
+        Observations, pixels.
     size : (int, int)
         Width and height of the image, pixels.
 
@@ -163,9 +163,9 @@ def coverage_figure(tracks: Tracks, size: tuple[int, int]) -> Drawing | None:
         None if there are no observations or no image.
 
     """
-    if not len(tracks) or min(size) <= 0:
+    if not len(xy) or min(size) <= 0:
         return None
-    index, shape, _ = cells(size, tracks.xy, COVERAGE_CELLS)
+    index, shape, _ = cells(size, xy, COVERAGE_CELLS)
     count = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape)
     with styled():
         figure = new_figure(5.4, 5.0 * min(size[1] / size[0], 1.4))
@@ -182,5 +182,7 @@ def coverage_figure(tracks: Tracks, size: tuple[int, int]) -> Drawing | None:
         bar.outline.set_edgecolor(GREY)
         axes.set_title('Observations in cells')
     empty = float(np.mean(count == 0))
-    return Drawing('coverage', 'Coverage of the image', f'{100 * empty:.0f} % of the image has no '
-                   'observation; distortion is extrapolated there.', figure)
+    caption = ('There are observations all over the image.' if empty < 0.005 else
+               f'{100 * empty:.0f} % of the image has no observation; distortion is extrapolated '
+               'there.')
+    return Drawing('coverage', 'Coverage of the image', caption, figure)

@@ -23,7 +23,7 @@ from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.figures import draw_figures
 from selfcal_ros.report.observed import observed
-from selfcal_ros.report.pair_geometry import pair_geometry
+from selfcal_ros.report.pair_geometry import pair_geometry, single_pairs
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.residual_figures import cells, coverage_figure
 
@@ -62,6 +62,23 @@ def test_a_pair_without_rotation_has_no_screw_axis(calibration):
     poses[1, :, :3] = poses[0, :, :3]
     pairs = pair_geometry(replace(shape, cam_from_world=poses), calibration.camera.K)
     assert np.isnan(pairs.screw_axes[0]).all() and np.isfinite(pairs.epipoles[0]).all()
+
+
+def test_single_pairs_find_the_fixed_points_by_themselves(calibration, sequence):
+    exact = replace(sequence.tracks, xy=sequence.true_pixels[sequence.tracks.frame,
+                                                             sequence.tracks.track])
+    pairs = single_pairs(calibration, observed(calibration, exact))
+    assert len(pairs.pairs) == 13      # steps 1, 2, 3 and 5 of six views
+    truth = pair_geometry(calibration.reconstruction, calibration.camera.K)
+    order = [np.flatnonzero((truth.pairs == pair).all(axis=1))[0] for pair in pairs.pairs]
+    for found, true in ((pairs.epipoles, truth.epipoles), (pairs.screw_axes, truth.screw_axes)):
+        assert np.abs(np.cross(found, true[order])).max() < 1e-5
+    noisy = single_pairs(calibration, observed(calibration, sequence.tracks))
+    line = sequence.horizon / np.linalg.norm(sequence.horizon[:2])
+    near = noisy.epipoles[..., :2] / noisy.epipoles[..., 2:]
+    near = near[np.abs(near).max(axis=-1) < 2000]
+    # a tenth of a pixel of noise moves epipoles by pixels
+    assert 0.01 < np.median(np.abs(near @ line[:2] + line[2])) < 20
 
 
 def test_many_pairs_are_thinned(calibration):
@@ -169,7 +186,7 @@ def test_little_is_enough(calibration):
     for drawing in draw_figures(unknown):
         drawing.svg()
     assert draw_figures(NotCalibrated('No.')) == []
-    assert coverage_figure(Tracks([], [], np.empty((0, 2))), (640, 480)) is None
+    assert coverage_figure(np.empty((0, 2)), (640, 480)) is None
 
 
 @pytest.mark.parametrize('v', [(1, 0, 0), (1e9, 3, 1), (0, -2, 1e-9)])
@@ -182,6 +199,7 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
 
 
 def test_coverage_says_how_much_is_empty():
-    tracks = Tracks(np.zeros(4), np.arange(4), [[1, 1], [639, 1], [1, 479], [639, 479]])
-    drawing = coverage_figure(tracks, (640, 480))
-    assert drawing.caption.startswith('99 %')
+    corners = np.array([[1, 1], [639, 1], [1, 479], [639, 479]])
+    assert coverage_figure(corners, (640, 480)).caption.startswith('99 %')
+    everywhere = np.stack(np.meshgrid(np.arange(0, 640, 8), np.arange(0, 480, 8)), axis=-1)
+    assert 'all over' in coverage_figure(everywhere.reshape(-1, 2), (640, 480)).caption
