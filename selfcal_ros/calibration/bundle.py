@@ -14,152 +14,25 @@
 """
 Motion-constrained bundle adjustment: the last refinement and the covariance of every method.
 
-The world frame lies in the plane of motion, its z axis along the rotation axis. View i is
-
-    X_camera = A (S(tilt_i) R_z(angle_i) Y + w (p_i, h_i)),    Y, w a homogeneous world point,
-
-with one mount rotation A for all views. In planar motion the tilts and heights are zero, so that
-v ~ K A e3 and the circular points ~ K A (1, ±i, 0) are in the parameters themselves; nearly
-planar motion gives tilt and height a prior, general motion leaves them free.
+Levenberg-Marquardt with geodesic acceleration on the unknowns of `state.BundleState`, the points
+eliminated, facts and planarity as measurements, Huber's loss.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
+from selfcal_ros.calibration.reprojection import Linearisation, linearise, tangent_basis
+from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
+                                           SHARED)
 from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks,
                                            ReducedSystem)
-from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix, twist_matrix
+from selfcal_ros.geometry.rotation import rotation_matrix
 
-#: Internal parameters: focal length f, aspect ratio ζ = fy / fx, and the rest.
-INTRINSIC_NAMES = ('f', 'aspect', 'cx', 'cy', 'skew', 'k1', 'k2', 'p1', 'p2')
-F, ASPECT, CX, CY, SKEW, K1, K2, P1, P2 = range(9)
-SHARED = 11      # nine intrinsics and two of the axis direction
-PER_VIEW = 6     # angle, p1, p2, tilt1, tilt2, height
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0
-#: Depth below which a point counts as behind the camera, relative to its distance.
-MINIMUM_DEPTH = 1e-6
-
-
-@dataclass(frozen=True)
-class MotionModel:
-    """
-    How far the motion may leave the plane.
-
-    Attributes
-    ----------
-    tilt_sigma_rad, height_sigma : float
-        Standard deviations of the out-of-plane rotation and translation of each view, the latter
-        in units of the root mean square distance between successive views. 0: exactly planar;
-        infinity: general motion.
-
-    """
-
-    tilt_sigma_rad: float = 0.0
-    height_sigma: float = 0.0
-
-    @property
-    def is_planar(self) -> bool:
-        """Tell whether tilt and height are held at zero."""
-        return self.tilt_sigma_rad == 0 and self.height_sigma == 0
-
-
-@dataclass(frozen=True)
-class BundleState:
-    """
-    A point in the space of the unknowns.
-
-    Attributes
-    ----------
-    intrinsics : ndarray, shape (9,)
-        `INTRINSIC_NAMES`.
-    mount : ndarray, shape (3, 3)
-        A, camera from world rotation of a view with angle and tilt zero.
-    views : ndarray, shape (V, 6)
-        Angle (rad), in-plane translation (2), tilt (2, rad), height.
-    points : ndarray, shape (P, 4)
-        Unit homogeneous world points.
-
-    """
-
-    intrinsics: np.ndarray
-    mount: np.ndarray
-    views: np.ndarray
-    points: np.ndarray
-
-    def camera(self, width=0, height=0) -> Camera:
-        """Return the camera."""
-        f, aspect, *rest = self.intrinsics
-        return Camera.from_parameters([f, aspect * f, *rest], width, height)
-
-    def rotations(self) -> np.ndarray:
-        """Return world-to-view rotations before the mount, shape (V, 3, 3)."""
-        return rotation_matrix(pad(self.views[:, 3:5])) @ twist_matrix(self.views[:, 0])
-
-    def cam_from_world(self) -> np.ndarray:
-        """Return [R | t] of every view, shape (V, 3, 4)."""
-        translations = self.views[:, [1, 2, 5]]
-        poses = np.concatenate([self.rotations(), translations[..., None]], axis=2)
-        return self.mount @ poses
-
-    def step_length(self) -> float:
-        """Root mean square distance between the camera centres of successive views."""
-        R = self.rotations()
-        centres = -np.einsum('vji,vj->vi', R, self.views[:, [1, 2, 5]])
-        return float(np.sqrt(np.mean(np.sum(np.diff(centres, axis=0)**2, axis=1)))) or 1.0
-
-
-@dataclass(frozen=True)
-class Prior:
-    """One measurement of an internal parameter: value and sigma (0: held)."""
-
-    value: float
-    sigma: float
-
-
-def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
-    """
-    Translate facts to measurements of the internal parameters; sigma 0 holds one.
-
-    A distortion model that is not chosen yet ('auto') counts as 'radial2'.
-    """
-    free = DISTORTION_MODELS.get(facts.distortion, DISTORTION_MODELS['radial2'])
-    priors = {}
-    if facts.aspect_ratio is not None:
-        priors[ASPECT] = Prior(facts.aspect_ratio, facts.aspect_ratio_sigma)
-    if facts.skew is not None:
-        priors[SKEW] = Prior(facts.skew, facts.skew_sigma_px)
-    if facts.principal_point is not None:
-        priors[CX] = Prior(facts.principal_point[0], facts.principal_point_sigma_px)
-        priors[CY] = Prior(facts.principal_point[1], facts.principal_point_sigma_px)
-    for name in ('k1', 'k2', 'p1', 'p2'):
-        if name not in free:
-            priors[PARAMETER_NAMES.index(name)] = Prior(0.0, 0.0)
-    return priors
-
-
-def holding(state: BundleState, priors: dict[int, Prior]) -> BundleState:
-    """Put held parameters at the values that hold them."""
-    intrinsics = state.intrinsics.copy()
-    for index, prior in priors.items():
-        if prior.sigma == 0:
-            intrinsics[index] = prior.value
-    return replace(state, intrinsics=intrinsics)
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Residuals (N, 2) in pixels and their Jacobians; `ahead` (N,) is false behind the camera."""
-
-    residual: np.ndarray
-    ahead: np.ndarray
-    shared: np.ndarray
-    view: np.ndarray
-    point: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -228,74 +101,7 @@ class Bundle:
 
     def linearise(self, state: BundleState, jacobians: bool = True) -> Linearisation:
         """Project every observation and differentiate."""
-        f, aspect, cx, cy, skew, k1, k2, p1, p2 = state.intrinsics
-        rotations = state.rotations()
-        translations = state.views[:, [1, 2, 5]]
-        R = rotations[self.view]
-        Y = state.points[self.point]
-        turned = np.einsum('nij,nj->ni', R, Y[:, :3])
-        Z = turned + translations[self.view] * Y[:, 3:]
-        # a homogeneous point has no sign: take the one that most of its views see ahead
-        X = Z @ state.mount.T
-        sign = np.sign(self.blocks.sum_over_points(np.sign(X[:, 2])))[self.point]
-        depth = X[:, 2]
-        ahead = depth * np.where(sign == 0, 1, sign) > MINIMUM_DEPTH
-        depth = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
-        x, y = X[:, 0] / depth, X[:, 1] / depth
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * k2)
-        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        residual = np.stack([f * xd + skew * yd + cx, f * aspect * yd + cy], axis=1) - self.xy
-        if not jacobians:
-            empty = np.empty(0)
-            return Linearisation(residual, ahead, empty, empty, empty)
-
-        slope = 2 * (k1 + 2 * k2 * r2)
-        cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        dxx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-        dyy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-        du_dx, du_dy = f * dxx + skew * cross, f * cross + skew * dyy
-        dv_dx, dv_dy = f * aspect * cross, f * aspect * dyy
-        n = len(x)
-        J_X = np.empty((n, 2, 3))
-        J_X[:, 0, 0], J_X[:, 0, 1] = du_dx / depth, du_dy / depth
-        J_X[:, 1, 0], J_X[:, 1, 1] = dv_dx / depth, dv_dy / depth
-        J_X[:, 0, 2] = -(du_dx * x + du_dy * y) / depth
-        J_X[:, 1, 2] = -(dv_dx * x + dv_dy * y) / depth
-
-        shared = np.zeros((n, 2, SHARED))
-        shared[:, 0, F], shared[:, 1, F] = xd, aspect * yd
-        shared[:, 1, ASPECT] = f * yd
-        shared[:, 0, CX] = shared[:, 1, CY] = 1
-        shared[:, 0, SKEW] = yd
-        bases = {K1: (x * r2, y * r2), K2: (x * r2 * r2, y * r2 * r2),
-                 P1: (2 * x * y, r2 + 2 * y * y), P2: (r2 + 2 * x * x, 2 * x * y)}
-        for index, (bx, by) in bases.items():
-            if self.free[index]:
-                shared[:, 0, index] = f * bx + skew * by
-                shared[:, 1, index] = f * aspect * by
-        J_Z = J_X @ state.mount
-        shared[:, :, 9] = _along_cross(J_Z, np.array([1.0, 0, 0]), Z)
-        shared[:, :, 10] = _along_cross(J_Z, np.array([0, 1.0, 0]), Z)
-
-        view = np.empty((n, 2, PER_VIEW))
-        tilt = pad(state.views[:, 3:5])
-        axis = rotation_matrix(tilt)[:, :, 2]
-        view[:, :, 0] = _along_cross(J_Z, axis[self.view], turned)
-        view[:, :, 1] = J_Z[:, :, 0] * Y[:, 3:]
-        view[:, :, 2] = J_Z[:, :, 1] * Y[:, 3:]
-        if self.motion.is_planar:
-            view[:, :, 3:] = 0
-        else:
-            J_tilt = left_jacobian(tilt)
-            view[:, :, 3] = _along_cross(J_Z, J_tilt[self.view, :, 0], turned)
-            view[:, :, 4] = _along_cross(J_Z, J_tilt[self.view, :, 1], turned)
-            view[:, :, 5] = J_Z[:, :, 2] * Y[:, 3:]
-
-        J_Y = np.concatenate([J_Z @ R, J_Z @ translations[self.view][:, :, None]], axis=2)
-        point = J_Y @ tangent_basis(state.points)[self.point]
-        return Linearisation(residual, ahead, shared, view, point)
+        return linearise(state, self.blocks, self.xy, self.free, jacobians)
 
     def apply(self, state: BundleState, step: np.ndarray, point_steps: np.ndarray) -> BundleState:
         """Move a state by a step of the unknowns."""
@@ -527,47 +333,3 @@ class Bundle:
         other = object.__new__(Bundle)
         other.__dict__.update(self.__dict__, sigma_px=sigma_px)
         return other
-
-
-def parameter_covariance(covariance: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """
-    Carry the covariance of the internal parameters to `PARAMETER_NAMES`.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, n), n >= 9
-        Its first nine rows belong to `INTRINSIC_NAMES`.
-    intrinsics : ndarray, shape (9,)
-
-    Returns
-    -------
-    ndarray, shape (9, 9)
-
-    """
-    J = np.eye(9)
-    J[1, F], J[1, ASPECT] = intrinsics[ASPECT], intrinsics[F]     # fy = ζ f
-    return J @ covariance[:9, :9] @ J.T
-
-
-def tangent_basis(points: np.ndarray) -> np.ndarray:
-    """Orthonormal complements of unit vectors (P, 4), shape (P, 4, 3), by a Householder map."""
-    sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
-    u = points.copy()
-    u[:, 3] += sign
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
-
-
-def rescale(state: BundleState) -> BundleState:
-    """Scale the world so that successive views are one unit apart (root mean square)."""
-    factor = 1 / state.step_length()
-    views = state.views.copy()
-    views[:, [1, 2, 5]] *= factor
-    points = state.points * np.array([factor, factor, factor, 1])
-    return replace(state, views=views,
-                   points=points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Derivative J (n, 2, 3) along axis × vector, shape (n, 2)."""
-    return np.einsum('nij,nj->ni', J, np.cross(axis, vector))

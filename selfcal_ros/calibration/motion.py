@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import BundleState
 from selfcal_ros.calibration.start import centres_from_state
+from selfcal_ros.calibration.state import BundleState
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 
 #: Less rotation than this in all, and K is not worth asking for (radians).

@@ -26,9 +26,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import (ASPECT, BundleState, CX, CY, F, holding, K1, K2,
-                                            MotionModel, parameter_covariance, Prior,
-                                            priors_from_facts, SHARED, SKEW)
 from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
 from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.calibration.motion import describe_path
@@ -40,6 +37,9 @@ from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
 from selfcal_ros.calibration.start import planar_start
+from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, F, holding, K1, K2,
+                                           MotionModel, parameter_covariance, Prior,
+                                           priors_from_facts, SHARED, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
@@ -62,7 +62,7 @@ GOOD_ENOUGH = 1.25
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
 #: Tracks per view that the estimate uses; more add time and little accuracy.
-TRACKS_PER_VIEW = 600
+TRACKS_PER_VIEW = 400
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 #: Fewer degrees of freedom than this cannot check themselves.

@@ -20,9 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import (Bundle, BundleState, holding, MotionModel, Prior,
-                                            priors_from_facts, rescale, SHARED)
+from selfcal_ros.calibration.bundle import Bundle
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
+from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, Prior,
+                                           priors_from_facts, rescale, SHARED)
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import swing_twist

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import lsqr
 
-from selfcal_ros.calibration.bundle import BundleState, rescale
+from selfcal_ros.calibration.state import BundleState, rescale
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist

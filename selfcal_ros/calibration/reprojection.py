@@ -1,0 +1,146 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Reprojection of a state's points into its views, with analytic derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, F, K1, K2, P1, P2,
+                                           PER_VIEW, SHARED, SKEW)
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix
+
+#: Depth below which a point counts as behind the camera, relative to its distance.
+MINIMUM_DEPTH = 1e-6
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Residuals (N, 2) in pixels and their Jacobians; `ahead` (N,) is false behind the camera."""
+
+    residual: np.ndarray
+    ahead: np.ndarray
+    shared: np.ndarray
+    view: np.ndarray
+    point: np.ndarray
+
+
+def linearise(state: BundleState, blocks: PointBlocks, xy: np.ndarray, free: np.ndarray,
+              jacobians: bool = True) -> Linearisation:
+    """
+    Project every observation and differentiate.
+
+    Parameters
+    ----------
+    state : BundleState
+    blocks : PointBlocks
+        Point and view of every observation.
+    xy : ndarray, shape (N, 2)
+        Observed pixels.
+    free : ndarray of bool, shape (n,)
+        Unknowns that are not held; derivatives of held ones may be left at zero.
+    jacobians : bool
+        False: residuals only.
+
+    Returns
+    -------
+    Linearisation
+
+    """
+    planar = not free[SHARED:].reshape(-1, PER_VIEW)[:, 3:].any()
+    f, aspect, cx, cy, skew, k1, k2, p1, p2 = state.intrinsics
+    rotations = state.rotations()
+    translations = state.views[:, [1, 2, 5]]
+    R = rotations[blocks.view]
+    Y = state.points[blocks.point]
+    turned = np.einsum('nij,nj->ni', R, Y[:, :3])
+    Z = turned + translations[blocks.view] * Y[:, 3:]
+    # a homogeneous point has no sign: take the one that most of its views see ahead
+    X = Z @ state.mount.T
+    sign = np.sign(blocks.sum_over_points(np.sign(X[:, 2])))[blocks.point]
+    depth = X[:, 2]
+    ahead = depth * np.where(sign == 0, 1, sign) > MINIMUM_DEPTH
+    depth = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
+    x, y = X[:, 0] / depth, X[:, 1] / depth
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * k2)
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    residual = np.stack([f * xd + skew * yd + cx, f * aspect * yd + cy], axis=1) - xy
+    if not jacobians:
+        empty = np.empty(0)
+        return Linearisation(residual, ahead, empty, empty, empty)
+
+    slope = 2 * (k1 + 2 * k2 * r2)
+    cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    dxx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+    dyy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+    du_dx, du_dy = f * dxx + skew * cross, f * cross + skew * dyy
+    dv_dx, dv_dy = f * aspect * cross, f * aspect * dyy
+    n = len(x)
+    J_X = np.empty((n, 2, 3))
+    J_X[:, 0, 0], J_X[:, 0, 1] = du_dx / depth, du_dy / depth
+    J_X[:, 1, 0], J_X[:, 1, 1] = dv_dx / depth, dv_dy / depth
+    J_X[:, 0, 2] = -(du_dx * x + du_dy * y) / depth
+    J_X[:, 1, 2] = -(dv_dx * x + dv_dy * y) / depth
+
+    shared = np.zeros((n, 2, SHARED))
+    shared[:, 0, F], shared[:, 1, F] = xd, aspect * yd
+    shared[:, 1, ASPECT] = f * yd
+    shared[:, 0, CX] = shared[:, 1, CY] = 1
+    shared[:, 0, SKEW] = yd
+    bases = {K1: (x * r2, y * r2), K2: (x * r2 * r2, y * r2 * r2),
+             P1: (2 * x * y, r2 + 2 * y * y), P2: (r2 + 2 * x * x, 2 * x * y)}
+    for index, (bx, by) in bases.items():
+        if free[index]:
+            shared[:, 0, index] = f * bx + skew * by
+            shared[:, 1, index] = f * aspect * by
+    J_Z = J_X @ state.mount
+    shared[:, :, 9] = _along_cross(J_Z, np.array([1.0, 0, 0]), Z)
+    shared[:, :, 10] = _along_cross(J_Z, np.array([0, 1.0, 0]), Z)
+
+    own = np.empty((n, 2, PER_VIEW))
+    tilt = pad(state.views[:, 3:5])
+    axis = rotation_matrix(tilt)[:, :, 2]
+    own[:, :, 0] = _along_cross(J_Z, axis[blocks.view], turned)
+    own[:, :, 1] = J_Z[:, :, 0] * Y[:, 3:]
+    own[:, :, 2] = J_Z[:, :, 1] * Y[:, 3:]
+    if planar:
+        own[:, :, 3:] = 0
+    else:
+        J_tilt = left_jacobian(tilt)
+        own[:, :, 3] = _along_cross(J_Z, J_tilt[blocks.view, :, 0], turned)
+        own[:, :, 4] = _along_cross(J_Z, J_tilt[blocks.view, :, 1], turned)
+        own[:, :, 5] = J_Z[:, :, 2] * Y[:, 3:]
+
+    J_Y = np.concatenate([J_Z @ R, J_Z @ translations[blocks.view][:, :, None]], axis=2)
+    point = J_Y @ tangent_basis(state.points)[blocks.point]
+    return Linearisation(residual, ahead, shared, own, point)
+
+
+def tangent_basis(points: np.ndarray) -> np.ndarray:
+    """Orthonormal complements of unit vectors (P, 4), shape (P, 4, 3), by a Householder map."""
+    sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
+    u = points.copy()
+    u[:, 3] += sign
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
+
+
+def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Derivative J (n, 2, 3) along axis × vector, shape (n, 2)."""
+    return np.einsum('nij,nj->ni', J, np.cross(axis, vector))
