@@ -13,11 +13,34 @@
 # limitations under the License.
 """Camera self-calibration from a robot's own motion."""
 
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.solve import calibrate
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from selfcal_ros.version import __version__
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.result import Calibration, NotCalibrated
+    from selfcal_ros.calibration.solve import calibrate
+    from selfcal_ros.calibration.tracks import Tracks
+    from selfcal_ros.geometry.camera import Camera, CameraFacts
 
 __all__ = ['Calibration', 'Camera', 'CameraFacts', 'NotCalibrated', 'Tracks', '__version__',
            'calibrate']
+
+_HOMES = {
+    'Calibration': 'calibration.result',
+    'Camera': 'geometry.camera',
+    'CameraFacts': 'geometry.camera',
+    'NotCalibrated': 'calibration.result',
+    'Tracks': 'calibration.tracks',
+    'calibrate': 'calibration.solve',
+}
+
+
+def __getattr__(name: str):
+    """Load what is asked for (PEP 562): `selfcal --help` must not wait for SciPy."""
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'selfcal_ros.{_HOMES[name]}'), name)
