@@ -65,8 +65,9 @@ def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Dr
         _vanishing_point(whole, result)
         entries = {label: handle for axes in (whole, zoom)
                    for handle, label in zip(*axes.get_legend_handles_labels())}
-        figure.legend(entries.values(), entries.keys(), loc='outside lower center', ncols=7,
+        figure.legend(entries.values(), entries.keys(), loc='lower center', ncol=7,
                       columnspacing=1.2, handlelength=1.4)
+        figure.get_layout_engine().set(rect=(0, 0.06, 1, 0.94))
     caption = ('In undistorted pixels. Under planar motion all epipoles lie on the horizon and '
                'all screw axes pass through the vanishing point of the rotation axis')
     caption += _distances(result, pairs) if single else '.'

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import io
+import warnings
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -38,6 +39,9 @@ _STYLE = {
     'savefig.dpi': 150, 'figure.dpi': 100, 'text.usetex': False,
     'axes.formatter.useoffset': False,
 }
+#: Settings that are no look; rc_context does not restore the backend.
+_OF_THE_SESSION = {'backend', 'backend_fallback', 'interactive', 'toolbar', 'timezone', 'keymap',
+                   'tk', 'webagg', 'datapath', 'animation', 'docstring', 'date'}
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,12 @@ class Drawing:
 
 def styled():
     """Return a context in which Matplotlib draws in this look."""
-    return matplotlib.rc_context({**matplotlib.rcParamsDefault, **_STYLE, 'backend': 'agg'})
+    with warnings.catch_warnings():
+        # reading settings that a version has deprecated warns
+        warnings.simplefilter('ignore')
+        plain = {key: matplotlib.rcParamsDefault[key] for key in matplotlib.rcParamsDefault
+                 if key.partition('.')[0] not in _OF_THE_SESSION}
+        return matplotlib.rc_context({**plain, **_STYLE})
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
