@@ -171,7 +171,7 @@ def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.n
 
 def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
-    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     free = np.flatnonzero(sigma > 0)
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)]
                                      / np.outer(sigma[free], sigma[free]))

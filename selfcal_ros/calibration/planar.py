@@ -32,18 +32,19 @@ from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
-                                            fit_robustly, leave_out_stretches, NEARLY_PLANAR,
-                                            Observations, refit, with_all_points)
+                                            fit_robustly, flatten, leave_out_stretches,
+                                            NEARLY_PLANAR, Observations, refit, with_all_points)
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
-from selfcal_ros.calibration.start import planar_start
-from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, F, holding, K1, K2,
+from selfcal_ros.calibration.start import planar_start, relative_rotations, spanning_order
+from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, holding, K1, K2,
                                            MotionModel, parameter_covariance, Prior,
                                            priors_from_facts, SHARED, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a
 #: long one (13°), the likely ones first.
@@ -59,6 +60,9 @@ START_K1_SIGMA, START_K2_SIGMA = 0.2, 0.1
 #: A start that explains the images this well needs no rival (ratio to the noise of the
 #: epipolar geometry, which has more freedom).
 GOOD_ENOUGH = 1.25
+#: Longer drives are started, and their models chosen, on the stretch of so many successive views
+#: that turns most: the time for that does not grow with the drive.
+WINDOW_VIEWS = 48
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
 #: Tracks per view that the estimate uses; more add time and little accuracy.
@@ -78,6 +82,32 @@ class Problem:
     size: tuple[int, int]
     facts: CameraFacts
     noise_px: float
+
+    @property
+    def views(self) -> int:
+        """Count the views."""
+        return int(self.observations.view.max()) + 1
+
+    def window(self) -> Problem:
+        """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
+        if self.views <= WINDOW_VIEWS:
+            return self
+        camera = supposed_camera(max(self.size), self.size, self.facts)
+        near = [pair for pair in self.pairs if pair.second - pair.first == 1]
+        turn = np.zeros(self.views - 1)
+        turn[[pair.first for pair in near]] = np.linalg.norm(
+            rotation_vector(relative_rotations(near, camera)), axis=1)
+        first = int(np.argmax(np.convolve(turn, np.ones(WINDOW_VIEWS - 1), 'valid')))
+        last = first + WINDOW_VIEWS
+        pairs = [replace(pair, first=pair.first - first, second=pair.second - first)
+                 for pair in self.pairs if first <= pair.first and pair.second < last]
+        if len(spanning_order(pairs, WINDOW_VIEWS)) < WINDOW_VIEWS - 1:
+            return self
+        observations = self.observations
+        inside = (observations.view >= first) & (observations.view < last)
+        within, _ = observations.select(inside)
+        return replace(self, pairs=pairs,
+                       observations=replace(within, view=within.view - first))
 
 
 def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> Camera:
@@ -130,7 +160,7 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
         yield state, fine.noise_sigma(state)
 
 
-def closed_form(problem: Problem, frames: np.ndarray) -> list[Camera]:
+def closed_form(problem: Problem) -> list[Camera]:
     """
     Calibration of the thesis's chain: horizon, v, circular points, pencil (chapters 5 and 6).
 
@@ -138,7 +168,7 @@ def closed_form(problem: Problem, frames: np.ndarray) -> list[Camera]:
     adjustment does not mind.
     """
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
-    tracks = Tracks(frames[few.view], few.point, few.xy, problem.size)
+    tracks = Tracks(few.view, few.point, few.xy, problem.size)
     estimate = fixed_points(tracks, limit=CLOSED_FORM_TRIPLETS)
     found = calibrate_estimate(estimate, problem.facts) if estimate else None
     if not found:
@@ -150,7 +180,7 @@ def closed_form(problem: Problem, frames: np.ndarray) -> list[Camera]:
     return [Camera(K / K[2, 2], width=problem.size[0], height=problem.size[1])]
 
 
-def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list] | None:
+def best_start(problem: Problem, first: list[Camera]) -> BundleState | None:
     """
     Choose the start that explains the images best.
 
@@ -162,7 +192,7 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list
 
     Returns
     -------
-    BundleState, list of (focal length px, noise px) of all starts; or None
+    BundleState or None
 
     """
     longer = max(problem.size)
@@ -172,14 +202,13 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState, list
         for share in FOCAL_SWEEP:
             yield supposed_camera(share * longer, problem.size, problem.facts)
 
-    best, best_noise, tried = None, np.inf, []
+    best, best_noise = None, np.inf
     for state, noise in starts(problem, proposals()):
-        tried.append((float(state.intrinsics[F]), noise))
         if noise < best_noise:
             best, best_noise = state, noise
         if best_noise < GOOD_ENOUGH * problem.noise_px:
             break
-    return None if best is None else (best, tried)
+    return best
 
 
 def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
@@ -223,24 +252,42 @@ def calibrate_planar(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts
         return refuse(f'{len(observations.track)} points in {len(frames)} images leave '
                       f'{freedom} degrees of freedom; the estimate could not be checked.',
                       'More points or more images are needed.')
-    chosen = best_start(problem, [*proposals, *closed_form(problem, graph.frames)])
-    if chosen is None:
+    window = problem.window()
+    start = best_start(window, [*proposals, *closed_form(window)])
+    if start is None:
         return refuse('No focal length between 0.45 and 4.2 times the image width gives a '
                       'consistent reconstruction.')
-    start, _ = chosen
-    medium, _ = observations.select(observations.longest(MODEL_TRACKS_PER_VIEW))
+    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:
         return refuse('The distortion of the best start cannot be undone over the whole image.')
-    model = choose_model(problem, medium, state)
-    facts = model.facts
-    state = with_all_points(model.fit.state, observations)
+    model = choose_model(window, medium, state)
+    problem = replace(problem, facts=model.facts)
+    state = extended(problem, model)
     if state is None:
-        return refuse(f'The distortion found ({facts.distortion}) cannot be undone over the '
-                      'whole image.', 'State a simpler distortion model.')
-    fit = fit_robustly(observations, state, model.fit.bundle.motion, priors_from_facts(facts),
-                       model.fit.bundle.sigma_px)
-    return conclude(fit, model, replace(problem, facts=facts), graph)
+        return refuse(f'The distortion found ({model.facts.distortion}) cannot be undone over '
+                      'the whole image.', 'State a simpler distortion model.')
+    fit = fit_robustly(observations, state, model.fit.bundle.motion,
+                       priors_from_facts(model.facts), model.fit.bundle.sigma_px)
+    return conclude(fit, model, problem, graph)
+
+
+def extended(problem: Problem, model: Model) -> BundleState | None:
+    """Start for all views and tracks from what was found on a share of them."""
+    found = model.fit.state
+    if len(found.views) == problem.views:
+        return with_all_points(found, problem.observations)
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    bundle = bundle_of(few, model.fit.bundle.motion, priors_from_facts(model.facts),
+                       10 * problem.noise_px)
+    starts = [planar_start(problem.pairs, bundle.blocks, few.xy, found.camera(), exact)
+              for exact in (True, False)]
+    starts = [state if state is None or not model.exact else flatten(state) for state in starts]
+    costs = [np.inf if state is None else bundle.cost(state) for state in starts]
+    if not np.isfinite(min(costs)):
+        return None
+    state = bundle.optimise(holding(starts[int(np.argmin(costs))], bundle.priors), 15, 1.0)
+    return with_all_points(state, problem.observations)
 
 
 @dataclass(frozen=True)

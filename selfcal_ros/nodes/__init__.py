@@ -12,3 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """rclpy nodes: translation, no computation."""
+
+import os
+
+# before NumPy is loaded: our matrices are small, and BLAS threads that wait for each other would
+# take the cores from the feature tracker
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
