@@ -30,6 +30,9 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle import Evidence
 
+#: Number of internal parameters: only they are judged, since the axis may rest on the prior of the
+#: tilts.
+CALIBRATION = 9
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
 #: A way of clustering counts when the variance that it finds exceeds that of independent errors
@@ -48,8 +51,8 @@ class Dependence:
         Sigma of the calibration with errors shared within 'track', 'region' or 'stretch' over
         sigma with independent errors, mean over the estimated parameters; 1 where nothing
         significant was found.
-    covariance : ndarray, shape (k, k)
-        Of the shared unknowns, dependence included.
+    covariance : ndarray, shape (9, 9)
+        Of the internal parameters, dependence included.
 
     """
 
@@ -96,9 +99,9 @@ def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
     Dependence
 
     """
-    base = evidence.covariance[:evidence.influence.shape[1], :evidence.influence.shape[1]]
+    base = evidence.covariance[:CALIBRATION, :CALIBRATION]
     whiten, unwhiten, free = _whitening(base)
-    effects = evidence.influence[:, free] @ whiten.T
+    effects = evidence.influence[:, :CALIBRATION][:, free] @ whiten.T
     of_tracks = effects / np.sqrt(evidence.track_share)
     effects /= np.sqrt(evidence.freedom_share)
     along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]

@@ -39,7 +39,7 @@ from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibra
 from selfcal_ros.calibration.start import planar_start, relative_rotations, spanning_order
 from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, holding, K1, K2,
                                            MotionModel, parameter_covariance, Prior,
-                                           priors_from_facts, SHARED, SKEW)
+                                           priors_from_facts, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
@@ -321,7 +321,7 @@ def choose_model(problem: Problem, observations: Observations, state: BundleStat
         fit = refit(fit, NEARLY_PLANAR)
     known = dependence_of(fit, problem.size).inflation**2
     fit, exact = choose_motion(fit, known)
-    independent = fit.bundle.covariance(fit.state)[:SHARED, :SHARED]
+    independent = fit.bundle.covariance(fit.state)[:9, :9]
     return Model(fit, facts, exact,
                  stretch_excess(*leave_out_stretches(fit), independent, known))
 

@@ -23,10 +23,9 @@ import numpy as np
 from selfcal_ros.calibration.bundle import Bundle
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, Prior,
-                                           priors_from_facts, rescale, SHARED)
+                                           priors_from_facts, rescale)
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.rotation import swing_twist
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
 #: Gaussian residuals.
@@ -212,10 +211,9 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    shifts : ndarray, shape (G, 11)
-        Change of the shared unknowns, that of the axis in radians; G = 0 where too few views
-        would remain.
-    covariances : ndarray, shape (G, 11, 11)
+    shifts : ndarray, shape (G, 9)
+        Change of the internal parameters; G = 0 where too few views would remain.
+    covariances : ndarray, shape (G, 9, 9)
         Of the estimates without a stretch, for independent errors.
 
     """
@@ -232,11 +230,9 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         bundle = bundle_of(replace(rest, view=index), fit.bundle.motion, fit.bundle.priors,
                            fit.bundle.sigma_px)
         state = bundle.optimise(state, 12, 0.05)
-        _, swing = swing_twist(fit.state.mount.T @ state.mount)
-        shifts.append(np.concatenate([state.intrinsics - fit.state.intrinsics, swing]))
-        covariances.append(bundle.covariance(state)[:SHARED, :SHARED])
-    return (np.array(shifts).reshape(-1, SHARED),
-            np.array(covariances).reshape(-1, SHARED, SHARED))
+        shifts.append(state.intrinsics - fit.state.intrinsics)
+        covariances.append(bundle.covariance(state)[:9, :9])
+    return np.array(shifts).reshape(-1, 9), np.array(covariances).reshape(-1, 9, 9)
 
 
 def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
