@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
                               progress=progress)
     result = calibrate(reading.tracks, motion=args.motion, facts=facts)
     text = result_text(result, notes=reading.notes)
-    written = outputs.write(result, text, reading.description)
+    written = outputs.write(result, text, reading.description, reading.tracks)
     if not args.quiet:
         print(text)
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')

@@ -60,17 +60,33 @@ def run(args: argparse.Namespace) -> int:
         result = _through_nodes(bag, folder, args.rate, shared_file('config/fastdds.xml'))
         if result is None:
             print('Calibrating straight from the bag instead.')
-        else:
+        elif result:
             # the nodes have written the rest
             written = [path for path in (outputs.camera_yaml, outputs.result_json)
                        if path.exists()]
             outputs = Outputs(report=outputs.report)
-    if result is None:
-        result = _from_bag(bag)
-    text = result_text(result, truth=_truth(bag))
-    written += outputs.write(result, text, str(bag))
-    print(f'\n{text}\n\nWritten: {", ".join(map(str, written))}.')
-    return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+    direct, tracks = _from_bag(bag)
+    if result:
+        print(f'\n{result_text(result, truth=_truth(bag))}\n\n{_agreement(result, direct)}')
+    # the nodes send the camera and not the scene, which the report draws
+    text = result_text(direct, truth=_truth(bag))
+    if not result:
+        print(f'\n{text}')
+    written += outputs.write(direct, text, str(bag), tracks)
+    print(f'\nWritten: {", ".join(map(str, written))}.')
+    return EXIT_DONE if result or direct else EXIT_NOT_CALIBRATED
+
+
+def _agreement(live, direct) -> str:
+    """Compare the nodes' result with that of the bag itself, in a sentence."""
+    if not direct:
+        return f'Straight from the bag, without nodes: {direct}'
+    names = ('fx', 'cx', 'cy')
+    shifts = (live.camera.parameters - direct.camera.parameters)[[0, 2, 3]]
+    apart = ', '.join(f'{name} {shift:+.3f}' for name, shift in zip(names, shifts))
+    return ('The same recording straight from the bag, as `selfcal calibrate` does it: '
+            f'fx {direct.camera.K[0, 0]:.3f} ± {direct.sigma["fx"]:.3f}; '
+            f'the nodes differ by {apart} px.')
 
 
 def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
@@ -94,12 +110,13 @@ def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
 
 
 def _from_bag(bag: Path):
-    """Calibrate without nodes."""
+    """Calibrate without nodes; returns the result and the tracks."""
     from selfcal_ros import calibrate, CameraFacts
     from selfcal_ros.pipeline.feature_session import read_tracks
     with ProgressBar() as progress:
         reading = read_tracks(bag, progress=progress)
-    return calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+    return (calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0)),
+            reading.tracks)
 
 
 def _truth(bag: Path) -> dict | None:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.report.page import write_page
@@ -61,7 +62,7 @@ class Outputs:
             check_writable(path)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
-              source: str = '') -> list[Path]:
+              source: str = '', tracks: Tracks | None = None) -> list[Path]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -72,6 +73,8 @@ class Outputs:
             The result as it is printed, for the report.
         source : str
             What was calibrated from.
+        tracks : Tracks, optional
+            The observations, for the report's figures.
 
         Returns
         -------
@@ -90,5 +93,5 @@ class Outputs:
         if self.result_json:
             written.append(write_result_json(self.result_json, result))
         if self.report:
-            written.append(write_page(self.report, result, text, source))
+            written.append(write_page(self.report, result, text, source, tracks=tracks))
         return written
