@@ -16,13 +16,22 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import cv2
 import numpy as np
+import selfcal_ros
 
 #: The top of the repository.
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def process_environment(**more: str) -> dict:
+    """Environment of a process that is to import the same packages as this one."""
+    here = str(Path(selfcal_ros.__file__).resolve().parents[1])
+    paths = [here, *filter(None, [os.environ.get('PYTHONPATH')])]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(paths), **more}
 
 
 def data_folder(name: str) -> Path | None:

@@ -27,7 +27,7 @@ import numpy as np
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.synthetic.recordings import agv_drive
 
-from bench.inputs import ROOT
+from bench.inputs import process_environment, ROOT
 from bench.tables import Report
 
 #: Images of the drive; 30 Hz for so many seconds, there and back until it is over.
@@ -77,10 +77,10 @@ def in_process(report: Report, images) -> None:
         # the first image finds all corners anew, and OpenCV starts its threads
         rows.append((latencies_row(f'KltTracker, {most} corners ({name})', times[1:], '0')))
         if most == CORNERS['the node']:
-            judged = float(np.median(times[1:]))
+            judged = float(np.percentile(times[1:], 99))
     report.table(HEADER, rows)
     report.say('')
-    report.verdict('median with the corners of the node', judged, MOST_MS, 'ms')
+    report.verdict('99 of 100 images, with the corners of the node', judged, MOST_MS, 'ms')
 
 
 def over_dds(report: Report, images) -> None:
@@ -91,15 +91,13 @@ def over_dds(report: Report, images) -> None:
     if find_spec('rclpy') is None:
         report.say('Left out: rclpy is not installed.')
         return
-    environment = {'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds.xml'),
-                   'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
     with tempfile.TemporaryDirectory() as folder:
-        environment['ROS_LOG_DIR'] = folder
-        os.environ.update(environment)
-        paths = [str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])]
+        # a domain of its own: other ROS programs on this machine must not hear the images
+        os.environ.update({
+            'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds.xml'),
+            'ROS_DOMAIN_ID': str(1 + os.getpid() % 100), 'ROS_LOG_DIR': folder})
         node = subprocess.Popen([sys.executable, '-m', 'selfcal_ros.nodes.feature_tracker'],
-                                start_new_session=True, cwd=folder,
-                                env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
+                                start_new_session=True, cwd=folder, env=process_environment())
         try:
             times, sent = exchange(images)
         finally:
@@ -112,7 +110,7 @@ def over_dds(report: Report, images) -> None:
     report.table(HEADER, [latencies_row('publish, feature_tracker, tracks', times,
                                         f'{sent - len(times)} of {sent}')])
     report.say('')
-    report.verdict('median', float(np.median(times)), MOST_MS, 'ms')
+    report.verdict('99 of 100 images', float(np.percentile(times, 99)), MOST_MS, 'ms')
     report.judge(len(times) >= 0.99 * sent,
                  f'keeps up: {len(times)} of {sent} images gave tracks')
 

@@ -26,7 +26,7 @@ from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
 from selfcal_ros.synthetic.special_scenes import drive
 
-from bench.inputs import ROOT
+from bench.inputs import process_environment
 from bench.tables import percent, Report
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
@@ -123,5 +123,5 @@ def command(report: Report) -> None:
 
 
 def _call(arguments) -> int:
-    return subprocess.run(arguments, cwd=ROOT, stdout=subprocess.DEVNULL,
-                          timeout=300).returncode
+    return subprocess.run(arguments, cwd=tempfile.gettempdir(), env=process_environment(),
+                          stdout=subprocess.DEVNULL, timeout=300).returncode
