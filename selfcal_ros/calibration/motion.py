@@ -22,6 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.start import centres_from_state
 from selfcal_ros.calibration.state import BundleState
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Less rotation than this in all, and K is not worth asking for (radians).
 LEAST_ROTATION_RAD = np.radians(2.0)
@@ -85,40 +86,47 @@ class PathDescription:
                 'principal point or a simpler distortion model as a fact.')
 
 
-def describe_path(state: BundleState, exact: bool) -> PathDescription:
+def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> PathDescription:
     """
-    Classify the motion of an optimum of the planar bundle adjustment.
+    Classify the motion of an optimum of the bundle adjustment.
 
     Parameters
     ----------
     state : BundleState
     exact : bool
         Whether the motion is exactly planar as far as the data can tell.
+    keeps_plane : bool
+        False: the motion was estimated without a plane.
 
     Returns
     -------
     PathDescription
 
     """
-    angles = state.views[:, 0]
-    rotation = float(np.ptp(angles))
+    R = state.rotations()
+    rotation = float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
+    if keeps_plane:
+        # the way round may exceed half a turn
+        rotation = max(rotation, float(np.ptp(state.views[:, 0])))
     tilt = float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
     axis = state.mount[:, 2]
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     notes = []
-    motion, refusal, advice = 'planar', '', ''
+    motion, refusal, advice = ('planar' if keeps_plane else 'general'), '', ''
     if rotation < LEAST_ROTATION_RAD:
         motion = 'translation'
         refusal = (f'The camera did not rotate ({np.degrees(rotation):.2f} degrees in all); '
-                   'planar self-calibration needs rotation.')
-        advice = 'Drive curves: turn by 30 degrees or more, left and right.'
-    elif tilt > MOST_TILT_RAD:
+                   'self-calibration needs rotation.')
+        advice = ('Drive curves: turn by 30 degrees or more, left and right.' if keeps_plane else
+                  'Turn the camera by 20 degrees or more about two axes.')
+    elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
         refusal = (f'The motion is not planar: views are tilted out of the plane by '
                    f'{np.degrees(tilt):.0f} degrees (root mean square).')
-        advice = 'Use a stretch of the recording on even ground.'
-    elif _is_circular(state):
+        advice = ('Use a stretch of the recording on even ground, or say that the motion is '
+                  'general.')
+    elif keeps_plane and _is_circular(state):
         motion = 'circular'
         notes.append('The camera circles one axis; the calibration rests on square pixels.')
     if motion in ('planar', 'circular') and not exact:

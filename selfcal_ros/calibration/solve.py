@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.planar import calibrate_planar
+from selfcal_ros.calibration.estimate import calibrate_from_motion, MOTION_MODELS
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.view_graph import build_view_graph
@@ -27,7 +27,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.version import __version__
 
-METHODS = ('auto', 'planar')
+METHODS = tuple(MOTION_MODELS)
 
 
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
@@ -39,8 +39,8 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     Parameters
     ----------
     tracks : Tracks
-    motion : {'auto', 'planar'}
-        How the camera moved.
+    motion : {'auto', 'planar', 'general'}
+        How the camera moved; 'auto' tries a plane first.
     facts : CameraFacts, optional
         What is known of the camera; nothing by default.
     rng : numpy.random.Generator, optional
@@ -69,7 +69,8 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
         return NotCalibrated(graph, 'Check that the images overlap and show texture.',
                              frames=tuple(int(f) for f in tracks.frames), facts=facts,
                              software=__version__)
-    result = calibrate_planar(graph, size, facts, [start] if start else [])
+    result = calibrate_from_motion(graph, size, facts, [start] if start else [],
+                                   MOTION_MODELS[motion])
     return replace(result, software=f'selfcal_ros {__version__}')
 
 

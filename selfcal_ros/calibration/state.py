@@ -61,6 +61,11 @@ class MotionModel:
         """Tell whether tilt and height are held at zero."""
         return self.tilt_sigma_rad == 0 and self.height_sigma == 0
 
+    @property
+    def keeps_plane(self) -> bool:
+        """Tell whether there is a plane of motion at all, exact or not."""
+        return bool(np.isfinite(self.tilt_sigma_rad))
+
 
 @dataclass(frozen=True)
 class BundleState:

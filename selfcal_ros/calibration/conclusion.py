@@ -1,0 +1,67 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From an optimum to a verdict: what the data determine, and what the motion lacks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.model_choice import dependence_of, Model
+from selfcal_ros.calibration.motion import describe_path
+from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.problem import Problem
+from selfcal_ros.calibration.refine import Fit
+from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
+                                            Reconstruction)
+from selfcal_ros.calibration.state import BundleState, parameter_covariance
+from selfcal_ros.calibration.view_graph import ViewGraph
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+
+
+def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
+             ) -> Calibration | NotCalibrated:
+    """Judge an optimum: what do the data determine, and what does the motion lack?"""
+    facts, state = problem.facts, fit.state
+    frames = tuple(int(f) for f in graph.frames)
+    camera = state.camera(*problem.size)
+    dependence = dependence_of(fit, problem.size).with_stretches(model.stretches)
+    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    held = held_facts(facts)
+    for k, name in enumerate(PARAMETER_NAMES):
+        if name in held:
+            covariance[k] = covariance[:, k] = 0
+    path = describe_path(state, model.exact, problem.motion.keeps_plane)
+    status = parameter_status(camera, covariance, facts)
+    residuals = fit.bundle.residuals(state)
+    rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
+    missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
+    if missing or path.refusal:
+        reason, advice = path.explain(missing, camera, facts)
+        return NotCalibrated(reason, advice, path.motion, frames, facts, status)
+    return Calibration(
+        camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
+        facts=facts, frames=frames, reprojection_rms_px=rms,
+        noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
+        outlier_count=fit.outliers + graph.rejected,
+        reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
+                                      fit.observations.track, state.points),
+        fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
+        notes=path.notes + dependence.notes(), residuals=residuals)
+
+
+def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:
+    """Horizon, vanishing point and circular point of the estimated plane and axis."""
+    axis = state.mount[:, 2]
+    return FixedPoints(np.linalg.solve(K.T, axis), K @ axis,
+                       K @ (state.mount[:, 0] + 1j * state.mount[:, 1]))

@@ -1,0 +1,155 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Motion → K: closed-form starts, one maximum-likelihood estimate, and its evidence.
+
+The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes
+one calibration; a sweep over the focal length proposes others. Each proposal is a start for the
+same bundle adjustment on a small share of the tracks, the best one is finished on all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.conclusion import conclude
+from selfcal_ros.calibration.model_choice import choose_model, Model
+from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
+from selfcal_ros.calibration.problem import observations_of, Problem
+from selfcal_ros.calibration.refine import (bundle_of, fit_robustly, flatten, NEARLY_PLANAR,
+                                            with_all_points)
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.search import best_start, closed_form, START_TRACKS_PER_VIEW
+from selfcal_ros.calibration.start import planar_start
+from selfcal_ros.calibration.state import BundleState, holding, MotionModel, priors_from_facts
+from selfcal_ros.calibration.view_graph import ViewGraph
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+
+#: Motion that leaves the plane freely.
+GENERAL = MotionModel(np.inf, np.inf)
+#: Kinds of motion to try, by name.
+MOTION_MODELS = {
+    'planar': (NEARLY_PLANAR,),
+    'general': (GENERAL,),
+    'auto': (NEARLY_PLANAR, GENERAL),
+}
+#: A start explains the images when it leaves less than so many times the noise of the epipolar
+#: geometry (which has more freedom, and absorbs distortion).
+EXPLAINED = 4.0
+#: Tracks per view on which the distortion model and the planarity are decided.
+MODEL_TRACKS_PER_VIEW = 100
+#: Fewer degrees of freedom than this cannot check themselves.
+MINIMUM_FREEDOM = 12
+
+
+def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
+                          proposals: list[Camera], motions: tuple[MotionModel, ...],
+                          ) -> Calibration | NotCalibrated:
+    """
+    Calibrate from planar or general motion.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts
+    proposals : list of Camera
+        Calibrations to start from; the sweep over the focal length follows.
+    motions : tuple of MotionModel
+        Kinds of motion to try, the most constrained first; the first that explains the images
+        is taken.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    """
+    frames = tuple(int(f) for f in graph.frames)
+
+    def refuse(reason, advice='', motion='unknown', status=None):
+        return NotCalibrated(reason, advice, motion, frames, facts, status or {})
+
+    observations = observations_of(graph.tracks, graph.frames)
+    if len(graph.frames) < 3:
+        return refuse(f'Only {len(graph.frames)} images share points; self-calibration needs at '
+                      'least three.', 'Record a longer sequence with turns.')
+    if graph.parallax < PARALLAX_RATIO:
+        return refuse('One homography explains every pair of images to within the noise '
+                      f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
+                      'lie on one plane.',
+                      'Self-calibration from motion needs a camera that also moves, before a '
+                      'scene with depth.', 'rotation')
+    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02))
+    freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
+                        1.0).degrees_of_freedom
+    if freedom < MINIMUM_FREEDOM:
+        return refuse(f'{len(observations.track)} points in {len(frames)} images leave '
+                      f'{freedom} degrees of freedom; the estimate could not be checked.',
+                      'More points or more images are needed.')
+    for motion in motions:
+        result = _attempt(replace(problem, motion=motion), graph, proposals)
+        if result or result.motion != 'general':
+            break
+    return result
+
+
+def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
+             ) -> Calibration | NotCalibrated:
+    """Calibrate under one kind of motion."""
+    def refuse(reason, advice='', motion='unknown'):
+        return NotCalibrated(reason, advice, motion, tuple(int(f) for f in graph.frames),
+                             problem.facts)
+
+    window = problem.window()
+    chain = closed_form(window) if problem.motion.keeps_plane else []
+    start, noise_px = best_start(window, [*proposals, *chain])
+    if not noise_px < EXPLAINED * problem.noise_px:
+        return refuse('No camera and no such motion explain the tracks: the best leaves '
+                      f'{noise_px:.2g} px where pairs of images agree to {problem.noise_px:.2g} '
+                      'px.', 'The scene must stand still, and most of what is seen must belong '
+                      'to it.', 'general' if problem.motion.keeps_plane else 'unknown')
+    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
+    state = with_all_points(start, medium)
+    if state is None:
+        return refuse('The distortion of the best start cannot be undone over the whole image.')
+    model = choose_model(window, medium, state)
+    problem = replace(problem, facts=model.facts)
+    state = extended(problem, model)
+    if state is None:
+        return refuse(f'The distortion found ({model.facts.distortion}) cannot be undone over '
+                      'the whole image.', 'State a simpler distortion model.')
+    fit = fit_robustly(problem.observations, state, model.fit.bundle.motion,
+                       priors_from_facts(model.facts), model.fit.bundle.sigma_px)
+    return conclude(fit, model, problem, graph)
+
+
+def extended(problem: Problem, model: Model) -> BundleState | None:
+    """Start for all views and tracks from what was found on a share of them."""
+    found = model.fit.state
+    if len(found.views) == problem.views:
+        return with_all_points(found, problem.observations)
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    bundle = bundle_of(few, model.fit.bundle.motion, priors_from_facts(model.facts),
+                       10 * problem.noise_px)
+    starts = [planar_start(problem.pairs, bundle.blocks, few.xy, found.camera(), exact)
+              for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
+    starts = [state if state is None or not model.exact else flatten(state) for state in starts]
+    costs = [np.inf if state is None else bundle.cost(state) for state in starts]
+    if not np.isfinite(min(costs)):
+        return None
+    state = bundle.optimise(holding(starts[int(np.argmin(costs))], bundle.priors), 15, 1.0)
+    return with_all_points(state, problem.observations)

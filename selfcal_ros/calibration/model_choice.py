@@ -1,0 +1,73 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Decisions on a share of the tracks: which distortion, how planar, how dependent the errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
+from selfcal_ros.calibration.observability import parameter_status
+from selfcal_ros.calibration.problem import Problem, start_priors
+from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
+                                            fit_robustly, leave_out_stretches, Observations,
+                                            refit)
+from selfcal_ros.calibration.state import BundleState, parameter_covariance, priors_from_facts
+from selfcal_ros.geometry.camera import CameraFacts
+
+
+@dataclass(frozen=True)
+class Model:
+    """What was decided on a share of the tracks: distortion, and how planar the motion is."""
+
+    fit: Fit
+    facts: CameraFacts
+    exact: bool
+    stretches: tuple[float, np.ndarray]
+
+
+def choose_model(problem: Problem, observations: Observations, state: BundleState) -> Model:
+    """Choose the distortion model, if the facts leave it open, and how planar motion is."""
+    facts = problem.facts
+    soft = start_priors(problem)
+    fit = fit_robustly(observations, state, problem.motion, soft, 1.5 * problem.noise_px)
+    if facts.distortion == 'auto':
+        dependence = dependence_of(fit, problem.size).inflation**2
+
+        def determined(trial: Fit, trial_facts: CameraFacts) -> bool:
+            covariance = parameter_covariance(trial.bundle.covariance(trial.state),
+                                              trial.state.intrinsics) * dependence
+            status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
+            return 'unobservable' not in status.values()
+
+        fit, facts = choose_distortion(fit, facts, determined)
+    else:
+        fit = replace(fit, bundle=bundle_of(fit.observations, problem.motion,
+                                            priors_from_facts(facts), fit.bundle.sigma_px))
+        fit = refit(fit, problem.motion)
+    known = dependence_of(fit, problem.size).inflation**2
+    exact = False
+    if problem.motion.keeps_plane:
+        fit, exact = choose_motion(fit, known)
+    independent = fit.bundle.covariance(fit.state)[:9, :9]
+    return Model(fit, facts, exact,
+                 stretch_excess(*leave_out_stretches(fit), independent, known))
+
+
+def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:
+    """Assess how far the residuals of a fit are from independent."""
+    return assess_dependence(fit.bundle.evidence(fit.state), fit.observations.point,
+                             fit.observations.xy, size)
