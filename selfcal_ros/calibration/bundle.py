@@ -114,7 +114,7 @@ class Bundle:
 
     # ------------------------------------------------------------------ prior terms
 
-    def _prior_terms(self, state: BundleState):
+    def prior_terms(self, state: BundleState):
         """
         Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
 
@@ -142,7 +142,7 @@ class Bundle:
                 diagonal[index] += 1 / sigma**2
         return cost, gradient, diagonal
 
-    def _gauge(self, state: BundleState) -> np.ndarray:
+    def gauge(self, state: BundleState) -> np.ndarray:
         """Return the direction in the unknowns that only scales the world, unit length."""
         direction = np.zeros(len(self.free))
         views = direction[SHARED:].reshape(-1, PER_VIEW)
@@ -163,7 +163,7 @@ class Bundle:
             return np.inf
         # behind the camera the model predicts nothing: a constant, large misfit
         distance = np.where(line.ahead, distance, np.maximum(distance, 100.0))
-        return huber_cost(distance, HUBER_SIGMAS) + self._prior_terms(state)[0]
+        return huber_cost(distance, HUBER_SIGMAS) + self.prior_terms(state)[0]
 
     def normal_equations(self, state: BundleState, damping: float = 0.0,
                          robust: bool = True) -> ReducedSystem:
@@ -178,11 +178,11 @@ class Bundle:
         root = (np.sqrt(weight * line.ahead) / self.sigma_px)[:, None]
         system = self.blocks.reduce(line.shared * root[..., None], line.view * root[..., None],
                                     line.point * root[..., None], line.residual * root, damping)
-        _, gradient, diagonal = self._prior_terms(state)
+        _, gradient, diagonal = self.prior_terms(state)
         system.gradient += gradient
         system.matrix[np.diag_indices_from(system.matrix)] += diagonal
         system.diagonal += diagonal
-        gauge = self._gauge(state)
+        gauge = self.gauge(state)
         weight = float(np.mean(system.diagonal[SHARED:][self.free[SHARED:]]))
         system.matrix += weight * np.outer(gauge, gauge)
         return system, root

@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.dependence import stretch_note
+from selfcal_ros.calibration.lens_field import find_lens_field
 from selfcal_ros.calibration.model_choice import dependence_of, Model
 from selfcal_ros.calibration.motion import describe_path
 from selfcal_ros.calibration.observability import held_facts, parameter_status
@@ -34,16 +36,25 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     """Judge an optimum: what do the data determine, and what does the motion lack?"""
     facts, state = problem.facts, fit.state
     frames = tuple(int(f) for f in graph.frames)
+    dependence = dependence_of(fit, problem.size)
+    inner, notes = dependence.covariance, dependence.notes()
+    residuals = fit.bundle.residuals(state)
+    field = find_lens_field(fit.bundle, state, problem.size, dependence.ratios['track']**2)
+    if field is not None:
+        # the field is what the image's regions share
+        state, inner, residuals = field.state, field.covariance, field.residual
+        notes = (*dependence.notes('track'), field.note())
+    ratio, added = model.stretches
+    inner = inner + added
+    notes += stretch_note(ratio)
     camera = state.camera(*problem.size)
-    dependence = dependence_of(fit, problem.size).with_stretches(model.stretches)
-    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    covariance = parameter_covariance(inner, state.intrinsics)
     held = held_facts(facts)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
     path = describe_path(state, model.exact, problem.motion.keeps_plane)
     status = parameter_status(camera, covariance, facts)
-    residuals = fit.bundle.residuals(state)
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
     missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
     if missing or path.refusal:
@@ -57,7 +68,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
         reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
                                       fit.observations.track, state.points),
         fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
-        notes=path.notes + dependence.notes(), residuals=residuals)
+        notes=path.notes + notes, residuals=residuals)
 
 
 def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:

@@ -48,7 +48,7 @@ class Dependence:
     Attributes
     ----------
     ratios : dict of str to float
-        Sigma of the calibration with errors shared within 'track', 'region' or 'stretch' over
+        Sigma of the calibration with errors shared within 'track' or 'region' over
         sigma with independent errors, mean over the estimated parameters; 1 where nothing
         significant was found.
     covariance : ndarray, shape (9, 9)
@@ -64,20 +64,21 @@ class Dependence:
         """Ratio of sigma with all dependence to sigma with none."""
         return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
 
-    def with_stretches(self, found: tuple[float, np.ndarray]) -> Dependence:
-        """Add what `stretch_excess` found."""
-        return Dependence({**self.ratios, 'stretch': found[0]}, self.covariance + found[1])
-
-    def notes(self) -> tuple:
-        """Say what was found, a sentence each."""
+    def notes(self, *names: str) -> tuple:
+        """Say what was found, a sentence each; names choose among the ratios."""
         causes = {'track': 'within a track, as when its patch drifts',
                   'region': 'within a region of the image, as with a lens that the distortion '
-                            'model does not describe',
-                  'stretch': 'within a stretch of images, as with jolts, moving objects or a '
-                             'rolling shutter'}
-        return tuple(f'Errors are shared {causes[name]}: sigmas are {ratio:.1f} times those of '
-                     'independent errors for it.'
-                     for name, ratio in self.ratios.items() if ratio > 1)
+                            'model does not describe'}
+        return tuple(f'Errors are shared {causes[name]}: sigmas are {self.ratios[name]:.1f} times '
+                     'those of independent errors for it.'
+                     for name in names or causes if self.ratios[name] > 1)
+
+
+def stretch_note(ratio: float) -> tuple:
+    """Say what `stretch_excess` found, in a sentence or none."""
+    return () if ratio <= 1 else (
+        'Errors are shared within a stretch of images, as with jolts, moving objects or a rolling '
+        f'shutter: sigmas are {ratio:.1f} times those of independent errors for it.',)
 
 
 def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
