@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, F, K1, K2, P1, P2,
-                                           PER_VIEW, SHARED, SKEW)
+from selfcal_ros.calibration.pixel_model import PixelModel
+from selfcal_ros.calibration.state import BundleState, PER_VIEW, SHARED
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix
 
@@ -62,7 +62,6 @@ def linearise(state: BundleState, blocks: PointBlocks, xy: np.ndarray, free: np.
 
     """
     planar = not free[SHARED:].reshape(-1, PER_VIEW)[:, 3:].any()
-    f, aspect, cx, cy, skew, k1, k2, p1, p2 = state.intrinsics
     rotations = state.rotations()
     translations = state.views[:, [1, 2, 5]]
     R = rotations[blocks.view]
@@ -76,44 +75,19 @@ def linearise(state: BundleState, blocks: PointBlocks, xy: np.ndarray, free: np.
     ahead = depth * np.where(sign == 0, 1, sign) > MINIMUM_DEPTH
     depth = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
     x, y = X[:, 0] / depth, X[:, 1] / depth
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * k2)
-    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    residual = np.stack([f * xd + skew * yd + cx, f * aspect * yd + cy], axis=1) - xy
+    pixels = PixelModel(state.intrinsics, x, y)
+    residual = pixels.uv - xy
     if not jacobians:
         empty = np.empty(0)
         return Linearisation(residual, ahead, empty, empty, empty)
 
-    slope = 2 * (k1 + 2 * k2 * r2)
-    cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
-    dxx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    dyy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-    du_dx, du_dy = f * dxx + skew * cross, f * cross + skew * dyy
-    dv_dx, dv_dy = f * aspect * cross, f * aspect * dyy
-    n = len(x)
-    J_X = np.empty((n, 2, 3))
-    J_X[:, 0, 0], J_X[:, 0, 1] = du_dx / depth, du_dy / depth
-    J_X[:, 1, 0], J_X[:, 1, 1] = dv_dx / depth, dv_dy / depth
-    J_X[:, 0, 2] = -(du_dx * x + du_dy * y) / depth
-    J_X[:, 1, 2] = -(dv_dx * x + dv_dy * y) / depth
-
-    shared = np.zeros((n, 2, SHARED))
-    shared[:, 0, F], shared[:, 1, F] = xd, aspect * yd
-    shared[:, 1, ASPECT] = f * yd
-    shared[:, 0, CX] = shared[:, 1, CY] = 1
-    shared[:, 0, SKEW] = yd
-    bases = {K1: (x * r2, y * r2), K2: (x * r2 * r2, y * r2 * r2),
-             P1: (2 * x * y, r2 + 2 * y * y), P2: (r2 + 2 * x * x, 2 * x * y)}
-    for index, (bx, by) in bases.items():
-        if free[index]:
-            shared[:, 0, index] = f * bx + skew * by
-            shared[:, 1, index] = f * aspect * by
+    J_X = pixels.by_points(depth)
+    shared = pixels.by_intrinsics(free, SHARED)
     J_Z = J_X @ state.mount
     shared[:, :, 9] = _along_cross(J_Z, np.array([1.0, 0, 0]), Z)
     shared[:, :, 10] = _along_cross(J_Z, np.array([0, 1.0, 0]), Z)
 
-    own = np.empty((n, 2, PER_VIEW))
+    own = np.empty((len(x), 2, PER_VIEW))
     tilt = pad(state.views[:, 3:5])
     axis = rotation_matrix(tilt)[:, :, 2]
     own[:, :, 0] = _along_cross(J_Z, axis[blocks.view], turned)

@@ -22,7 +22,8 @@ import numpy as np
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
-MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'unknown')
+MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
+           'unknown')
 
 
 @dataclass(frozen=True)
