@@ -1,0 +1,276 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+from pathlib import Path
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
+from selfcal_ros.calibration.object_bundle import ObjectBundle, ObjectState
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+SIZE = (640, 480)
+CAMERA = Camera([[610, 0, 330], [0, 640, 225], [0, 0, 1]], [-0.2, 0.08, 0.001, -0.002], *SIZE)
+PINHOLE = Camera(CAMERA.K, np.zeros(4), *SIZE)
+NO_SKEW = CameraFacts(skew=0.0)
+
+
+def board(columns=9, rows=6, square=0.03):
+    """Corners of a board, row by row."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * square
+    return KnownObject(np.arange(x.size), points)
+
+
+def corner(side=0.04, squares=4):
+    """Two orthogonal planes of corners, as a Tsai grid."""
+    u, v = np.meshgrid(np.arange(2 * squares) + 1.0, np.arange(2 * squares) + 1.0)
+    u, v, o = u.ravel() * side, v.ravel() * side, np.zeros(u.size)
+    points = np.concatenate([np.column_stack([u, o, v]), np.column_stack([o, u, v])])
+    return KnownObject(np.arange(len(points)), points)
+
+
+def looking_at(target, turns, distance):
+    """Poses before an object, turned about its middle by the given angle-axis vectors."""
+    middle = target.points.mean(axis=0)
+    R = rotation_matrix(np.asarray(turns, float))
+    t = np.array([0, 0, distance]) - R @ middle
+    return np.concatenate([R, t[..., None]], axis=2)
+
+
+def seen(target, poses, camera=CAMERA, noise_px=0.0, rng=None, frames=None):
+    """Tracks of an object in every pose."""
+    X = np.einsum('vij,pj->vpi', poses[:, :, :3], target.points) + poses[:, None, :, 3]
+    assert X[..., 2].min() > 0
+    xy = camera.project(X).reshape(-1, 2)
+    if noise_px:
+        xy = xy + noise_px * rng.standard_normal(xy.shape)
+    frames = np.arange(len(poses)) if frames is None else frames
+    return Tracks(np.repeat(frames, len(target)), np.tile(target.identity, len(poses)), xy, SIZE)
+
+
+BOARD, CORNER = board(), corner()
+TILTS = [[0.5, 0, 0], [0, 0.6, 0.1], [-0.4, 0.3, 0], [0.3, -0.5, 0.2], [-0.5, -0.3, 1.0]]
+BOARD_POSES = looking_at(BOARD, TILTS, 0.45)
+#: A view into the corner, third axis up in the image.
+INTO_CORNER = rotation_matrix(np.array([0.25, 0.1, 0.05])) @ np.array(
+    [[-1, 1, 0], [0, 0, -np.sqrt(2)], [-1, -1, 0]]) / np.sqrt(2)
+
+
+def corner_poses(distances=(1.0,), shifts=((0, 0),)):
+    """Views into the corner."""
+    middle = CORNER.points.mean(axis=0)
+    return np.array([np.column_stack([INTO_CORNER, [*shift, z] - INTO_CORNER @ middle])
+                     for z, shift in zip(distances, shifts)])
+
+
+def test_derivatives_are_those_of_differences():
+    tracks = seen(BOARD, BOARD_POSES)
+    view = np.repeat(np.arange(5), len(BOARD))
+    order = np.lexsort((tracks.track, tracks.frame))
+    bundle = ObjectBundle(view, np.tile(BOARD.points, (5, 1)), tracks.xy[order] + 0.3,
+                          priors={}, sigma_px=1.0)
+    f, fy, *rest = CAMERA.parameters
+    state = ObjectState(np.array([f, fy / f, *rest]), BOARD_POSES)
+    equations, h = bundle.equations(state), 1e-6
+    for k in range(9):
+        change = np.zeros(9)
+        change[k] = h * (100 if k in (0, 2, 3, 4) else 1)
+        ends = [bundle.cost(ObjectState(state.intrinsics + s * change, BOARD_POSES))
+                for s in (1, -1)]
+        assert equations.gradient[k] == pytest.approx((ends[0] - ends[1]) / 2 / change[k],
+                                                      rel=1e-4, abs=1e-2)
+    for k in range(6):
+        ends = []
+        for s in (h, -h):
+            poses, step = BOARD_POSES.copy(), np.zeros(6)
+            step[k] = s
+            poses[2, :, :3] = rotation_matrix(step[:3]) @ poses[2, :, :3]
+            poses[2, :, 3] += step[3:]
+            ends.append(bundle.cost(ObjectState(state.intrinsics, poses)))
+        assert equations.pose_gradient[2, k] == pytest.approx((ends[0] - ends[1]) / 2 / h,
+                                                              rel=1e-4, abs=1e-2)
+
+
+@pytest.mark.parametrize('target, poses', [(BOARD, BOARD_POSES), (CORNER, corner_poses())],
+                         ids=['five views of a board', 'one view of a corner'])
+@pytest.mark.parametrize('camera', [CAMERA, PINHOLE], ids=['distorted', 'pinhole'])
+def test_without_noise_it_is_exact(target, poses, camera):
+    result = calibrate_known_object(seen(target, poses, camera), target, facts=NO_SKEW)
+
+    assert result, result
+    np.testing.assert_allclose(result.camera.parameters, camera.parameters, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(result.reconstruction.cam_from_world, poses, atol=1e-6)
+    np.testing.assert_allclose(result.reconstruction.points[:, :3], target.points)
+    assert result.motion == 'known-object' and result.facts.distortion == 'plumb_bob'
+    assert result.status['skew'] == 'held' and result.status['k1'] == 'estimated'
+    assert result.outlier_count == 0
+
+
+def test_far_origin_and_millimetres_change_nothing():
+    tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.2, np.random.default_rng(1))
+    moved = KnownObject(BOARD.identity, 1000 * BOARD.points + [4e6, 5e6, 100])
+    here, there = (calibrate_known_object(tracks, one, facts=NO_SKEW) for one in (BOARD, moved))
+
+    np.testing.assert_allclose(there.camera.parameters, here.camera.parameters, rtol=1e-6,
+                               atol=1e-7)
+    X = there.reconstruction.cam_from_world[1] @ there.reconstruction.points[7]
+    expected = here.reconstruction.cam_from_world[1] @ here.reconstruction.points[7]
+    np.testing.assert_allclose(X, 1000 * expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize('target, poses', [(BOARD, BOARD_POSES), (CORNER, corner_poses())],
+                         ids=['board', 'corner'])
+def test_covariance_is_that_of_many_runs(target, poses):
+    facts = CameraFacts(skew=0.0, distortion='radial1')
+    camera = Camera(CAMERA.K, [-0.2, 0, 0, 0], *SIZE)
+    chosen = [0, 1, 2, 3, 5]
+    distances = []
+    for seed in range(60):
+        result = calibrate_known_object(
+            seen(target, poses, camera, 0.3, np.random.default_rng(seed)), target, facts=facts)
+        error = (result.camera.parameters - camera.parameters)[chosen]
+        distances.append(error @ np.linalg.solve(result.covariance[np.ix_(chosen, chosen)],
+                                                 error))
+
+    # chi-square of 5 degrees of freedom, mean over 60 runs: 5 ± 0.41; now and then a chance
+    # pattern of the residuals counts as shared errors, which lowers it
+    assert 5 - 5 * 0.41 < np.mean(distances) < 5 + 4 * 0.41
+
+
+def test_gross_errors_are_left_out():
+    rng = np.random.default_rng(4)
+    tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.1, rng)
+    xy = tracks.xy.copy()
+    bad = rng.choice(len(xy), 12, replace=False)
+    xy[bad] += rng.uniform(10, 30, (12, 2))
+    result = calibrate_known_object(Tracks(tracks.frame, tracks.track, xy, SIZE), BOARD,
+                                    facts=NO_SKEW)
+
+    assert 12 <= result.outlier_count <= 14
+    assert result.noise_sigma_px == pytest.approx(0.1, rel=0.1)
+    assert abs(result.camera.K[0, 0] - 610) < 4 * result.sigma['fx']
+
+
+def test_facts_are_measurements():
+    tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.3, np.random.default_rng(2))
+    held = calibrate_known_object(tracks, BOARD, facts=CameraFacts(
+        aspect_ratio=640 / 610, skew=0.0, principal_point=(330, 225)))
+    assert held.camera.K[0, 2] == 330 and held.sigma['cx'] == 0
+    assert held.camera.K[1, 1] / held.camera.K[0, 0] == pytest.approx(640 / 610)
+    soft = calibrate_known_object(tracks, BOARD, facts=CameraFacts(
+        skew=0.0, principal_point=(340, 225), principal_point_sigma_px=0.01))
+    assert soft.camera.K[0, 2] == pytest.approx(340, abs=0.1)
+
+
+def test_one_board_suffices_where_the_facts_do():
+    pose = looking_at(BOARD, [[0.5, 0.4, 0]], 0.45)
+    facts = CameraFacts(aspect_ratio=640 / 610, skew=0.0, principal_point=(330, 225))
+    result = calibrate_known_object(seen(BOARD, pose, PINHOLE), BOARD, facts=facts)
+    assert result.camera.K[0, 0] == pytest.approx(610, rel=1e-5)
+
+
+def test_one_board_without_facts_is_refused_even_with_distortion():
+    """The lens would fix the camera, if only it were exactly what its model says."""
+    pose = looking_at(BOARD, [[0.5, 0.4, 0]], 0.45)
+    result = calibrate_known_object(seen(BOARD, pose, CAMERA, 0.05, np.random.default_rng(0)),
+                                    BOARD, facts=NO_SKEW)
+    assert not result and 'one plane' in result.reason
+    assert result.status['fx'] == 'unobservable' and result.status['skew'] == 'held'
+
+
+def test_boards_under_one_tilt_are_refused():
+    poses = looking_at(BOARD, [[0.4, 0, 0]] * 4, 0.5)
+    poses[:, :2, 3] += [[0, 0], [0.05, 0], [0, 0.05], [-0.05, 0]]
+    result = calibrate_known_object(seen(BOARD, poses, PINHOLE, 0.2, np.random.default_rng(0)),
+                                    BOARD, facts=NO_SKEW)
+    assert not result and 'too much alike' in result.reason and 'Tilt' in result.advice
+
+
+def few(count, target=CORNER):
+    keep = np.linspace(0, len(target) - 1, count).astype(int)
+    return KnownObject(target.identity[keep], target.points[keep])
+
+
+@pytest.mark.parametrize('target, shown, words', [
+    (CORNER, few(3), '3 points'),
+    (CORNER, few(5), 'a solid needs at least 6'),
+    (CORNER, KnownObject([0, 1, 2, 3], CORNER.points[:4]), 'one line'),
+    (few(6), few(6), 'Too few points'),
+    (KnownObject(CORNER.identity + 1000, CORNER.points), CORNER, 'numbers of the two files'),
+    (KnownObject(CORNER.identity, CORNER.points * [-1, 1, 1]), CORNER, 'mirror image'),
+    (KnownObject(CORNER.identity, np.random.default_rng(0).permutation(CORNER.points)), CORNER,
+     'do not fit'),
+    (KnownObject([1, 2], np.ones((2, 3))), CORNER, 'no extent'),
+], ids=['three', 'five', 'line', 'unknowns', 'numbers', 'mirror', 'misfit', 'one place'])
+def test_what_cannot_be_calibrated_says_why(target, shown, words):
+    facts = CameraFacts(distortion='radial1')
+    result = calibrate_known_object(seen(shown, corner_poses(), PINHOLE), target, facts=facts)
+    assert not result
+    assert words in result.reason, str(result)
+    assert result.motion == 'known-object'
+
+
+def test_a_bad_view_is_left_out_with_a_note():
+    poses = np.concatenate([BOARD_POSES, BOARD_POSES[:1]])
+    tracks = seen(BOARD, poses, CAMERA, 0.1, np.random.default_rng(0))
+    tracks = tracks.select((tracks.frame < 5) | (tracks.track < 3))
+    result = calibrate_known_object(tracks, BOARD, facts=NO_SKEW)
+    assert result.frames == (0, 1, 2, 3, 4)
+    assert any('frame 5 has 3 points' in note for note in result.notes)
+
+
+@pytest.mark.parametrize('identity, points, words', [
+    ([1, 2], np.zeros((3, 3)), 'one length'),
+    ([1, 2], [[0, 0, 0], [0, np.nan, 0]], 'not finite'),
+    ([1, 1], np.eye(3)[:2], 'twice'),
+])
+def test_a_wrong_object_is_refused(identity, points, words):
+    with pytest.raises(InputError, match=words):
+        KnownObject(identity, points)
+
+
+def data(name):
+    """Return a recorded set, or skip."""
+    for parent in Path(__file__).resolve().parents:
+        if (parent / 'shared' / 'data' / name).is_dir():
+            return parent / 'shared' / 'data' / name
+    pytest.skip(f'../shared/data/{name} is not there')
+
+
+def test_tags_with_given_corners():
+    folder = data('vamr_tags3d')
+    points = np.loadtxt(folder / 'p_W_corners.txt', delimiter=',') / 100
+    xy = np.loadtxt(folder / 'detected_corners.txt').reshape(-1, 12, 2)
+    tracks = Tracks(np.repeat(np.arange(len(xy)), 12), np.tile(np.arange(12), len(xy)),
+                    xy.reshape(-1, 2), (752, 480))
+    # the images are free of distortion
+    for facts in (NO_SKEW, CameraFacts(skew=0.0, distortion='none')):
+        result = calibrate_known_object(tracks, KnownObject(np.arange(12), points), facts=facts)
+        assert result.camera.K[0, 0] == pytest.approx(420.507, rel=0.01)
+        assert result.camera.K[1, 1] == pytest.approx(420.611, rel=0.01)
+
+
+def test_boards_before_an_arm():
+    corners = np.load(data('kuka_chess') / 'corners.npz')
+    target = KnownObject(np.arange(476), corners['object'])
+    tracks = Tracks(np.repeat(np.arange(30), 476), np.tile(np.arange(476), 30),
+                    corners['image'].reshape(-1, 2), (1928, 1208))
+    result = calibrate_known_object(tracks, target, facts=NO_SKEW)
+    true = [2057.976, 2058.374, 960.113, 610.095]
+    error = result.camera.parameters[:4] - true
+    assert np.abs(error[:2]).max() < 0.001 * 2058 and np.abs(error[2:]).max() < 1
+    assert (np.abs(error) < 3 * np.array(list(result.sigma.values())[:4])).all()
