@@ -50,7 +50,9 @@ def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Dr
         None if the calibration has no fixed points.
 
     """
-    if result.fixed_points is None or result.camera.width <= 0:
+    fixed, size = result.fixed_points, (result.camera.width, result.camera.height)
+    if fixed is None or min(size) <= 0 or not all(np.isfinite(part).all() for part in (
+            fixed.horizon, fixed.vanishing_point, result.reconstruction.cam_from_world)):
         return None
     pairs = single_pairs(result, seen) if seen is not None else None
     single = pairs is not None and len(pairs.pairs) > 0
@@ -77,14 +79,15 @@ def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Dr
 
 def _distances(result: Calibration, pairs: PairGeometry) -> str:
     """Say how far the epipoles of single pairs are from the horizon."""
-    line = result.fixed_points.horizon / np.linalg.norm(result.fixed_points.horizon[:2])
+    line = result.fixed_points.horizon
+    slope = float(np.linalg.norm(line[:2]))
     longer = max(result.camera.width, result.camera.height)
     epipoles = _finite(pairs.epipoles)
     near = epipoles[np.abs(epipoles - _centre(result.camera)).max(axis=1) < longer]
     start = f'; here each of {len(pairs.pairs)} pairs of views was taken for itself'
-    if len(near) < 5:
+    if len(near) < 5 or slope == 0:
         return start + '.'
-    distance = np.median(np.abs(near @ line[:2] + line[2]))
+    distance = np.median(np.abs(near @ line[:2] + line[2])) / slope
     return start + (f', and the median epipole near the image is {distance:.2g} px from the '
                     'horizon.')
 
@@ -142,10 +145,12 @@ def _whole_window(result: Calibration, pairs: PairGeometry) -> tuple[np.ndarray,
 
 def _segment(line: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray | None:
     """Clip a line to a square; returns two points (2, 2) or None."""
-    foot = centre - line[:2] * (line[:2] @ centre + line[2]) / max(line[:2] @ line[:2], 1e-300)
-    if not np.isfinite(foot).all() or np.linalg.norm(foot - centre) > 1.5 * half:
+    slope = float(np.linalg.norm(line[:2]))
+    # a camera that looks along the axis has its horizon at infinity
+    if slope * 1.5 * half <= abs(line[:2] @ centre + line[2]):
         return None
-    along = np.array([-line[1], line[0]]) / np.linalg.norm(line[:2])
+    foot = centre - line[:2] * (line[:2] @ centre + line[2]) / slope**2
+    along = np.array([-line[1], line[0]]) / slope
     return np.stack([foot - 3 * half * along, foot + 3 * half * along])
 
 

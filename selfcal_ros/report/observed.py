@@ -78,7 +78,7 @@ def observed(result: Calibration, tracks: Tracks) -> Observed:
     ahead = X[:, 2] * np.where(balance[point] < 0, -1, 1) > 0
     depth = np.where(ahead, X[:, 2], np.nan)
     residual = result.camera.pixels(X[:, :2] / depth[:, None]) - xy
-    with np.errstate(invalid='ignore'):
+    with np.errstate(invalid='ignore', over='ignore'):
         used = np.linalg.norm(residual, axis=1) < OUTLIER_SIGMAS * result.noise_sigma_px
     return Observed(view, tracks.track[both], xy, residual, used)
 

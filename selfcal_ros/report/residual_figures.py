@@ -19,8 +19,8 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.observed import Observed
-from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, INK, new_figure, ORANGE,
-                                      SEQUENTIAL, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
+                                      new_figure, ORANGE, SEQUENTIAL, styled)
 
 #: Cells along the longer side of the image.
 RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
@@ -44,6 +44,8 @@ def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | Non
         None if there are no residuals.
 
     """
+    if min(result.camera.width, result.camera.height) <= 0:
+        seen = None
     if seen is not None and seen.used.any():
         residual = seen.residual[seen.used]
     elif result.residuals is not None and len(result.residuals):
@@ -168,7 +170,7 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     index, shape, _ = cells(size, xy, COVERAGE_CELLS)
     count = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape)
     with styled():
-        figure = new_figure(5.4, 5.0 * min(size[1] / size[0], 1.4))
+        figure = new_figure(5.4, image_height_in(*size))
         axes = figure.subplots()
         shown = np.ma.masked_equal(count, 0)
         side = max(size) / COVERAGE_CELLS

@@ -100,3 +100,8 @@ def image_axes(axes, width: int, height: int) -> None:
     axes.set_ylim(height - 0.5, -0.5)
     axes.set_xlabel('u / px')
     axes.set_ylabel('v / px')
+
+
+def image_height_in(width: int, height: int) -> float:
+    """Return the height of a figure 5.4 inches wide that shows one image of such a shape."""
+    return 5.0 * min(max(height / width, 0.2), 1.4)

@@ -20,8 +20,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
-from selfcal_ros.report.style import (BLUE, Drawing, image_axes, INK, new_figure, SEQUENTIAL,
-                                      styled)
+from selfcal_ros.report.style import (BLUE, Drawing, image_axes, image_height_in, INK,
+                                      new_figure, SEQUENTIAL, styled)
 
 
 def sigma_figure(result: Calibration) -> Drawing | None:
@@ -104,14 +104,15 @@ def projection_figure(result: Calibration) -> Drawing | None:
     """
     camera = result.camera
     covariance = np.asarray(result.covariance, float)
-    if camera.width <= 0 or not np.isfinite(covariance).all() or not covariance.any():
+    known = np.isfinite(covariance).all() and covariance.any()
+    if min(camera.width, camera.height) <= 0 or not known:
         return None
     found = projection_uncertainty(camera, covariance, 60)
     sigma = np.ma.masked_invalid(found.sigma_px)
     if sigma.count() == 0:
         return None
     with styled():
-        figure = new_figure(5.4, 5.0 * min(camera.height / camera.width, 1.4))
+        figure = new_figure(5.4, image_height_in(camera.width, camera.height))
         axes = figure.subplots()
         top = float(sigma.max())
         picture = axes.pcolormesh(found.u, found.v, sigma, cmap=SEQUENTIAL, vmin=0, vmax=top,

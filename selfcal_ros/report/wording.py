@@ -101,7 +101,7 @@ def _derived_rows(result: Calibration) -> list[Row]:
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     slope = np.zeros(9)
     slope[0], slope[1] = -fy / fx**2, 1 / fx
-    spread = _root(slope @ C @ slope)
+    spread = _spread(slope, C)
     facts = result.facts
     held = facts.aspect_ratio is not None and facts.aspect_ratio_sigma == 0
     text, sigma = with_sigma(fy / fx, 0.0 if held or spread < 1e-9 else spread)
@@ -129,7 +129,7 @@ def _field_of_view(camera, covariance, size, axis) -> tuple[float, float]:
     steps = np.array([1e-3] * 5 + [1e-6] * 4)
     slope = np.array([(angle(d) - angle(-d)) / (2 * s)
                       for s, d in zip(steps, np.diag(steps))])
-    return angle(np.zeros(9)), _root(slope @ covariance @ slope)
+    return angle(np.zeros(9)), _spread(slope, covariance)
 
 
 def facts_lines(facts: CameraFacts) -> list[str]:
@@ -153,6 +153,13 @@ def _sigma(result: Calibration) -> dict:
     """Return the sigmas; rounding can leave a variance of zero slightly negative."""
     variance = np.diag(np.asarray(result.covariance, float))
     return {name: _root(value) for name, value in zip(PARAMETER_NAMES, variance)}
+
+
+def _spread(slope: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the sigma of a quantity with the given derivative; infinite where unknown."""
+    if not np.isfinite(covariance).all():
+        return np.inf
+    return _root(slope @ covariance @ slope)
 
 
 def _root(variance: float) -> float:

@@ -198,6 +198,37 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
     drawing.svg()
 
 
+@pytest.mark.parametrize('broken', [
+    {'camera': Camera(np.diag([900.0, 900, 1]))},
+    {'camera': Camera([[900, 0, 400], [0, 900, 0], [0, 0, 1]], width=4000, height=2)},
+    {'camera': Camera([[900, 0, 400], [0, 900, 300], [0, 0, 1]], [-5, 3, 1, 1], 800, 600)},
+    {'covariance': np.full((9, 9), np.nan)}, {'covariance': -np.eye(9)},
+    {'noise_sigma_px': np.nan}, {'residuals': np.full((100, 2), np.nan)}])
+@pytest.mark.filterwarnings('error')
+def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, broken):
+    for drawing in draw_figures(replace(calibration, **broken), sequence.tracks):
+        drawing.svg()
+
+
+@pytest.mark.filterwarnings('error')
+def test_strange_geometry_is_drawn_as_far_as_it_goes(calibration, sequence):
+    shape = calibration.reconstruction
+    points = shape.points.copy()
+    points[:5], points[5:9, 3] = np.nan, 0
+    nothing = replace(shape, points=points[:0], tracks=shape.tracks[:0])
+    for changed in (replace(shape, points=points), nothing,
+                    replace(shape, cam_from_world=shape.cam_from_world * np.nan),
+                    replace(shape, cam_from_world=shape.cam_from_world[[0] * 6])):
+        for drawing in draw_figures(replace(calibration, reconstruction=changed),
+                                    sequence.tracks):
+            drawing.svg()
+    # a camera that looks straight down: the horizon is at infinity, v the principal point
+    down = replace(calibration.fixed_points, horizon=np.array([0, 0, 1.0]),
+                   vanishing_point=np.array([400, 300, 1.0]))
+    drawings = draw_figures(replace(calibration, fixed_points=down), sequence.tracks)
+    assert drawings[0].name == 'fixed-points' and drawings[0].svg()
+
+
 def test_coverage_says_how_much_is_empty():
     corners = np.array([[1, 1], [639, 1], [1, 479], [639, 479]])
     assert coverage_figure(corners, (640, 480)).caption.startswith('99 %')
