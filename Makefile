@@ -1,8 +1,9 @@
-# make demo    set up, replay the recorded drive through the nodes, print the calibration
-# make test    set up, run every test
-# make lint    style only
-# make bench   print every figure that the README claims
-# make clean   remove what the others made
+# make demo      set up, replay the recorded drive through the nodes, print the calibration
+# make demo-arm  the same with the recorded moves of an arm
+# make test      set up, run every test
+# make lint      style only
+# make bench     print every figure that the README claims
+# make clean     remove what the others made
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -21,10 +22,13 @@ SOURCES := setup.py setup.cfg pyproject.toml package.xml README.md \
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench clean help
+.PHONY: demo demo-arm test lint bench clean help
 
 demo: $(VENV)/package
 	@$(BIN)/selfcal demo --output-dir out/demo
+
+demo-arm: $(VENV)/package
+	@$(BIN)/selfcal demo --recording arm --output-dir out/demo-arm
 
 test: $(VENV)/package $(VENV)/test-tools
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)

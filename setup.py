@@ -24,6 +24,7 @@ PACKAGE = 'selfcal_ros'
 EXECUTABLES = {
     'feature_tracker': 'selfcal_ros.nodes.feature_tracker:main',
     'planar_calibrator': 'selfcal_ros.nodes.planar_calibrator:main',
+    'affine_calibrator': 'selfcal_ros.nodes.affine_calibrator:main',
     'bag_player': 'selfcal_ros.nodes.bag_player:main',
     'selfcal': 'selfcal_ros.cli.main:main',
 }
@@ -36,9 +37,10 @@ data_files = [
     (f'share/{PACKAGE}', ['package.xml']),
     (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
     (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
-    # the demo replays this recording, wherever the package is installed
-    (f'share/{PACKAGE}/bags', sorted(glob('bags/agv_drive*.json'))),
+    # the demos replay these recordings, wherever the package is installed
+    (f'share/{PACKAGE}/bags', sorted(glob('bags/*.truth.json'))),
     (f'share/{PACKAGE}/bags/agv_drive', sorted(glob('bags/agv_drive/*'))),
+    (f'share/{PACKAGE}/bags/arm_move', sorted(glob('bags/arm_move/*'))),
 ]
 if os.environ.get('COLCON') != '1':
     # pip puts console scripts on PATH only; `ros2 run` and launch look in lib/<package>

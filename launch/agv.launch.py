@@ -37,6 +37,7 @@ ARGUMENTS = {
     'camera_name': ('camera', 'name in the calibration file'),
     'output': ('', 'calibration file; empty: where camera drivers look'),
     'auto_save': ('false', 'write the file after every estimate'),
+    'calibrator': ('planar_calibrator', 'planar_calibrator or affine_calibrator'),
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'agv.yaml']), 'parameters of the nodes'),
 }
@@ -53,7 +54,7 @@ def generate_launch_description():
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
-        Node(package='selfcal_ros', executable='planar_calibrator', output='screen',
+        Node(package='selfcal_ros', executable=value['calibrator'], output='screen',
              namespace=value['namespace'], remappings=[('camera_info', value['camera_info'])],
              parameters=[value['params_file'],
                          {'camera_name': text['camera_name'], 'output': text['output'],

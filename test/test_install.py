@@ -28,7 +28,8 @@ ROOT = Path(__file__).resolve().parents[1]
 #: What may lie beside the sources but is no part of them.
 NOT_SOURCES = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', 'out',
                                      '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis')
-EXECUTABLES = ['bag_player', 'feature_tracker', 'planar_calibrator', 'selfcal']
+EXECUTABLES = ['affine_calibrator', 'bag_player', 'feature_tracker', 'planar_calibrator',
+               'selfcal']
 
 pytestmark = [pytest.mark.install,
               pytest.mark.skipif(os.environ.get('COLCON') == '1', reason='colcon is at work'),
@@ -79,13 +80,15 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     assert 'no ROS' in said and 'truth' in said
     # the recording was installed: the demo did not find it in the repository
     assert (tmp_path / 'venv' / 'share' / 'selfcal_ros' / 'bags' / 'agv_drive').is_dir()
+    assert (tmp_path / 'venv' / 'share' / 'selfcal_ros' / 'bags' / 'arm_move').is_dir()
     content = json.loads((tmp_path / 'selfcal_demo' / 'result.json').read_text(encoding='utf-8'))
     assert abs(content['camera']['fx'] - 520) < 0.002 * 520
     # what ros2 run, launch and ament look for
     prefix = tmp_path / 'venv'
     assert (prefix / 'share/ament_index/resource_index/packages/selfcal_ros').is_file()
     assert (prefix / 'share/selfcal_ros/package.xml').is_file()
-    assert (prefix / 'share/selfcal_ros/launch/agv.launch.py').is_file()
+    for name in ('agv', 'arm'):
+        assert (prefix / f'share/selfcal_ros/launch/{name}.launch.py').is_file()
     assert (prefix / 'share/selfcal_ros/config/fastdds.xml').is_file()
     shims = prefix / 'lib' / 'selfcal_ros'
     assert sorted(path.name for path in shims.iterdir()) == EXECUTABLES

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal demo`: a recorded drive through the real nodes, its calibration beside the truth."""
+"""`selfcal demo`: a recording through the real nodes, its calibration beside the truth."""
 
 from __future__ import annotations
 
@@ -26,12 +26,18 @@ import sys
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
+#: Recordings of this package, and the calibrator for their kind of motion.
+RECORDINGS = {'agv': ('bags/agv_drive', 'planar_calibrator'),
+              'arm': ('bags/arm_move', 'affine_calibrator')}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal demo`."""
     parser.add_argument('--output-dir', type=Path, default=Path('selfcal_demo'), metavar='FOLDER',
                         help='for camera.yaml, result.json and report.html (default selfcal_demo)')
-    parser.add_argument('--bag', type=Path, help='another bag (default: the recorded drive)')
+    parser.add_argument('--recording', choices=sorted(RECORDINGS), default='agv',
+                        help='a robot that drives, or an arm that moves (default agv)')
+    parser.add_argument('--bag', type=Path, help='another bag of that kind of motion')
     parser.add_argument('--rate', type=float, default=1.0, help='playback speed (default 1)')
     parser.add_argument('--no-ros', action='store_true', help='without nodes in any case')
 
@@ -41,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.shared_files import shared_file
-    bag = args.bag or shared_file('bags/agv_drive')
+    recording, calibrator = RECORDINGS[args.recording]
+    bag = args.bag or shared_file(recording)
     folder = args.output_dir
     folder.mkdir(parents=True, exist_ok=True)
     outputs = Outputs(folder / 'camera.yaml', folder / 'result.json', folder / 'report.html')
@@ -55,9 +62,10 @@ def run(args: argparse.Namespace) -> int:
             print('There is no ROS in this Python (rclpy is missing), so no nodes: calibrating '
                   'straight from the bag.')
     else:
-        print(f'Replaying {bag} through bag_player, feature_tracker and planar_calibrator ...',
+        print(f'Replaying {bag} through bag_player, feature_tracker and {calibrator} ...',
               flush=True)
-        result = _through_nodes(bag, folder, args.rate, shared_file('config/fastdds.xml'))
+        result = _through_nodes(bag, calibrator, folder, args.rate,
+                                shared_file('config/fastdds.xml'))
         if result is None:
             print('Calibrating straight from the bag instead.')
         elif result:
@@ -67,9 +75,9 @@ def run(args: argparse.Namespace) -> int:
             outputs = Outputs(report=outputs.report)
     direct, tracks = _from_bag(bag)
     if result:
-        print(f'\n{result_text(result, truth=_truth(bag))}\n\n{_agreement(result, direct)}')
+        print(f'\n{result_text(result, truth=read_truth(bag))}\n\n{_agreement(result, direct)}')
     # the nodes send the camera and not the scene, which the report draws
-    text = result_text(direct, truth=_truth(bag))
+    text = result_text(direct, truth=read_truth(bag))
     if not result:
         print(f'\n{text}')
     written += outputs.write(direct, text, str(bag), tracks)
@@ -89,7 +97,7 @@ def _agreement(live, direct) -> str:
             f'the nodes differ by {apart} px.')
 
 
-def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
+def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profile: Path):
     """Return the result of the nodes, None if they came to none."""
     environment = dict(os.environ)
     # a domain of its own: the demo neither hears nor disturbs robots on the network
@@ -98,7 +106,7 @@ def _through_nodes(bag: Path, folder: Path, rate: float, profile: Path):
     environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
     environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
     command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
-               str(folder), '--rate', str(rate)]
+               str(folder), '--rate', str(rate), '--calibrator', calibrator]
     done = subprocess.run(command, env=environment)
     if done.returncode not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
@@ -119,7 +127,7 @@ def _from_bag(bag: Path):
             reading.tracks)
 
 
-def _truth(bag: Path) -> dict | None:
+def read_truth(bag: Path) -> dict | None:
     """Read the truth beside a recording: the value of each parameter."""
     path = bag.with_name(bag.name + '.truth.json')
     if not path.is_file():

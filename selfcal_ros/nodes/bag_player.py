@@ -11,123 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""bag_player: publishes the images of a bag, byte for byte, at the pace of their recording."""
+"""bag_player: replays the images of a bag; see `selfcal_ros.nodes.player_node`."""
 
 from __future__ import annotations
 
 import sys
-import time
 
-from msg_adapters.message_types import rclpy_types
-from msg_adapters.stamps import time_message
-from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.task import Future
-from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import CompressedImage, Image
-
-from selfcal_ros.errors import InputError
-from selfcal_ros.nodes.parameters import BagPlayerParameters, declare
-from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.nodes.running import run_node
-from selfcal_ros.pipeline.replay import ImageRecording
-
-#: Name that is published, by the type that the bag holds.
-TOPICS = {'sensor_msgs/msg/Image': ('image', Image),
-          'sensor_msgs/msg/CompressedImage': ('image/compressed', CompressedImage)}
-#: Between images, /clock ticks at least this often.
-CLOCK_PERIOD_S = 0.02
 
 
-class BagPlayer(Node):
-    """Publishes `image` or `image/compressed`, and /clock; done at the end of the bag."""
-
-    def __init__(self):
-        super().__init__('bag_player')
-        self.parameters = declare(self, BagPlayerParameters)
-        if not self.parameters.bag:
-            raise InputError('bag_player needs a bag: --ros-args -p bag:=/path/to/bag')
-        self.finished = Future()
-        self._recording = ImageRecording(self.parameters.bag, self.parameters.topic or None)
-        name, message = TOPICS[self._recording.message_type]
-        self._publisher = self.create_publisher(
-            message, name, PER_IMAGE,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
-                       if self.parameters.publish_clock else None)
-        self._types = rclpy_types()
-        self._waiting_since = time.monotonic()
-        self._messages = None
-        self._next = None
-        self._published = 0
-        self._timer = self.create_timer(0.05, self._tick, clock=STEADY)
-        self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
-                               f'{self.parameters.bag}, on {self._publisher.topic_name}')
-
-    def _tick(self):
-        if self._messages is None:
-            if not self._may_start():
-                return
-            self._rewind()
-        now = time.monotonic()
-        while self._next is not None and self._due(self._next[0]) <= now:
-            stamp_ns, content = self._next
-            self._tell_time(stamp_ns)
-            self._publisher.publish(content)
-            self._published += 1
-            self._next = next(self._messages, None)
-        if self._next is None:
-            self._at_end()
-            return
-        self._tell_time(self._begin_ns + int(
-            (now - self._began) * self.parameters.rate * 1e9))
-        wait = min(max(self._due(self._next[0]) - time.monotonic(), 1e-4), CLOCK_PERIOD_S)
-        self._timer.timer_period_ns = int(wait * 1e9)
-
-    def _may_start(self) -> bool:
-        """Tell whether somebody listens, or whether we have waited long enough."""
-        limit = self.parameters.wait_for_subscribers_s
-        if self._publisher.get_subscription_count() > 0 or limit == 0:
-            return True
-        if time.monotonic() - self._waiting_since < limit:
-            return False
-        self.get_logger().warning(f'nobody subscribes to {self._publisher.topic_name} after '
-                                  f'{limit:g} s; playing all the same')
-        return True
-
-    def _rewind(self):
-        self._messages = self._recording.messages(self.parameters.start_offset)
-        self._next = next(self._messages, None)
-        if self._next is None:
-            raise InputError(f'{self.parameters.bag} has no image after '
-                             f'{self.parameters.start_offset:g} s; choose a smaller start_offset.')
-        self._begin_ns = self._next[0]
-        self._began = time.monotonic()
-
-    def _due(self, stamp_ns: int) -> float:
-        """Return the monotonic time at which a message is due."""
-        return self._began + (stamp_ns - self._begin_ns) * 1e-9 / self.parameters.rate
-
-    def _tell_time(self, stamp_ns: int):
-        if self._clock is not None:
-            self._clock.publish(ClockMessage(clock=time_message(stamp_ns, self._types)))
-
-    def _at_end(self):
-        if self.parameters.loop:
-            self._rewind()
-            return
-        self._timer.cancel()
-        self._recording.close()
-        # reliable subscribers may still be fetching the last images
-        self._publisher.wait_for_all_acked(Duration(seconds=2))
-        self.get_logger().info(f'played {self._published} images')
-        self.finished.set_result(True)
+def make_node():
+    """Return the node; its imports take a second, hence not before they are wanted."""
+    from selfcal_ros.nodes.player_node import BagPlayer
+    return BagPlayer()
 
 
 def main(args=None) -> int:
     """Run the node; returns the exit status."""
-    return run_node(BagPlayer, args)
+    return run_node(make_node, args)
 
 
 if __name__ == '__main__':

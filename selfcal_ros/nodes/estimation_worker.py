@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import queue
 import threading
 import traceback
@@ -28,9 +29,16 @@ class EstimationWorker:
     Runs requests one after the other; results are fetched by polling.
 
     The thread is a daemon: a process that is told to stop does not wait for an estimate.
+
+    Parameters
+    ----------
+    prepare : callable
+        Called in the thread as prepare(calibration, request), for what takes time after it.
+
     """
 
-    def __init__(self):
+    def __init__(self, prepare: Callable):
+        self._prepare = prepare
         self._requests = queue.Queue()
         self._results = queue.Queue()
         threading.Thread(target=self._work, daemon=True, name='estimation').start()
@@ -39,8 +47,8 @@ class EstimationWorker:
         """Queue a request."""
         self._requests.put(request)
 
-    def poll(self) -> tuple[EstimateRequest, Calibration | NotCalibrated] | None:
-        """Return a request that is done and its result, or None."""
+    def poll(self) -> tuple[EstimateRequest, Calibration | NotCalibrated, object] | None:
+        """Return a request that is done, its result, and what was prepared (or None)."""
         try:
             return self._results.get_nowait()
         except queue.Empty:
@@ -48,11 +56,15 @@ class EstimationWorker:
 
     def _work(self):
         while True:
-            request = self._requests.get()
+            request, prepared = self._requests.get(), None
             try:
                 result = request.run()
             except Exception as error:  # the thread must live, and the fault must be seen
                 traceback.print_exc()
                 result = NotCalibrated(f'The estimate failed ({type(error).__name__}: {error}); '
                                        'please report the lines on standard error.')
-            self._results.put((request, result))
+            try:
+                prepared = self._prepare(result, request) if result else None
+            except Exception:  # a calibration must not be lost to what is drawn from it
+                traceback.print_exc()
+            self._results.put((request, result, prepared))

@@ -136,15 +136,20 @@ class FeatureTrackerParameters:
     silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)
 
 
+def _motion(default: str):
+    return parameter(default, 'how the camera moves: in a plane, as robots on wheels do; freely, '
+                     'as arms do; auto finds out', one_of=('planar', 'general', 'auto'))
+
+
 @dataclass(frozen=True)
-class PlanarCalibratorParameters:
-    """Parameters of planar_calibrator."""
+class CalibratorParameters:
+    """Parameters of planar_calibrator and affine_calibrator."""
 
     camera_name: str = parameter('camera', 'name in the calibration file, and its file name')
     output: str = parameter('', 'calibration file; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
                             'where camera drivers look')
     auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only')
-    motion: str = parameter('auto', 'how the camera moves', one_of=('auto', 'planar'))
+    motion: str = _motion('auto')
     aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0)
     aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0)
     zero_skew: bool = parameter(True, 'the skew is known to be zero')
@@ -156,9 +161,26 @@ class PlanarCalibratorParameters:
     keyframe_parallax: float = parameter(
         0.03, 'a view is kept when its points have moved by this share of the image diagonal',
         1e-4, 0.5)
+    world_frame: str = parameter(
+        'calibration_world_unscaled', 'frame of structure, camera_path and markers: the body '
+        'frame of the first view, the median step between views being 1 (no metres)')
     idle_s: float = parameter(1.0, 'estimate with what there is when no tracks come for so long',
                               0.1, 3600.0)
     silence_s: float = parameter(5.0, 'warn when no tracks have come for so long', 0.5, 3600.0)
+
+
+@dataclass(frozen=True)
+class PlanarCalibratorParameters(CalibratorParameters):
+    """Parameters of planar_calibrator."""
+
+    motion: str = _motion('planar')
+
+
+@dataclass(frozen=True)
+class AffineCalibratorParameters(CalibratorParameters):
+    """Parameters of affine_calibrator."""
+
+    motion: str = _motion('general')
 
 
 @dataclass(frozen=True)

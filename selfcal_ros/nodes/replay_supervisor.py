@@ -43,6 +43,7 @@ from selfcal_ros.report.files import atomic_write
 
 #: A process that does not end by itself gets so long before it is killed.
 GRACE_S = 5.0
+CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
 
 
 class ReplayTimeout(Exception):
@@ -52,14 +53,14 @@ class ReplayTimeout(Exception):
 class ReplaySupervisor(Node):
     """Listens to what the calibrator says, and tells when it has seen everything."""
 
-    def __init__(self, context=None):
-        super().__init__('replay_supervisor', context=context)
+    def __init__(self, calibrator: str = 'planar_calibrator'):
+        super().__init__('replay_supervisor')
         self.camera_infos = []
         self.results = []
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, PER_IMAGE)
-        self.create_subscription(String, 'planar_calibrator/result', self._on_result, LATCHED)
-        self._calibrate = self.create_client(Trigger, 'planar_calibrator/calibrate')
-        self._save = self.create_client(Trigger, 'planar_calibrator/save')
+        self.create_subscription(String, f'{calibrator}/result', self._on_result, LATCHED)
+        self._calibrate = self.create_client(Trigger, f'{calibrator}/calibrate')
+        self._save = self.create_client(Trigger, f'{calibrator}/save')
         self._heard = time.monotonic()
 
     def _on_camera_info(self, msg):
@@ -131,9 +132,10 @@ def _stop(process: subprocess.Popen) -> None:
 
 
 def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
-           calibrator: dict | None = None) -> tuple[dict, list]:
+           parameters: dict | None = None, calibrator: str = 'planar_calibrator',
+           ) -> tuple[dict, list]:
     """
-    Replay a bag through feature_tracker and planar_calibrator, three processes over DDS.
+    Replay a bag through feature_tracker and a calibrator, three processes over DDS.
 
     Parameters
     ----------
@@ -144,8 +146,9 @@ def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
         Playback speed.
     timeout_s : float
         For each step, on top of the playing time.
-    calibrator : dict, optional
-        Further parameters of planar_calibrator.
+    parameters : dict, optional
+        Further parameters of the calibrator.
+    calibrator : {'planar_calibrator', 'affine_calibrator'}
 
     Returns
     -------
@@ -167,11 +170,11 @@ def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
     rclpy.init()
     with ExitStack() as stack:
         stack.callback(rclpy.try_shutdown)
-        supervisor = ReplaySupervisor()
+        supervisor = ReplaySupervisor(calibrator)
         stack.callback(supervisor.destroy_node)
         # the silence after the end of the bag is no reason to warn
-        nodes = [_start(stack, 'planar_calibrator', {'output': str(Path(output) / 'camera.yaml'),
-                                                     'silence_s': 600.0, **(calibrator or {})}),
+        nodes = [_start(stack, calibrator, {'output': str(Path(output) / 'camera.yaml'),
+                                            'silence_s': 600.0, **(parameters or {})}),
                  _start(stack, 'feature_tracker', {'silence_s': 600.0})]
 
         def alive(process):
@@ -201,10 +204,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--output', type=Path, required=True)
     parser.add_argument('--rate', type=float, default=1.0)
     parser.add_argument('--timeout', type=float, default=120.0)
+    parser.add_argument('--calibrator', choices=CALIBRATORS, default=CALIBRATORS[0])
     args = parser.parse_args(argv)
     os.environ.setdefault('ROS_LOG_DIR', str(args.output / 'log'))
     try:
-        result, _ = replay(args.bag, args.output, args.rate, args.timeout)
+        result, _ = replay(args.bag, args.output, args.rate, args.timeout,
+                           calibrator=args.calibrator)
     except ReplayTimeout as error:
         print(f'The nodes came to no result: {error}.', file=sys.stderr)
         return 2

@@ -16,13 +16,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import os
 import signal
 import sys
 
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+# nothing heavy here: until run_node is reached, Ctrl-C prints a traceback
 
-from selfcal_ros.errors import SelfcalError
+
+class StopSignals:
+    """
+    SIGINT and SIGTERM while a node starts: the process ends, silently and with status 0.
+
+    Loading the libraries and starting ROS takes a second; an exception in the middle of that, in
+    whichever of them is at work, is a traceback for a user who only pressed Ctrl-C. Once the node
+    spins, `handed_over` leaves the signals to rclpy, which calls this handler before its own.
+    """
+
+    def __init__(self):
+        self.handed_over = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+
+    def _stop(self, number, _):
+        if not self.handed_over:
+            # no clean-up: half of what it would clean up is not there yet
+            os._exit(0)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+
+    @staticmethod
+    def ignore() -> None:
+        """Let nothing break the teardown: a second Ctrl-C, or launch's own after the user's."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def run_node(make_node: Callable, args: list[str] | None = None) -> int:
@@ -43,6 +69,11 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
         Exit status: 0, or 2 when an input or a parameter is wrong.
 
     """
+    signals = StopSignals()
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    from selfcal_ros.errors import SelfcalError
     try:
         rclpy.init(args=args)
     except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
@@ -55,6 +86,7 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
         node = make_node()
         executor.add_node(node)
         finished = getattr(node, 'finished', None)
+        signals.handed_over = True
         if finished is None:
             executor.spin()
         else:
@@ -69,8 +101,7 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
         if rclpy.ok():
             raise
     finally:
-        # a second Ctrl-C (launch forwards its own) must not break the teardown
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signals.ignore()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

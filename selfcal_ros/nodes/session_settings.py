@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters of planar_calibrator as settings of a session."""
+"""Parameters of a calibrator as settings of a session."""
 
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.pipeline.calibration_session import SessionSettings
 
 
-def session_settings(parameters: PlanarCalibratorParameters) -> SessionSettings:
+def session_settings(parameters: CalibratorParameters) -> SessionSettings:
     """
     Translate; a parameter cannot be absent, so zero stands for an aspect ratio not known.
 

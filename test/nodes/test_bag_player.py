@@ -22,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.nodes.bag_player import BagPlayer
+from selfcal_ros.nodes.player_node import BagPlayer
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.replay import ImageRecording

@@ -20,7 +20,7 @@ import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
-from selfcal_ros.nodes.feature_tracker import FeatureTracker
+from selfcal_ros.nodes.tracker_node import FeatureTracker
 
 STEP_PX = 4
 

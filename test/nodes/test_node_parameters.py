@@ -20,12 +20,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.nodes.parameters import (BagPlayerParameters, declare, FeatureTrackerParameters,
-                                          PlanarCalibratorParameters)
+from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters, declare,
+                                          FeatureTrackerParameters, PlanarCalibratorParameters)
 
 
 @pytest.mark.parametrize('table', [BagPlayerParameters, FeatureTrackerParameters,
-                                   PlanarCalibratorParameters])
+                                   PlanarCalibratorParameters, AffineCalibratorParameters])
 def test_defaults_are_declared_described_and_read_only(graph, table):
     node = graph().add(Node('some_node'))
     values = declare(node, table)

@@ -16,16 +16,21 @@
 import json
 
 from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.clouds import points_from_cloud
 from msg_adapters.message_types import rclpy_types
+from msg_adapters.poses import pose_matrix
 from msg_adapters.stamps import header_message
 from msg_adapters.tracks import tracks_message
+from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
 
-from selfcal_ros.nodes.planar_calibrator import PlanarCalibrator
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
 
@@ -43,11 +48,14 @@ class Drive:
     def __init__(self, graph):
         self.graph = graph
         self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
-        graph.add(PlanarCalibrator())
+        graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)
         self.diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+        self.structures = graph.listen(PointCloud2, 'structure', LATCHED)
+        self.paths = graph.listen(Path, 'camera_path', LATCHED)
+        self.markers = graph.listen(MarkerArray, 'planar_calibrator/markers', LATCHED)
         graph.wait_for(lambda: self.publisher.get_subscription_count() > 0)
         graph.wait_for(lambda: graph.probe.count_publishers('camera_info') > 0)
         graph.spin_for(0.3)
@@ -112,6 +120,41 @@ def test_a_drive_is_calibrated_and_every_image_gets_its_camera_info(on_the_road,
     status = on_the_road.diagnostics[-1].status[0]
     assert status.level == b'\x00' and status.hardware_id == 'camera'
     assert float({v.key: v.value for v in status.values}['fx']) == pytest.approx(info.k[0], 1e-4)
+
+
+def test_the_scene_is_published_in_steps_and_upright_and_cleared_on_reset(on_the_road):
+    on_the_road.publish(range(20))
+    on_the_road.calibrated()
+    graph, sequence = on_the_road.graph, on_the_road.sequence
+    graph.wait_for(lambda: on_the_road.markers and on_the_road.structures and on_the_road.paths)
+    cloud, path = on_the_road.structures[-1], on_the_road.paths[-1]
+    assert cloud.header.frame_id == path.header.frame_id == 'calibration_world_unscaled'
+    assert cloud.header.stamp == path.poses[-1].header.stamp
+    used = [(pose.header.stamp.sec * 10 ** 9 + pose.header.stamp.nanosec - START_NS) // STEP_NS
+            for pose in path.poses]
+    poses = np.array([pose_matrix(pose) for pose in path.poses])
+    centres = poses[:, :3, 3]
+    assert np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)) == pytest.approx(1)
+    # z is up: the cameras' y axes point down, and the path keeps its height
+    assert (poses[:, 2, 1] < -0.5).all() and np.ptp(centres[:, 2]) < 0.01 * len(centres)
+    # the path is that of the scene, in its own unit
+    true = sequence.cam_from_world[used]
+    true = -np.einsum('vji,vj->vi', true[:, :, :3], true[:, :, 3])
+    apart = np.linalg.norm(true[:, None] - true[None], axis=-1)
+    found = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    step = np.median(np.linalg.norm(np.diff(true, axis=0), axis=1))
+    assert np.allclose(found, apart / step, atol=0.02 * found.max())
+    assert len(points_from_cloud(cloud)) > 300
+    assert {marker.ns for marker in on_the_road.markers[-1].markers} == {
+        'camera_path', 'camera_frustum', 'structure'}
+    assert all(marker.color.a > 0 for marker in on_the_road.markers[-1].markers)
+    assert graph.call('planar_calibrator/reset').success
+    graph.wait_for(lambda: on_the_road.structures[-1].width == 0
+                   and not on_the_road.paths[-1].poses and on_the_road.markers[-1].markers[0].action == Marker.DELETEALL)
+    # who comes late must not see what is void
+    late = graph.listen(PointCloud2, 'structure', LATCHED)
+    graph.wait_for(lambda: late)
+    assert late[0].width == 0
 
 
 def test_time_that_jumps_back_forgets_the_calibration(on_the_road):

@@ -87,6 +87,57 @@ def test_two_signals_in_a_row_end_a_node_cleanly(graph, start):
     assert process.returncode == 0, errors
 
 
+#: Runs a node that sends itself a signal when a module is about to be imported, or a call made.
+SIGNALLED = """
+import importlib, os, signal, sys
+
+class AtImport:
+    def find_spec(self, name, path=None, target=None):
+        if name == where:
+            os.kill(os.getpid(), number)
+
+node, where, number = sys.argv[1], sys.argv[2], int(sys.argv[3])
+sys.meta_path.insert(0, AtImport())
+if where == 'rclpy.init()':
+    import rclpy
+    init = rclpy.init
+    def interrupted(**options):
+        init(**options)
+        os.kill(os.getpid(), number)
+    rclpy.init = interrupted
+sys.exit(importlib.import_module('selfcal_ros.nodes.' + node).main([]))
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('name, where', [
+    ('feature_tracker', 'rclpy'), ('feature_tracker', 'cv2'), ('planar_calibrator', 'numpy'),
+    ('affine_calibrator', 'scipy'), ('bag_player', 'sensor_msgs'),
+    ('planar_calibrator', 'rclpy.init()')])
+def test_a_signal_while_a_node_starts_ends_it_silently(tmp_path, name, where, number):
+    process = subprocess.run([sys.executable, '-c', SIGNALLED, name, where, str(int(number))],
+                             capture_output=True, text=True, timeout=30, cwd=tmp_path)
+    assert (process.returncode, process.stderr, process.stdout) == (0, '', '')
+
+
+@pytest.mark.skipif(not os.path.exists('/proc/self/status'), reason='needs Linux\'s /proc')
+@pytest.mark.parametrize('name', ['feature_tracker', 'affine_calibrator', 'bag_player'])
+def test_a_signal_at_once_ends_a_node_silently(start, name):
+    process = start(name)
+
+    def catches(number):
+        with open(f'/proc/{process.pid}/status', encoding='ascii') as status:
+            caught = next(line for line in status if line.startswith('SigCgt'))
+        return int(caught.split()[1], 16) >> (number - 1) & 1
+
+    # Python itself catches only SIGINT: from here on the node answers for itself
+    while not catches(signal.SIGTERM):
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=15)
+    assert (process.returncode, errors, output) == (0, '', '')
+
+
 @pytest.mark.parametrize('name, arguments, words', [
     ('bag_player', [], 'needs a bag'),
     ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere'),

@@ -1,0 +1,185 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The calibrators: tracks in, a CameraInfo for every image out, better as the motion goes on.
+
+planar_calibrator and affine_calibrator are this node under two names; they differ in what they
+take for the motion of the camera unless told.
+"""
+
+from __future__ import annotations
+
+
+from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.camera_info import camera_info_message
+from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.stamps import header_message
+from msg_adapters.tracks import tracks_from_message
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.nodes.calibration_file import CalibrationFile
+from selfcal_ros.nodes.calibration_status import calibration_status
+from selfcal_ros.nodes.estimation_worker import EstimationWorker
+from selfcal_ros.nodes.parameters import CalibratorParameters, declare
+from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.scene import ScenePublisher
+from selfcal_ros.nodes.session_settings import session_settings
+from selfcal_ros.nodes.silence import SilenceWatch
+from selfcal_ros.pipeline.calibration_session import CalibrationSession
+from selfcal_ros.report.result_json import result_to_json
+
+
+class Calibrator(Node):
+    """
+    Subscribes to `tracks`; publishes `camera_info`, `~/result`, diagnostics and the scene.
+
+    Parameters
+    ----------
+    name : str
+    table : type
+        Its parameters: `CalibratorParameters` or a class derived from it.
+
+    """
+
+    def __init__(self, name: str, table: type[CalibratorParameters]):
+        super().__init__(name)
+        self.parameters = declare(self, table)
+        self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
+        self._session = CalibrationSession(session_settings(self.parameters))
+        self._scene = ScenePublisher(self, self.parameters.world_frame)
+        self._worker = EstimationWorker(self._scene.prepare)
+        self._types = rclpy_types()
+        self._size = (0, 0)
+        self._camera_info = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
+        self._result = self.create_publisher(String, '~/result', LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
+        self._silence = SilenceWatch(self, 'tracks', lambda: [tracks.topic_name],
+                                     self.parameters.silence_s)
+        self.create_service(Trigger, '~/calibrate', self._on_calibrate)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/save', self._on_save)
+        self.create_timer(0.05, self._estimate, clock=STEADY)
+        self.create_timer(1.0, self._diagnose, clock=STEADY)
+
+    def _on_tracks(self, msg: PointCloud2):
+        self._silence.heard()
+        try:
+            frame = tracks_from_message(msg)
+        except InputError as error:
+            self.get_logger().warning(f'tracks dropped: {error}', throttle_duration_sec=5.0)
+        else:
+            # a message without points does not tell the size
+            self._size = frame.image_size or self._size
+            if frame.image_size:
+                reason = self._session.add_tracks(frame.stamp_ns, frame.track, frame.xy,
+                                                  frame.image_size)
+                if reason:
+                    self._forgotten(reason)
+        calibration = self._session.calibration
+        self._camera_info.publish(camera_info_message(
+            calibration.camera if calibration else None, msg.header, self._types, self._size))
+
+    def _estimate(self):
+        """Fetch a result that is ready, and start another estimate where that is worthwhile."""
+        done = self._worker.poll()
+        if done is not None and self._session.accept(*done[:2]):
+            self._take(*done[1:])
+        if self._session.is_due(idle=self._silence.silent_s > self.parameters.idle_s):
+            self._start()
+
+    def _start(self) -> int:
+        """Start an estimate; returns the number of its views, 0 if there is none to start."""
+        request = self._session.request()
+        if request is None:
+            return 0
+        self._worker.submit(request)
+        return request.keyframes
+
+    def _take(self, result, scene):
+        self._result.publish(String(data=result_to_json(result)))
+        if not result:
+            self.get_logger().info(str(result), throttle_duration_sec=5.0)
+            return
+        sigma = result.sigma
+        self.get_logger().info(
+            'fx {:.1f} ± {:.2g}, fy {:.1f} ± {:.2g}, cx {:.1f} ± {:.2g}, cy {:.1f} ± {:.2g} px '
+            'from {} views'.format(*(v for name, value in zip(
+                ('fx', 'fy', 'cx', 'cy'), result.camera.parameters) for v in (value, sigma[name])),
+                len(result.frames)))
+        if scene is not None:
+            self._scene.publish(scene)
+        if self.parameters.auto_save:
+            try:
+                self._file.write(result)
+            except SelfcalError as error:
+                self.get_logger().error(str(error), throttle_duration_sec=30.0)
+
+    def _forgotten(self, reason: str):
+        """Tell everybody that what was known is void."""
+        self.get_logger().info(f'starting anew: {reason}')
+        self._result.publish(String(data=result_to_json(
+            NotCalibrated(f'The session was reset: {reason}.', 'Keep moving.'))))
+        self._scene.clear()
+
+    def _on_calibrate(self, _, response):
+        state = self._session.snapshot()
+        if state.calibration and not state.new_keyframes and not state.estimating:
+            self._result.publish(String(data=result_to_json(state.calibration)))
+            response.success = True
+            response.message = 'nothing new since the last result, which is published again'
+            return response
+        views = self._start()
+        response.success = views > 0
+        if views:
+            response.message = f'estimating from {views} views; the result comes on ~/result'
+        elif state.estimating:
+            response.message = 'an estimate is under way; its result comes on ~/result'
+        else:
+            response.message = (f'{state.keyframes} views with parallax so far, three are needed: '
+                                'keep moving')
+        return response
+
+    def _on_reset(self, _, response):
+        self._session.reset()
+        self._forgotten('~/reset was called')
+        response.success, response.message = True, 'starting anew'
+        return response
+
+    def _on_save(self, _, response):
+        calibration = self._session.calibration
+        if calibration is None:
+            response.success, response.message = False, 'there is no calibration yet'
+            return response
+        try:
+            response.message = f'written to {self._file.write(calibration)}'
+            response.success = True
+        except SelfcalError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _diagnose(self):
+        level, text, values = calibration_status(self._session.snapshot())
+        if self._silence.silent_s > self.parameters.silence_s:
+            level, text = WARN, f'no tracks for {self._silence.silent_s:.0f} s; {text}'
+        status = status_message(f'{self.get_name()}: calibration', level, text, self._types,
+                                values, self.parameters.camera_name)
+        header = header_message(self.get_clock().now().nanoseconds, '', self._types)
+        self._diagnostics.publish(diagnostics_message([status], header, self._types))
