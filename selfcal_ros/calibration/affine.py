@@ -44,6 +44,8 @@ LEAST_MATCHES = 8
 #: Matches further from the pair's lines than so many robust sigmas take no part.
 _OUTLIER_SIGMAS = 4.0
 _HUBER_SIGMAS = 2.5
+#: Points are off a common plane if it leaves so many times the noise.
+_PLANE_RATIO = 3.0
 
 
 @dataclass(frozen=True)
@@ -177,12 +179,14 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
     points[row] = translated_points(epipole, xy_a, xy_b)
     # inverse depths of the order of one
     size = np.median(np.abs(points[row, 3]))
-    if not size > 0:
-        return NoEstimate('The translated views do not differ; there is no parallax.',
-                          'no_parallax')
+    flat = _plane_ratio(points[row], epipole, xy_a, xy_b)
+    if not (size > 0 and flat > _PLANE_RATIO):
+        return NoEstimate(f'One plane explains translated frames {first} and {second} to within '
+                          f'{flat:.1f} times the noise: the points lie on a plane or far away, '
+                          'and leave the cameras open.', 'no_parallax')
     points[row, 3] /= size
     epipole = epipole * size
-    standing = [first, second]
+    standing, failure = [first, second], None
     cameras = [np.eye(3, 4), np.column_stack([np.eye(3), epipole])]
     waiting = [int(f) for f in tracks.frames if f not in standing]
     while waiting:
@@ -198,12 +202,15 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
         else:
             found = resect(points[track[rows]], tracks.xy[rows], huber_sigmas=_HUBER_SIGMAS)
             camera = found.P if found else None
+            failure = failure if found else found
         if camera is None:
             continue
         standing.append(frame)
         cameras.append(camera)
         if refine and not known.all():
             _add_points(points, tracks, track, standing, np.array(cameras))
+    if failure is not None and group.issuperset(standing):
+        return failure
     frames = np.array(standing)
     known = np.isfinite(points).all(axis=1)
     mask = np.isin(tracks.frame, frames) & known[track]
@@ -223,6 +230,23 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
     return AffineReconstruction(frames, ~free, adjusted.cameras, ids, adjusted.points,
                                 InfiniteHomographies(H, covariance.reshape(9 * n, 9 * n)),
                                 adjusted.sigma_px)
+
+
+def _plane_ratio(points, epipole, xy_a, xy_b) -> float:
+    """What the best plane leaves of the displacements, in units of their noise; robust."""
+    moved = correct_to_epipolar_line(epipole, xy_a, xy_b)[2]
+    noise = 1.4826 * np.median(np.abs(moved[:, 0] - moved[:, 1])) + 1e-9
+    reach = np.linalg.norm(epipole[:2] - epipole[2] * xy_b, axis=1)
+    weight = reach.copy()
+    # the inverse depths of a plane are linear in x and y
+    for _ in range(5):
+        A = points[:, :3] * weight[:, None]
+        plane = np.linalg.lstsq(A / np.abs(A).max(axis=0), points[:, 3] * weight, rcond=None)[0]
+        left = np.abs(points[:, 3] - points[:, :3] / np.abs(A).max(axis=0) @ plane) * reach
+        spread = 3 * np.median(left) + 1e-300
+        weight = reach / np.sqrt(1 + (left / spread)**2)
+    # a share of the points off the plane is enough: the upper quartile, as of a normal spread
+    return float(np.percentile(left, 75) / 1.1503 / noise)
 
 
 def _translated_camera(points, xy) -> np.ndarray | None:
