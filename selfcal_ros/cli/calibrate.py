@@ -22,8 +22,9 @@ import sys
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
-#: Motions of the command line that this version can solve.
-SOLVED = ('auto', 'planar')
+#: Engine for each motion of the command line; those that get a method of their own go here.
+ENGINES = {'auto': 'auto', 'planar': 'planar', 'general': 'general', 'translation': 'general',
+           'rotation': 'general'}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'a video, or tracks.csv (columns frame,track,x,y)')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--motion', default='auto',
-                        choices=('auto', 'planar', 'translation', 'known-object'),
+                        choices=(*ENGINES, 'known-object'),
                         help='how the camera moved (default: found out)')
     parser.add_argument('--mode', choices=('auto', 'video', 'wide'), default='auto',
                         help='follow points from image to image, or match far-apart photographs '
@@ -53,37 +54,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='everything, for another program')
     output.add_argument('--report', type=Path, metavar='REPORT.HTML',
                         help='everything, for a person')
+    output.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
+                        help='the points of the scene with their colours; the median step between '
+                             'views is 1')
     output.add_argument('--quiet', action='store_true',
                         help='print nothing but errors and the reason of a failure')
 
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate; returns the exit status."""
+    from selfcal_ros.cli.motion_text import motion_text
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.errors import ArgumentError
-    if args.motion not in SOLVED or args.object:
+    if args.motion not in ENGINES or args.object:
         raise ArgumentError(f'--motion {args.motion} is not part of this version; '
-                            'record a planar motion and use --motion planar or auto.')
+                            'move the camera and use --motion auto.')
     if args.max_keyframes is not None and args.max_keyframes < 3:
         raise ArgumentError('--max-keyframes must be at least 3: fewer views cannot calibrate.')
     facts = facts_from(args)
     outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
-                      camera_name=args.camera_name)
+                      ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check()
 
     from selfcal_ros import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
+    from selfcal_ros.pipeline.sources import open_source
     with ProgressBar(not args.quiet) as progress:
         reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
                               max_keyframes=args.max_keyframes,
                               image_size=tuple(args.image_size) if args.image_size else None,
                               progress=progress)
-    result = calibrate(reading.tracks, motion=args.motion, facts=facts)
-    text = result_text(result, notes=reading.notes)
-    written = outputs.write(result, text, reading.description, reading.tracks)
+    result = calibrate(reading.tracks, motion=ENGINES[args.motion], facts=facts)
+    why = (motion_text(result, args.motion),) if result else ()
+    text = result_text(result, notes=(*why, *reading.notes))
+    written = outputs.write(result, text, reading.description, reading.tracks,
+                            lambda: open_source(args.input, args.topic, colour=True))
     if not args.quiet:
         print(text)
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')

@@ -15,15 +15,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.calibration.structure import metric_structure
 from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.report.page import write_page
+from selfcal_ros.report.ply import point_colours, write_ply
 from selfcal_ros.report.result_json import write_result_json
 
 
@@ -34,7 +37,7 @@ class Outputs:
 
     Parameters
     ----------
-    camera_yaml, result_json, report : Path or None
+    camera_yaml, result_json, report, ply : Path or None
     camera_name : str
         Name inside the camera file.
 
@@ -43,6 +46,7 @@ class Outputs:
     camera_yaml: Path | None = None
     result_json: Path | None = None
     report: Path | None = None
+    ply: Path | None = None
     camera_name: str = 'camera'
 
     def check(self) -> None:
@@ -55,14 +59,16 @@ class Outputs:
             If a folder is missing or refuses, or two outputs are one file.
 
         """
-        paths = [path for path in (self.camera_yaml, self.result_json, self.report) if path]
+        paths = [path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
+                 if path]
         if len({path.absolute() for path in paths}) < len(paths):
             raise ArgumentError('Two outputs have the same name; give each its own file.')
         for path in paths:
             check_writable(path)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
-              source: str = '', tracks: Tracks | None = None) -> list[Path]:
+              source: str = '', tracks: Tracks | None = None,
+              open_frames: Callable | None = None) -> list[Path]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -74,7 +80,9 @@ class Outputs:
         source : str
             What was calibrated from.
         tracks : Tracks, optional
-            The observations, for the report's figures.
+            The observations, for the report's figures and for the structure.
+        open_frames : callable, optional
+            Opens the images again (as a context manager), for the colours of the structure.
 
         Returns
         -------
@@ -94,4 +102,17 @@ class Outputs:
             written.append(write_result_json(self.result_json, result))
         if self.report:
             written.append(write_page(self.report, result, text, source, tracks=tracks))
+        if self.ply and result:
+            written.append(self._write_structure(result, source, tracks, open_frames))
         return written
+
+    def _write_structure(self, result, source, tracks, open_frames) -> Path:
+        structure = metric_structure(result, tracks)
+        colours = None
+        if open_frames is not None:
+            with open_frames() as frames:
+                if frames.kind != 'tracks':
+                    colours = point_colours(tracks, structure.tracks, frames)
+        return write_ply(self.ply, structure.points, colours, [
+            f'{result.software}: {source}', 'unit: median step between successive views',
+            'axes: x forward, y left, z up as the first view has it'])

@@ -150,7 +150,8 @@ def test_the_scene_is_published_in_steps_and_upright_and_cleared_on_reset(on_the
     assert all(marker.color.a > 0 for marker in on_the_road.markers[-1].markers)
     assert graph.call('planar_calibrator/reset').success
     graph.wait_for(lambda: on_the_road.structures[-1].width == 0
-                   and not on_the_road.paths[-1].poses and on_the_road.markers[-1].markers[0].action == Marker.DELETEALL)
+                   and not on_the_road.paths[-1].poses
+                   and on_the_road.markers[-1].markers[0].action == Marker.DELETEALL)
     # who comes late must not see what is void
     late = graph.listen(PointCloud2, 'structure', LATCHED)
     graph.wait_for(lambda: late)
