@@ -24,7 +24,8 @@ from scipy.sparse.csgraph import connected_components
 from selfcal_ros.calibration.pair_tests import homography_cost
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.fundamental import (eight_point, PairMatches, refine_general,
+                                              sampson_distance)
 from selfcal_ros.geometry.ransac import ransac_inliers
 
 #: Every view is compared with so many successors.
@@ -68,28 +69,6 @@ class ViewGraph:
     noise_px: float
     rejected: int
     parallax: float
-
-
-def sampson_distances(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
-    """
-    Signed first-order distances of matches from an epipolar geometry.
-
-    Parameters
-    ----------
-    F : ndarray, shape (3, 3)
-    xy_a, xy_b : ndarray, shape (M, 2)
-
-    Returns
-    -------
-    ndarray, shape (M,)
-        Pixels; with noise of sigma in every coordinate their spread is sigma.
-
-    """
-    lines_b = xy_a @ F[:, :2].T + F[:, 2]
-    lines_a = xy_b @ F[:2] + F[2]
-    value = np.sum(xy_b * lines_b[:, :2], axis=1) + lines_b[:, 2]
-    square = np.sum(lines_a[:, :2]**2, axis=1) + np.sum(lines_b[:, :2]**2, axis=1)
-    return value / np.sqrt(np.maximum(square, 1e-300))
 
 
 def _parallax(pairs, noise_px) -> float:
@@ -160,7 +139,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     for (a, b, both), F in zip(matches, _refined(samples)):
         rows_a, rows_b = row[a, both], row[b, both]
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        distance = sampson_distances(F, xy_a, xy_b)
+        distance = sampson_distance(F, xy_a, xy_b)
         inlier = np.abs(distance) < EPIPOLAR_THRESHOLD_PX
         count = int(inlier.sum())
         if count < MINIMUM_MATCHES:

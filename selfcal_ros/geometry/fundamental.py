@@ -141,6 +141,32 @@ def epipolar_residuals(F, xy_a, xy_b) -> np.ndarray:
                          product / np.hypot(line_a[..., 0], line_a[..., 1])], axis=-1)
 
 
+def sampson_distance(F, xy_a, xy_b) -> np.ndarray:
+    """
+    Signed first-order distance of matches to the epipolar constraint.
+
+    Hartley and Zisserman, 2nd ed., eq. (11.9); x_b' F x_a = 0. For independent noise of one
+    sigma in every coordinate it has that sigma.
+
+    Parameters
+    ----------
+    F : ndarray, shape (3, 3)
+    xy_a, xy_b : ndarray, shape (m, 2)
+        Pixels.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Pixels.
+
+    """
+    line_b = xy_a @ F[:, :2].T + F[:, 2]
+    line_a = xy_b @ F[:2] + F[2]
+    product = (xy_b * line_b[:, :2]).sum(axis=1) + line_b[:, 2]
+    square = (line_b[:, :2] ** 2).sum(axis=1) + (line_a[:, :2] ** 2).sum(axis=1)
+    return product / np.sqrt(np.maximum(square, 1e-300))
+
+
 def pair_residuals(data: PairMatches, F, derivative: bool = False):
     """
     Residuals of every pair in pixels and, if asked, their derivative by the entries of F.
@@ -318,9 +344,10 @@ def _translation_step(state, change):
     return (frame @ small_rotation(turn),)
 
 
-def refine_general(data: PairMatches, F):
+def refine_general(data: PairMatches, F, iterations: int = 40):
     """Refine F (n, 3, 3) of every pair with 7 degrees of freedom: F, cost (n,), hessian, dF."""
-    state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step)
+    state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step,
+                                        iterations)
     F, dF = _general_model(state)
     return F, cost, hessian, dF
 
