@@ -1,0 +1,79 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Topics and services of the nodes, for documentation; a test holds them against the nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """
+    One topic or service of a node.
+
+    Attributes
+    ----------
+    direction : {'in', 'out', 'service'}
+    name : str
+        As in the code: relative, ~/private or absolute.
+    type : str
+        package/Name.
+    description : str
+
+    """
+
+    direction: str
+    name: str
+    type: str
+    description: str
+
+
+_CALIBRATOR = (
+    Endpoint('in', 'tracks', 'sensor_msgs/PointCloud2', 'x, y, id of the points of one image'),
+    Endpoint('out', 'camera_info', 'sensor_msgs/CameraInfo',
+             'one for every image, with its stamp and frame; K is zero until there is a '
+             'calibration'),
+    Endpoint('out', '~/result', 'std_msgs/String',
+             'the result, as result.json; latched'),
+    Endpoint('out', 'structure', 'sensor_msgs/PointCloud2',
+             'points that are known well, in `world_frame`; latched'),
+    Endpoint('out', 'camera_path', 'nav_msgs/Path',
+             'poses of the camera in `world_frame`, with the stamps of their images; latched'),
+    Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
+             'path, cameras and structure for RViz and Foxglove; latched'),
+    Endpoint('out', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
+             'once a second: calibrated or what is missing, every parameter with its sigma'),
+    Endpoint('service', '~/calibrate', 'std_srvs/Trigger', 'estimate now, from what there is'),
+    Endpoint('service', '~/reset', 'std_srvs/Trigger', 'forget everything'),
+    Endpoint('service', '~/save', 'std_srvs/Trigger', 'write the calibration file'),
+)
+
+#: By node.
+INTERFACES = {
+    'feature_tracker': (
+        Endpoint('in', 'image', 'sensor_msgs/Image', 'any encoding of a grey or colour camera'),
+        Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
+        Endpoint('out', 'tracks', 'sensor_msgs/PointCloud2',
+                 'x, y (pixels) and id of the points of each image, with its stamp and frame'),
+    ),
+    'planar_calibrator': _CALIBRATOR,
+    'affine_calibrator': _CALIBRATOR,
+    'bag_player': (
+        Endpoint('out', 'image', 'sensor_msgs/Image', 'where the bag holds this type'),
+        Endpoint('out', 'image/compressed', 'sensor_msgs/CompressedImage',
+                 'where the bag holds this type'),
+        Endpoint('out', '/clock', 'rosgraph_msgs/Clock', 'the time of the bag'),
+    ),
+}

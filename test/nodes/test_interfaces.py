@@ -1,0 +1,100 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What is written of the nodes' topics, services and parameters is what the nodes have."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.interfaces import INTERFACES
+from selfcal_ros.nodes.parameters_table import (interface_table, main, PARAMETERS,
+                                                parameters_table, updated)
+from selfcal_ros.nodes.player_node import BagPlayer
+from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.frame_source import Frame
+
+ROOT = Path(__file__).resolve().parents[2]
+#: What every node has.
+COMMON = {'/rosout', '/parameter_events'}
+
+
+def has(node):
+    """List the topics and services of a running node: direction, name and type."""
+    def spell(kind):
+        return f'{kind.__module__.split(".")[0]}/{kind.__name__}'
+
+    found = {('out', one.topic_name, spell(one.msg_type)) for one in node.publishers}
+    found |= {('in', one.topic_name, spell(one.msg_type)) for one in node.subscriptions}
+    found |= {('service', node.resolve_service_name(one.srv_name), spell(one.srv_type))
+              for one in node.services}
+    return {one for one in found if one[1] not in COMMON and '/get_' not in one[1]
+            and 'parameters' not in one[1] and 'type_description' not in one[1]}
+
+
+def written(name):
+    """List what is written of a node, with names as they resolve without a namespace."""
+    def resolve(topic):
+        return f'/{name}{topic[1:]}' if topic[0] == '~' else '/' + topic.lstrip('/')
+
+    return {(end.direction, resolve(end.name), end.type) for end in INTERFACES[name]}
+
+
+@pytest.mark.parametrize('name', ['planar_calibrator', 'affine_calibrator'])
+def test_calibrators_have_what_is_written(graph, name):
+    assert has(graph().add(Calibrator(name, PARAMETERS[name]))) == written(name)
+
+
+def test_the_tracker_has_what_is_written(graph):
+    assert has(graph('-p', 'lazy:=false').add(FeatureTracker())) == written('feature_tracker')
+
+
+def test_the_player_has_what_is_written_for_the_type_of_its_bag(graph, tmp_path):
+    write_image_bag(tmp_path / 'bag', [Frame(0, 10 ** 18, np.zeros((48, 64), np.uint8))])
+    node = graph('-p', f'bag:={tmp_path / "bag"}').add(BagPlayer())
+    assert has(node) == {end for end in written('bag_player') if 'compressed' not in end[1]}
+
+
+@pytest.mark.parametrize('name', sorted(PARAMETERS))
+def test_tables_have_a_row_for_everything(name):
+    rows = parameters_table(name).splitlines()
+    assert len(rows) == 2 + len(PARAMETERS[name].__dataclass_fields__)
+    assert len({row.count('|') for row in rows}) == 1
+    assert len(interface_table(name).splitlines()) == 2 + len(INTERFACES[name])
+
+
+def test_update_fills_in_what_lies_between_the_markers(tmp_path):
+    path = tmp_path / 'README.md'
+    path.write_text('before\n<!-- parameters:bag_player -->\nold\n<!-- /parameters:bag_player -->'
+                    '\nafter\n', encoding='utf-8')
+    for _ in range(2):
+        assert main(['--update', str(path)]) == 0
+        assert path.read_text(encoding='utf-8') == (
+            f'before\n<!-- parameters:bag_player -->\n{parameters_table("bag_player")}'
+            '<!-- /parameters:bag_player -->\nafter\n')
+
+
+def test_readme_is_up_to_date():
+    files = [ROOT / 'README.md', *(ROOT / 'docs').rglob('*.md')]
+    marked = [path for path in files
+              if '<!-- parameters:' in path.read_text(encoding='utf-8')
+              or '<!-- interface:' in path.read_text(encoding='utf-8')]
+    if not marked:
+        pytest.skip('no document has markers for the tables yet')
+    for path in marked:
+        text = path.read_text(encoding='utf-8')
+        assert text == updated(text), (
+            f'run: python -m selfcal_ros.nodes.parameters_table --update {path.name}')
