@@ -1,0 +1,129 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A rotating camera: right with a covariance that is true, or refused for what is missing."""
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.rotating import calibrate_rotating, rotation_homographies
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.homography import homography
+from selfcal_ros.geometry.projective import transform_points
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.synthetic.scenes import observe
+
+SIZE = (1280, 720)
+STRAIGHT = CameraFacts(distortion='none')
+
+
+def _head(seed, k1=0.0, axes=(1, 1, 0.5), shift=0.0, noise_px=0.2, turn_deg=12.0, views=8):
+    """Make a scene around a pan-tilt head."""
+    rng = np.random.default_rng(seed)
+    camera = Camera([[900, 0, 650], [0, 910, 350], [0, 0, 1]], [k1, 0.02 * (k1 != 0), 0, 0],
+                    *SIZE)
+    rays = rng.normal(size=(500, 3)) * [0.7, 0.5, 0] + [0, 0, 1]
+    R = rotation_matrix(np.radians(turn_deg) * rng.normal(size=(views, 3)) * axes)
+    centres = shift * rng.normal(size=(views, 3))
+    poses = np.concatenate([R, -R @ centres[:, :, None]], axis=2)
+    return observe(rng, camera, poses, rays * rng.uniform(3, 9, (500, 1)), noise_px,
+                   only_inside=True)
+
+
+@pytest.mark.parametrize('k1, distortion', [(0.0, 'none'), (-0.15, 'radial2'), (0.0, 'auto')])
+def test_camera_and_distortion_within_their_sigmas(k1, distortion):
+    scores = []
+    for seed in range(8):
+        sequence = _head(seed, k1)
+        found = calibrate_rotating(sequence.tracks, SIZE, CameraFacts(distortion=distortion))
+        assert found and found.motion == 'rotation'
+        error = found.camera.parameters - sequence.camera.parameters
+        sigma = np.array(list(found.sigma.values()))
+        free = sigma > 0
+        assert free.sum() == (7 if distortion == 'radial2' else 5)
+        scores.append(error[free] / sigma[free])
+        assert abs(error[0]) < 1.5
+        assert found.noise_sigma_px == pytest.approx(0.2, rel=0.1)
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+@pytest.mark.parametrize('axes, missing', [((1, 0, 0), {'fx'}), ((0, 1, 0), {'fy'}),
+                                           ((0, 0, 1), {'fx', 'fy'})])
+def test_one_axis_is_refused_and_names_the_rotation_that_helps(axes, missing):
+    found = calibrate_rotating(_head(1, axes=axes).tracks, SIZE,
+                               CameraFacts(skew=0.0, distortion='none'))
+    assert not found
+    assert {k for k, v in found.status.items() if v == 'unobservable'} == missing
+    assert f"the camera's {'xyz'[axes.index(1)]} axis" in found.reason
+
+
+def test_pan_alone_suffices_with_square_pixels():
+    facts = CameraFacts(skew=0.0, aspect_ratio=910 / 900, distortion='none')
+    found = calibrate_rotating(_head(1, axes=(0, 1, 0)).tracks, SIZE, facts)
+    assert abs(found.camera.K[0, 0] - 900) < 4 * found.sigma['fx'] < 10
+
+
+def test_a_camera_that_moved_is_not_taken_for_one_that_rotates():
+    found = calibrate_rotating(_head(1, shift=0.1).tracks, SIZE, STRAIGHT)
+    assert not found and 'also moved' in found.reason
+
+
+def test_no_rotation_and_no_points_are_refused():
+    still = calibrate_rotating(_head(1, turn_deg=0).tracks, SIZE, STRAIGHT)
+    assert not still and 'turn the camera' in still.reason
+    tracks = _head(1).tracks
+    few = calibrate_rotating(tracks.select(tracks.track < 12), SIZE, STRAIGHT)
+    assert not few
+
+
+def test_gross_errors_are_dropped():
+    sequence = _head(2)
+    xy = sequence.tracks.xy.copy()
+    rng = np.random.default_rng(0)
+    wrong = rng.random(len(xy)) < 0.03
+    xy[wrong] += rng.uniform(-40, 40, (wrong.sum(), 2))
+    tracks = type(sequence.tracks)(sequence.tracks.frame, sequence.tracks.track, xy)
+    found = calibrate_rotating(tracks, SIZE, STRAIGHT)
+    assert abs(found.camera.K[0, 0] - 900) < 4 * found.sigma['fx']
+    assert found.outlier_count > 0.7 * wrong.sum()
+
+
+def test_homography_is_exact_without_noise_and_its_covariance_is_true_with_it():
+    H = np.array([[1.1, 0.05, 20], [-0.03, 0.95, -30], [1e-4, -5e-5, 1]])
+    rng = np.random.default_rng(0)
+    a = rng.uniform(0, 1000, (80, 2))
+    b = transform_points(H, a)
+    H /= np.linalg.norm(H)
+    assert np.allclose(homography(a, b).H * np.sign(homography(a, b).H[2, 2]), H, atol=1e-10)
+    scores = []
+    for _ in range(60):
+        found = homography(a + 0.3 * rng.normal(size=a.shape), b + 0.3 * rng.normal(size=b.shape))
+        error = (found.H * np.sign(found.H[2, 2]) - H).ravel()
+        inverse = np.linalg.pinv(found.covariance, rcond=1e-14, hermitian=True)
+        scores.append(error @ inverse @ error)
+    assert 5.5 < np.mean(scores) < 11.5
+    assert found.sigma_px == pytest.approx(0.3, rel=0.35)
+
+
+def test_views_that_do_not_overlap_the_reference_are_chained():
+    sequence = _head(3, axes=(0.05, 0, 0.02), noise_px=0, views=6)
+    rng = np.random.default_rng(0)
+    turns = np.column_stack([rng.normal(size=6) * 0.05, np.linspace(0, 2.0, 6), np.zeros(6)])
+    R = rotation_matrix(turns)
+    rays = rng.normal(size=(3000, 3))
+    wide = observe(rng, sequence.camera, np.concatenate([R, np.zeros((6, 3, 1))], axis=2),
+                   5 * rays, 0.0, only_inside=True)
+    frames, homographies, _ = rotation_homographies(wide.tracks)
+    assert len(frames) == 6
+    K = wide.camera.K
+    true = K @ R[frames[1:]] @ R[frames[0]].T @ np.linalg.inv(K)
+    assert np.allclose(homographies.H, true, atol=1e-6 * np.abs(true).max())
