@@ -42,7 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--max-keyframes', type=int, metavar='N',
                         help='use at most so many images')
     parser.add_argument('--object', metavar='WHAT',
-                        help='known object, for --motion known-object')
+                        help='known object: chessboard:COLSxROWS:SQUARE_M or '
+                             'charuco:COLSxROWS:SQUARE_M:MARKER_M (inner corners), '
+                             'tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M (squares), or points.csv '
+                             '(columns point,X,Y,Z) for an INPUT of tracks')
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for tracks.csv')
     add_fact_arguments(parser)
@@ -68,27 +71,31 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.errors import ArgumentError
-    if args.motion not in ENGINES or args.object:
-        raise ArgumentError(f'--motion {args.motion} is not part of this version; '
-                            'move the camera and use --motion auto.')
-    if args.max_keyframes is not None and args.max_keyframes < 3:
-        raise ArgumentError('--max-keyframes must be at least 3: fewer views cannot calibrate.')
+    known = bool(args.object)
+    if known and args.motion not in ('auto', 'known-object'):
+        raise ArgumentError(f'--object and --motion {args.motion} exclude each other; leave one '
+                            'of them out.')
+    if args.motion == 'known-object' and not known:
+        raise ArgumentError('--motion known-object needs --object, for example '
+                            'chessboard:9x6:0.025 (inner corners, metres).')
+    if known and args.ply:
+        raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
+                            'object is known.')
+    least = 1 if known else 3
+    if args.max_keyframes is not None and args.max_keyframes < least:
+        raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
+                            'calibrate.')
     facts = facts_from(args)
     outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
                       ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check()
 
-    from selfcal_ros import calibrate
-    from selfcal_ros.pipeline.feature_session import read_tracks
     from selfcal_ros.pipeline.sources import open_source
+    size = tuple(args.image_size) if args.image_size else None
     with ProgressBar(not args.quiet) as progress:
-        reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
-                              max_keyframes=args.max_keyframes,
-                              image_size=tuple(args.image_size) if args.image_size else None,
-                              progress=progress)
-    result = calibrate(reading.tracks, motion=ENGINES[args.motion], facts=facts)
-    why = (motion_text(result, args.motion),) if result else ()
+        result, reading = (_from_object if known else _from_motion)(args, facts, size, progress)
+    why = (motion_text(result, args.motion),) if result and not known else ()
     text = result_text(result, notes=(*why, *reading.notes))
     written = outputs.write(result, text, reading.description, reading.tracks,
                             lambda: open_source(args.input, args.topic, colour=True))
@@ -98,3 +105,24 @@ def run(args: argparse.Namespace) -> int:
     elif not result:
         print(result, file=sys.stderr)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+
+
+def _from_motion(args, facts, size, progress):
+    """Calibrate from tracks of an unknown scene; returns the result and the reading."""
+    from selfcal_ros import calibrate
+    from selfcal_ros.pipeline.feature_session import read_tracks
+    reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
+                          max_keyframes=args.max_keyframes, image_size=size, progress=progress)
+    return calibrate(reading.tracks, motion=ENGINES[args.motion], facts=facts), reading
+
+
+def _from_object(args, facts, size, progress):
+    """Calibrate from images of a known object; returns the result and the reading."""
+    from selfcal_ros.calibration.known_object import calibrate_known_object
+    from selfcal_ros.features.targets import parse_target
+    from selfcal_ros.pipeline.object_session import read_object_views
+    target = parse_target(args.object)
+    reading = read_object_views(args.input, target, topic=args.topic,
+                                max_keyframes=args.max_keyframes, image_size=size,
+                                progress=progress)
+    return calibrate_known_object(reading.tracks, target.known, facts=facts), reading

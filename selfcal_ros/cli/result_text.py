@@ -91,8 +91,11 @@ def _verdict(result: Calibration) -> str:
     camera = result.camera
     share = 100 * result.sigma['fx'] / camera.K[0, 0]
     weak = [name for name, status in result.status.items() if status == 'unobservable']
-    sentence = (f'Calibrated from {len(result.frames)} views under {result.motion} motion: focal '
-                f'length {camera.K[0, 0]:.1f} px ± {share:.2g} %, reprojection '
+    views = f'{len(result.frames)} view{"s" if len(result.frames) != 1 else ""}'
+    scene = ('of a known object' if result.motion == 'known-object'
+             else f'under {result.motion} motion')
+    sentence = (f'Calibrated from {views} {scene}: focal length {camera.K[0, 0]:.1f} px '
+                f'± {share:.2g} %, reprojection '
                 f'{result.reprojection_rms_px:.3f} px rms over {result.observation_count} '
                 f'observations ({result.outlier_count} rejected).')
     if weak:

@@ -1,0 +1,112 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""An input of any kind in, where a known object's points were seen out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.feature_session import Reading
+from selfcal_ros.pipeline.sources import open_source
+
+if TYPE_CHECKING:
+    from selfcal_ros.features.targets import Target
+
+#: More views add time and little accuracy.
+MOST_VIEWS = 80
+#: In a video a view counts as new when the points have moved by this share of the diagonal.
+NEW_VIEW_SHARE = 0.01
+
+
+def read_object_views(path, target: Target, topic: str | None = None,
+                      max_keyframes: int | None = None,
+                      image_size: tuple[int, int] | None = None,
+                      progress: Callable | None = None) -> Reading:
+    """
+    Find a known object in an input of any kind that `open_source` knows.
+
+    Parameters
+    ----------
+    path : str or Path
+        Tracks are taken as they are; their track numbers are those of the object's points.
+    target : Chessboard, Charuco, TsaiGrid or PointList
+    topic : str, optional
+        Image topic of a bag.
+    max_keyframes : int, optional
+        Views that the result may use at most.
+    image_size : (int, int), optional
+        Width and height in pixels, for tracks from a table.
+    progress : callable, optional
+        Called as progress(text, done, total); total is None where it is not known.
+
+    Returns
+    -------
+    Reading
+        Tracks whose identities are those of `target.known`.
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If the input cannot be used, or shows no object; the sentence says what to do.
+
+    """
+    most = MOST_VIEWS if max_keyframes is None else max_keyframes
+    with open_source(path, topic, image_size) as source:
+        if source.kind == 'tracks':
+            return Reading(source.tracks(), source.description)
+        if target.find is None:
+            raise InputError(f'{path} holds images, in which the points of a list cannot be '
+                             'found; give a table of tracks (frame,track,x,y), where track is '
+                             'the number of the point.')
+        moving = source.kind != 'images'
+        views, stamps, looked, last = [], {}, 0, None
+        for frame in source:
+            looked += 1
+            identity, xy = target.find(frame.image, thorough=not moving)
+            if progress:
+                progress('Looking for the object', looked, source.count)
+            step = NEW_VIEW_SHARE * float(np.hypot(*frame.image.shape))
+            if not len(identity) or moving and not _moved(last, (identity, xy), step):
+                continue
+            last = identity, xy
+            views.append((frame.index, identity, xy))
+            stamps[frame.index] = frame.stamp_ns
+        if not views:
+            raise InputError(f'The object was found in none of the {looked} images of {path}; '
+                             'check its numbers of columns and rows (inner corners of a board, '
+                             'squares of a Tsai grid), and that it is seen whole and sharp.')
+        notes = () if len(views) == looked else (
+            f'The object was found anew in {len(views)} of {looked} images.',)
+        if len(views) > most:
+            views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
+            notes += (f'{most} of these views were used.',)
+        frame = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
+        tracks = Tracks(frame, np.concatenate([identity for _, identity, _ in views]),
+                        np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
+        return Reading(tracks, source.description, notes)
+
+
+def _moved(last, now, step_px: float) -> bool:
+    """Tell whether the points have moved since the last view."""
+    if last is None:
+        return True
+    _, a, b = np.intersect1d(last[0], now[0], assume_unique=True, return_indices=True)
+    if len(a) < len(now[0]) / 2:
+        return True
+    return float(np.median(np.linalg.norm(last[1][a] - now[1][b], axis=1))) > step_px
