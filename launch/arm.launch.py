@@ -21,7 +21,7 @@ The arguments are those of agv.launch.py.
 """
 
 from launch import LaunchDescription
-from launch.actions import IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
@@ -30,8 +30,11 @@ from launch_ros.substitutions import FindPackageShare
 def generate_launch_description():
     """Start what agv.launch.py starts, with the calibrator for free motion."""
     share = FindPackageShare('selfcal_ros')
-    return LaunchDescription([IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(PathJoinSubstitution([share, 'launch', 'agv.launch.py'])),
-        launch_arguments=[
-            ('calibrator', 'affine_calibrator'),
-            ('params_file', PathJoinSubstitution([share, 'config', 'arm.yaml']))])])
+    return LaunchDescription([
+        # declared here, so that these are the defaults and not what agv.launch.py has
+        DeclareLaunchArgument('calibrator', default_value='affine_calibrator'),
+        DeclareLaunchArgument('params_file', description='parameters of the nodes',
+                              default_value=PathJoinSubstitution([share, 'config', 'arm.yaml'])),
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(
+            PathJoinSubstitution([share, 'launch', 'agv.launch.py']))),
+    ])
