@@ -170,7 +170,7 @@ class Charuco:
             markers = aruco.getPredefinedDictionary(number)
             capacity = len(markers.bytesList)
             if (self.columns + 1) * (self.rows + 1) // 2 <= capacity:
-                self._boards += _charuco_boards(self, markers)
+                self._boards.extend(_charuco_boards(self, markers))
         if not self._boards:
             raise ArgumentError('A ChArUco board of so many squares needs more markers than '
                                 'the dictionary holds.')
@@ -208,7 +208,10 @@ def _charuco_boards(board: Charuco, markers) -> list:
             if ids is None or len(ids) < 2:
                 return _nothing()
             _, xy, identity = aruco.interpolateCornersCharuco(corners, ids, image, old)
-            return _found(identity, xy)
+            identity, xy = _found(identity, xy)
+            # it counts the rows from below
+            row, column = np.divmod(identity, board.columns)
+            return (board.rows - 1 - row) * board.columns + column, xy
 
         return [find_old]
     finders = []
