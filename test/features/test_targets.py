@@ -85,7 +85,7 @@ def test_charuco_corners_are_where_they_were_drawn(dictionary):
     identity, xy = board.find(image)
     assert 15 < len(identity) < 35
     drawn = mapped(H, (board.known.points[identity, :2] / 0.04 + 1) * 100 - 0.5)
-    assert np.median(np.linalg.norm(xy - drawn, axis=1)) < 0.2
+    assert np.median(np.linalg.norm(xy - drawn, axis=1)) < 0.1
     again, _ = board.find(image)
     assert (again == identity).all()
 
