@@ -106,7 +106,7 @@ def test_what_cannot_be_calibrated_is_status_1_with_a_reason(capsys):
     (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
     (['good.csv', '--topic', '/image'], 'topic'),
-    (['good.csv', '--motion', 'known-object'], 'not part of this version'),
+    (['good.csv', '--motion', 'known-object'], 'needs --object'),
     (['good.csv', '--ply', 'camera.yaml'], 'same name'),
     (['good.csv', '--max-keyframes', '1'], 'at least 3'),
     (['good.csv', '--image-size', '0', '480'], 'image size'),
