@@ -46,6 +46,8 @@ _OUTLIER_SIGMAS = 4.0
 _HUBER_SIGMAS = 2.5
 #: Points are off a common plane if it leaves so many times the noise.
 _PLANE_RATIO = 3.0
+#: Displacements that vary by less than this are one displacement.
+_LEAST_PARALLAX_PX = 1e-4
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,13 @@ def translated_pair(tracks: Tracks, frames):
     frames = [int(f) for f in frames]
     pairs = [(a, b) for k, a in enumerate(frames) for b in frames[k + 1:]]
     matches = [tracks.matches(a, b)[1:] for a, b in pairs]
-    usable = [k for k, (a, _) in enumerate(matches) if len(a) >= LEAST_MATCHES]
+    usable = [k for k, (a, b) in enumerate(matches) if len(a) >= LEAST_MATCHES
+              and (b - a).std(axis=0).max() > _LEAST_PARALLAX_PX]
     if not usable:
         most = max((len(a) for a, _ in matches), default=0)
+        if most >= LEAST_MATCHES:
+            return NoEstimate('The translated views do not differ; there is no parallax.',
+                              'no_parallax')
         return NoEstimate('No two translated views share enough points: at least '
                           f'{LEAST_MATCHES} are needed, there are {most}.', 'too_few')
     # the most parallax that many points show
@@ -267,7 +273,8 @@ def _translated_camera(points, xy) -> np.ndarray | None:
         A = (rows * factor[..., None]).reshape(-1, 3) * [1, 1, 1 / scale]
         e = np.linalg.lstsq(A, (right * factor).ravel(), rcond=None)[0] * [1, 1, 1 / scale]
         image = ahead + points[:, 3:] * e
-        distance = np.linalg.norm(image[:, :2] / image[:, 2:] - xy, axis=1)
+        depth = np.where(np.abs(image[:, 2:]) > 1e-9, image[:, 2:], 1e-9)
+        distance = np.linalg.norm(image[:, :2] / depth - xy, axis=1)
         limit = _HUBER_SIGMAS * max(np.median(distance) / 1.1774, 1e-9)
         weight = np.minimum(1.0, limit / np.maximum(distance, 1e-300))
     return np.column_stack([np.eye(3), e]) if np.isfinite(e).all() else None

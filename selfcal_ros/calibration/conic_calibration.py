@@ -137,7 +137,11 @@ class _Constraints:
         n = len(r)
         spread = np.einsum('iac,iajb,jbd->icjd', by_entry,
                            self.covariance.reshape(n, 9, n, 9), by_entry, optimize=True)
-        weight = np.linalg.inv(spread.reshape(5 * n, 5 * n))
+        spread = spread.reshape(5 * n, 5 * n)
+        # scaled to a unit diagonal; what is known least must not make it singular
+        root = np.sqrt(np.diag(spread))
+        unit = spread / np.outer(root, root) + 1e-12 * np.eye(5 * n)
+        weight = np.linalg.inv(unit) / np.outer(root, root)
         return r.ravel(), np.swapaxes(slope, 1, 2).reshape(-1, 5), weight
 
 

@@ -162,7 +162,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     fit = _fit(views, size, facts)
     if isinstance(fit, str):
         return refuse(fit, 'Give more points or views, or state what is known of the camera.')
-    used, bundle, state, chosen = fit
+    used, bundle, state, chosen, judgement = fit
     limit = MISFIT_SHARE * float(np.hypot(*size))
     if all(view.mirrored and view.error_px < limit for view in views.linear):
         return refuse('The images show the mirror image of the object: its coordinates are '
@@ -173,7 +173,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
             f'{limit:.2g} px could be noise.',
             'Check that both files number the points alike, the numbers of columns and rows, '
             'and that the object is rigid.')
-    dependence, covariance, status = _judge(used, bundle, state, chosen, size)
+    dependence, covariance, status = judgement
     missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
     if missing:
         return refuse(*_unobservable(missing, used), status)
@@ -226,10 +226,10 @@ def _gather(tracks: Tracks, target: KnownObject):
 
 
 def _fit(views: _Views, size, facts: CameraFacts):
-    """Return (views used, bundle, state, facts with their distortion model), or a reason."""
+    """Return (views, bundle, state, facts with their distortion model, judgement) or a reason."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
-    fit = None
+    found = 'The adjustment found no camera that fits the points.'
     for name in names:
         chosen = replace(facts, distortion=name)
         bundle = views.bundle(priors_from_facts(chosen), 1.0)
@@ -242,11 +242,11 @@ def _fit(views: _Views, size, facts: CameraFacts):
         fit = _robust_fit(views, _held(state, bundle.priors), chosen)
         if fit is None:
             continue
-        status = _judge(*fit, chosen, size)[2]
-        if 'unobservable' not in status.values():
+        judgement = _judge(*fit, chosen, size)
+        found = (*fit, chosen, judgement)
+        if 'unobservable' not in judgement[2].values():
             break
-    return 'The adjustment found no camera that fits the points.' if fit is None else (
-        *fit, chosen)
+    return found
 
 
 def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
@@ -291,7 +291,7 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
         if not np.isfinite(sigma):
             return None
         bundle = views.bundle(priors, sigma)
-        state = bundle.optimise(state)
+        state = bundle.optimise(state, tolerance=0.1)
         before, sigma = sigma, bundle.noise_sigma(state)
         if abs(sigma - before) < 0.05 * before:
             break
@@ -306,7 +306,7 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
         kept = np.isin(views.frames, rest.frames)
         state = replace(state, cam_from_object=state.cam_from_object[kept])
         views, bundle = rest, rest.bundle(priors, sigma)
-        state = bundle.optimise(state)
+        state = bundle.optimise(state, tolerance=0.1)
         sigma = bundle.noise_sigma(state)
     bundle = views.bundle(priors, bundle.noise_rms(state))
     state = bundle.optimise(state, tolerance=1e-7)

@@ -149,10 +149,10 @@ def projective_structure(tracks: Tracks, size: tuple[int, int]):
     for frame in [None, *(int(f) for f in frames if int(f) not in standing)]:
         if frame is not None:
             known = np.isfinite(points).all(axis=1)
-            rows = np.flatnonzero((tracks.frame == frame) & known[track])
-            if len(rows) < LEAST_POINTS:
+            seen = np.flatnonzero((tracks.frame == frame) & known[track])
+            if len(seen) < LEAST_POINTS:
                 continue
-            found = resect(points[track[rows]], tracks.xy[rows], huber_sigmas=2.5)
+            found = resect(points[track[seen]], tracks.xy[seen], huber_sigmas=2.5)
             if isinstance(found, NoEstimate):
                 return found
             standing.append(frame)

@@ -31,7 +31,7 @@ from selfcal_ros.calibration.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.refine import Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, parameter_covariance,
+from selfcal_ros.calibration.state import (BundleState, F, holding, MotionModel, parameter_covariance,
                                            PER_VIEW, priors_from_facts, SHARED)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import (Camera, CameraFacts, DISTORTION_MODELS,
@@ -49,6 +49,10 @@ LEAST_MATCHES = 12
 ROTATION_RATIO = 2.0
 #: Fewer observations to spare than this cannot check themselves.
 LEAST_FREEDOM = 12
+#: Noise below this is rounding, which tells nothing apart.
+LEAST_NOISE_PX = 1e-3
+#: A focal length beyond so many image sides is a camera at infinity.
+MOST_FOCAL_SHARE = 30.0
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Distortion models that are tried where none is stated, the richest first.
@@ -255,11 +259,13 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
         state = bundle.optimise(state, 30, 0.01)
         if near.all():
             break
-    bundle = bundle.with_sigma(bundle.noise_rms(state))
+    bundle = bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX))
     if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
         return refuse(f'A camera that only rotates leaves {bundle.sigma_px:.2g} px where the '
                       f'epipolar geometry leaves {noise_px:.2g} px: the camera also moved.',
                       motion='unknown')
+    if not 1 / MOST_FOCAL_SHARE < state.intrinsics[F] / max(size) < MOST_FOCAL_SHARE:
+        return refuse('No finite focal length explains the images: they are one image, shifted.')
     camera = state.camera(*size)
     covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
     held = held_facts(facts)

@@ -21,26 +21,29 @@ import numpy as np
 
 from selfcal_ros.calibration.estimate import calibrate_from_motion, MOTION_MODELS
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.rotating import calibrate_rotating
 from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.translation import calibrate_translated
 from selfcal_ros.calibration.view_graph import build_view_graph
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.version import __version__
 
-METHODS = tuple(MOTION_MODELS)
+METHODS = (*MOTION_MODELS, 'translation', 'rotation')
 
 
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
               rng: np.random.Generator | None = None, start: Camera | None = None,
-              ) -> Calibration | NotCalibrated:
+              translation_frames=None) -> Calibration | NotCalibrated:
     """
     Calibrate a camera from tracks of scene points.
 
     Parameters
     ----------
     tracks : Tracks
-    motion : {'auto', 'planar', 'general'}
-        How the camera moved; 'auto' tries a plane first.
+    motion : {'auto', 'planar', 'general', 'translation', 'rotation'}
+        How the camera moved; 'auto' tries a plane first, and a camera that only rotates where
+        the images show no parallax. 'translation': some views are related by pure translation.
     facts : CameraFacts, optional
         What is known of the camera; nothing by default.
     rng : numpy.random.Generator, optional
@@ -48,6 +51,9 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     start : Camera, optional
         A calibration to try first, for example that of a while ago. The result does not depend
         on it, the time does.
+    translation_frames : sequence of int, optional
+        With motion 'translation', the frames that are related by pure translation; found from
+        the images by default.
 
     Returns
     -------
@@ -69,8 +75,16 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
         return NotCalibrated(graph, 'Check that the images overlap and show texture.',
                              frames=tuple(int(f) for f in tracks.frames), facts=facts,
                              software=__version__)
-    result = calibrate_from_motion(graph, size, facts, [start] if start else [],
-                                   MOTION_MODELS[motion])
+    if motion == 'rotation':
+        result = calibrate_rotating(graph.tracks, size, facts)
+    elif motion == 'translation':
+        result = calibrate_translated(graph, size, facts, translation_frames)
+    else:
+        result = calibrate_from_motion(graph, size, facts, [start] if start else [],
+                                       MOTION_MODELS[motion])
+        if motion == 'auto' and not result and result.motion == 'rotation':
+            # no parallax: a plane before the camera stays refused there
+            result = calibrate_rotating(graph.tracks, size, facts) or result
     return replace(result, software=f'selfcal_ros {__version__}')
 
 

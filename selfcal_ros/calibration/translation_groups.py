@@ -172,7 +172,14 @@ def _pairs_with_matches(tracks: Tracks) -> np.ndarray:
     common = seen @ seen.T
     a, b = np.triu_indices(len(frames), 1)
     keep = common[a, b] >= LEAST_MATCHES
-    return np.column_stack([frames[a], frames[b]])[keep]
+    pairs = np.column_stack([frames[a], frames[b]])[keep]
+    return pairs[[_differ(*tracks.matches(int(i), int(j))[1:]) for i, j in pairs]] \
+        if len(pairs) else pairs
+
+
+def _differ(xy_a, xy_b) -> bool:
+    """Tell whether two images are more than one image, shifted as a whole, which says nothing."""
+    return bool((xy_b - xy_a).std(axis=0).max() > _FLOOR_PX)
 
 
 def _general(data: PairMatches):
@@ -227,7 +234,7 @@ def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs=None) -> tuple[
     start = grid[int(np.argmin([cost((a, 0.0)) for a in grid]))]
     step = 0.5 * (grid[1] - grid[0])
     best = minimize(cost, (start, 0.0), method='Nelder-Mead', options={
-        'initial_simplex': [(start, 0), (start + step, 0), (start, step)], 'maxfev': 60,
+        'initial_simplex': [(start, 0), (start + step, 0), (start, step)], 'maxfev': 40,
         'xatol': 1e-4, 'fatol': 0.5})
     # two more unknowns must be worth it (BIC)
     worth = 2 * np.log(max(float(data.counts.sum()), 2.0))

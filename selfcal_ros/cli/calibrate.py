@@ -22,9 +22,8 @@ import sys
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
-#: Engine for each motion of the command line; those that get a method of their own go here.
-ENGINES = {'auto': 'auto', 'planar': 'planar', 'general': 'general', 'translation': 'general',
-           'rotation': 'general'}
+#: Motions from tracks of an unknown scene.
+MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'a video, or tracks.csv (columns frame,track,x,y)')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--motion', default='auto',
-                        choices=(*ENGINES, 'known-object'),
+                        choices=(*MOTIONS, 'known-object'),
                         help='how the camera moved (default: found out)')
+    parser.add_argument('--translation-frames', type=int, nargs='+', metavar='FRAME',
+                        help='with --motion translation: the images that are related by pure '
+                             'translation, counted from 0 (default: found out)')
     parser.add_argument('--mode', choices=('auto', 'video', 'wide'), default='auto',
                         help='follow points from image to image, or match far-apart photographs '
                              '(default: found out)')
@@ -113,7 +115,8 @@ def _from_motion(args, facts, size, progress):
     from selfcal_ros.pipeline.feature_session import read_tracks
     reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
                           max_keyframes=args.max_keyframes, image_size=size, progress=progress)
-    return calibrate(reading.tracks, motion=ENGINES[args.motion], facts=facts), reading
+    return (calibrate(reading.tracks, motion=args.motion, facts=facts,
+                      translation_frames=args.translation_frames), reading)
 
 
 def _from_object(args, facts, size, progress):

@@ -102,10 +102,27 @@ def test_level_horizon_needs_more_than_zero_skew(seed):
 @pytest.mark.parametrize('seed', range(2))
 def test_degenerate_sequences_are_refused_with_the_reason(name, words, seed):
     sequence = getattr(special_scenes, name)(np.random.default_rng(seed), 0.2)
-    result = calibrate(sequence.tracks, facts=SQUARE)
+    result = calibrate(sequence.tracks, motion='planar', facts=SQUARE)
 
     assert not result
     assert words in result.reason
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_camera_that_only_rotates_is_calibrated_as_such(seed):
+    sequence = special_scenes.pure_rotation(np.random.default_rng(seed), 0.2)
+    result = calibrate(sequence.tracks, facts=SQUARE)
+
+    assert result
+    assert result.motion == 'rotation'
+    assert np.abs(deviations(result, sequence.camera)).max() < 4
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_one_plane_is_refused_in_every_motion(seed):
+    sequence = special_scenes.coplanar_points(np.random.default_rng(seed), 0.2)
+    for motion in ('auto', 'general', 'rotation'):
+        assert not calibrate(sequence.tracks, motion=motion, facts=SQUARE)
 
 
 @pytest.mark.parametrize('seed', range(3))
