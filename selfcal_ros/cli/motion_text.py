@@ -20,6 +20,12 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.rotation import rotation_vector
 
+#: Why a motion was taken where nothing was stated.
+WHY = {'planar': '; motion about one axis explains the images',
+       'circular': '; motion about one axis explains the images',
+       'rotation': '; one homography explains every pair of images',
+       'general': '; no planar motion explains the images'}
+
 
 def motion_text(result: Calibration, asked: str) -> str:
     """
@@ -43,10 +49,9 @@ def motion_text(result: Calibration, asked: str) -> str:
         how = 'as stated'
     else:
         how = f'stated as {asked}'
-    why = ''
-    if asked == 'auto':
-        why = ('; no planar motion explains the images' if result.motion == 'general'
-               else '; motion about one axis explains the images')
+    why = WHY.get(result.motion, '') if asked == 'auto' else ''
+    if result.motion == 'rotation':
+        why += '; a camera that only rotates sees no depth, so there is no structure'
     return f'Motion: {result.motion}, {how}: {evidence}{why}.'
 
 

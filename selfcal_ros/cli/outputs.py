@@ -102,7 +102,8 @@ class Outputs:
             written.append(write_result_json(self.result_json, result))
         if self.report:
             written.append(write_page(self.report, result, text, source, tracks=tracks))
-        if self.ply and result:
+        # a camera that only rotates sees no depth
+        if self.ply and result and result.motion != 'rotation':
             written.append(self._write_structure(result, source, tracks, open_frames))
         return written
 

@@ -65,8 +65,10 @@ class ScenePublisher:
         self._path = node.create_publisher(Path, 'camera_path', LATCHED)
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
 
-    def prepare(self, calibration: Calibration, request: EstimateRequest) -> Scene:
-        """Build the messages, in the thread of the estimate."""
+    def prepare(self, calibration: Calibration, request: EstimateRequest) -> Scene | None:
+        """Build the messages, in the thread of the estimate; None where there is no depth."""
+        if calibration.motion == 'rotation':
+            return None
         types, scene = self._types, metric_structure(calibration, request.tracks)
         stamps = request.tracks.stamps_ns
         headers = [header_message(stamps[frame], self._frame, types)
