@@ -72,7 +72,7 @@ def thesis_grid(report: Report) -> None:
     report.section('Tsai grid, one image a calibration (thesis 3.2)',
                    f'{IMAGES} views, 128 corners; grid found in {len(rendered)} rendered images '
                    '(grey noise σ 2);', 'corner noise: true corners with '
-                   f'{THESIS_CORNER_NOISE_PX} px a coordinate, which leave the error of the thesis.',
+                   f'{THESIS_CORNER_NOISE_PX} px a coordinate, which leave the thesis\'s error.',
                    'Our linear step normalises points and image; the thesis does not say so.')
     report.judge(len(rendered) == IMAGES, f'grid found in {len(rendered)} of {IMAGES} images')
     errors, spreads = [], []
