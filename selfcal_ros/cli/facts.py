@@ -51,8 +51,8 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--principal-point-sigma', type=float, default=0.0, metavar='PX',
                        help='standard deviation of the principal point (default 0: exact)')
     group.add_argument('--distortion', choices=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
-                       default='auto', help='coefficients to estimate (default auto: the simplest '
-                       'model that the images do not reject)')
+                       default='auto', help='coefficients to estimate (default auto: the richest '
+                            'radial model with which the images determine the camera)')
 
 
 def facts_from(args: argparse.Namespace) -> CameraFacts:

@@ -182,7 +182,7 @@ class CameraFacts:
         Standard deviation of each fact; 0 means exact, and the parameter is held.
     distortion : {'auto', 'none', 'radial1', 'radial2', 'plumb_bob'}
         Which distortion coefficients are estimated; the others are held at zero. 'auto': the
-        simplest model that the images do not reject.
+        richest radial model with which the images still determine the camera.
 
     Raises
     ------

@@ -153,8 +153,8 @@ class CalibratorParameters:
     aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0)
     aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0)
     zero_skew: bool = parameter(True, 'the skew is known to be zero')
-    distortion: str = parameter('auto', 'coefficients to estimate; auto: the simplest model that '
-                                'the images do not reject',
+    distortion: str = parameter('auto', 'coefficients to estimate; auto: the richest model with '
+                                'which the images determine the camera',
                                 one_of=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'))
     max_keyframes: int = parameter(40, 'views to keep', 3, 400)
     first_estimate: int = parameter(8, 'views before the first estimate', 3, 400)
