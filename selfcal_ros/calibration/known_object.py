@@ -47,6 +47,8 @@ OUTLIER_SIGMAS = 4.0
 #: An image noise beyond this share of the image's diagonal is no noise: points and object do not
 #: belong together.
 MISFIT_SHARE = 0.006
+#: Coordinates from here on are as good as infinite.
+FARTHEST = 1e12
 #: Starts are compared on so many points a view.
 START_POINTS = 40
 
@@ -81,8 +83,9 @@ class KnownObject:
         if points.ndim != 2 or points.shape[1] != 3 or len(points) != len(identity):
             raise InputError('A known object needs identities (P,) and points (P, 3) of one '
                              f'length; got {identity.shape} and {points.shape}.')
-        if not np.isfinite(points).all():
-            bad = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        usable = (np.abs(points) < FARTHEST).all(axis=1)
+        if not usable.all():
+            bad = int(np.flatnonzero(~usable)[0])
             raise InputError(f'Object point {identity[bad]} is not finite; correct or remove it.')
         order = np.argsort(identity, kind='stable')
         identity, points = identity[order], points[order]
@@ -178,6 +181,12 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     if missing:
         return refuse(*_unobservable(missing, used), status)
     residuals = bundle.residuals(state)
+    lost = np.setdiff1d(views.frames, used.frames)
+    if len(lost):
+        notes += ('The object does not fit what was seen of it in '
+                  f'{"frame" if len(lost) == 1 else "frames"} '
+                  f'{", ".join(map(str, lost[:5].tolist()))}'
+                  f'{" and others" if len(lost) > 5 else ""}, left out.',)
     # back to the object's own frame and unit
     poses = np.array(state.cam_from_object)
     poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin

@@ -165,6 +165,18 @@ def test_gross_errors_are_left_out():
     assert abs(result.camera.K[0, 0] - 610) < 4 * result.sigma['fx']
 
 
+def test_a_view_that_is_wrong_as_a_whole_is_left_out():
+    tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.1, np.random.default_rng(0))
+    xy = tracks.xy.copy()
+    wrong = np.flatnonzero(tracks.frame == 2)
+    xy[wrong] = np.random.default_rng(1).permutation(xy[wrong])
+    result = calibrate_known_object(Tracks(tracks.frame, tracks.track, xy, SIZE), BOARD,
+                                    facts=NO_SKEW)
+    assert result.frames == (0, 1, 3, 4)
+    assert any('in frame 2, left out' in note for note in result.notes)
+    assert abs(result.camera.K[0, 0] - 610) < 4 * result.sigma['fx']
+
+
 def test_facts_are_measurements():
     tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.3, np.random.default_rng(2))
     held = calibrate_known_object(tracks, BOARD, facts=CameraFacts(
@@ -236,7 +248,7 @@ def test_a_bad_view_is_left_out_with_a_note():
 @pytest.mark.parametrize('identity, points, words', [
     ([1, 2], np.zeros((3, 3)), 'one length'),
     ([1, 2], [[0, 0, 0], [0, np.nan, 0]], 'not finite'),
-    ([1, 1], np.eye(3)[:2], 'twice'),
+    ([1, 1], np.eye(3)[:2], 'twice'), ([1], [[0, 0, 1e200]], 'not finite'),
 ])
 def test_a_wrong_object_is_refused(identity, points, words):
     with pytest.raises(InputError, match=words):
