@@ -52,7 +52,7 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        help='standard deviation of the principal point (default 0: exact)')
     group.add_argument('--distortion', choices=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
                        default='auto', help='coefficients to estimate (default auto: the richest '
-                            'radial model with which the images determine the camera)')
+                       'radial model with which the images determine the camera)')
 
 
 def facts_from(args: argparse.Namespace) -> CameraFacts:
