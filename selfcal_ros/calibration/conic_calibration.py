@@ -24,6 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from selfcal_ros.calibration.diac import (camera_from_dual_conic, InfiniteHomographies,
                                           linear_conic, ROUNDING)
@@ -34,6 +35,8 @@ from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Rotations that leave this axis by less (degrees) are called rotations about it.
 _NEAR_AXIS_DEG = 15.0
+#: Rotations must exceed their noise by so much (in variance) to tell anything.
+_IDENTITY_SLACK = 1.5
 #: Rotations below this are too small to tell their axis.
 _LEAST_TURN_DEG = 1.0
 #: Focal lengths from which the least squares start, too (image sizes).
@@ -228,6 +231,9 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     carry = np.kron(np.eye(len(homographies.H)), np.kron(T, inverse.T))
     H = T @ homographies.H @ inverse
     constraints = _Constraints(H, carry @ homographies.covariance @ carry.T)
+    if _is_identity(H, constraints.covariance):
+        return _nothing(facts, 'No view is rotated against another by more than the noise; pure '
+                        'translation says nothing of the camera.')
     noise = float(np.sqrt(np.trace(constraints.covariance) / len(carry)))
     scaled = _scaled_facts(facts, scale, middle)
     candidates, family = linear_conic(H, noise, scaled)
@@ -268,6 +274,14 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
                             status, open_directions)
     return ConicCalibration(camera.K, covariance, None if linear is None else np.triu(linear),
                             name, rotations, float(np.sqrt(misfit / freedom)))
+
+
+def _is_identity(H, covariance) -> bool:
+    """Tell whether homographies differ from no rotation by no more than their noise."""
+    offset = (H - np.eye(3)).ravel()
+    statistic = offset @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ offset
+    # eight degrees of freedom each; the noise level itself is known to some 10 percent only
+    return bool(statistic < _IDENTITY_SLACK * chi2.ppf(0.999, 8 * len(H)))
 
 
 def _nothing(facts, reason):

@@ -31,8 +31,9 @@ from selfcal_ros.calibration.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.refine import Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.state import (BundleState, F, holding, MotionModel, parameter_covariance,
-                                           PER_VIEW, priors_from_facts, SHARED)
+from selfcal_ros.calibration.state import (BundleState, F, holding, MotionModel,
+                                           parameter_covariance, PER_VIEW, priors_from_facts,
+                                           SHARED, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import (Camera, CameraFacts, DISTORTION_MODELS,
                                          PARAMETER_NAMES)
@@ -53,6 +54,8 @@ LEAST_FREEDOM = 12
 LEAST_NOISE_PX = 1e-3
 #: A focal length beyond so many image sides is a camera at infinity.
 MOST_FOCAL_SHARE = 30.0
+#: A skew beyond this share of the focal length is no camera's.
+MOST_SKEW_SHARE = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Distortion models that are tried where none is stated, the richest first.
@@ -193,6 +196,9 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         return refuse(f'No two images share {LEAST_MATCHES} points that a homography maps.',
                       motion='unknown')
     conic = camera_from_homographies(homographies, size, facts)
+    if isinstance(conic, Undetermined) and conic.kind == 'no_rotation':
+        return refuse('The camera did not turn, nor did it move.', 'Turn it, about two axes.',
+                      'none', {k: v for k, v in conic.status.items() if k != 'aspect_ratio'})
     kept = tracks.in_frames(frames).with_at_least(2)
     names, point = np.unique(kept.track, return_inverse=True)
     order = np.argsort(frames)
@@ -264,8 +270,11 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
         return refuse(f'A camera that only rotates leaves {bundle.sigma_px:.2g} px where the '
                       f'epipolar geometry leaves {noise_px:.2g} px: the camera also moved.',
                       motion='unknown')
-    if not 1 / MOST_FOCAL_SHARE < state.intrinsics[F] / max(size) < MOST_FOCAL_SHARE:
-        return refuse('No finite focal length explains the images: they are one image, shifted.')
+    focal, skew = state.intrinsics[F], state.intrinsics[SKEW]
+    if not 1 / MOST_FOCAL_SHARE < focal / max(size) < MOST_FOCAL_SHARE \
+            or abs(skew) > MOST_SKEW_SHARE * focal:
+        return refuse(f'Only a focal length of {focal:.3g} px with a skew of {skew:.3g} px '
+                      'explains the images, which is no camera.')
     camera = state.camera(*size)
     covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
     held = held_facts(facts)
