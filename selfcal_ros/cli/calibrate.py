@@ -19,7 +19,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from selfcal_ros.cli.facts import add_fact_arguments, facts_from
+from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Motions from tracks of an unknown scene.
@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
     if args.max_keyframes is not None and args.max_keyframes < least:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
                             'calibrate.')
-    facts = facts_from(args)
+    # a known object determines the aspect ratio, and cameras are square to 0.1 % only
+    facts = facts_from(args, FREE if known else 1.0)
     outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
                       ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result

@@ -37,9 +37,11 @@ def _number_or_free(text: str):
 def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that state facts; square pixels are assumed unless released."""
     group = parser.add_argument_group(
-        'facts about the camera', 'Square pixels are taken for granted unless released.')
-    group.add_argument('--aspect-ratio', type=_number_or_free, default=1.0, metavar='FY/FX',
-                       help='known ratio of the focal lengths, or "free" (default 1.0)')
+        'facts about the camera', 'Square pixels are taken for granted unless released; with a '
+        'known object they are found.')
+    group.add_argument('--aspect-ratio', type=_number_or_free, metavar='FY/FX',
+                       help='known ratio of the focal lengths, or "free" (default 1.0; free with '
+                       'a known object)')
     group.add_argument('--aspect-ratio-sigma', type=float, default=0.0, metavar='S',
                        help='standard deviation of the aspect ratio (default 0: exact)')
     group.add_argument('--skew', type=_number_or_free, default=0.0, metavar='PX',
@@ -55,9 +57,15 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        'radial model with which the images determine the camera)')
 
 
-def facts_from(args: argparse.Namespace) -> CameraFacts:
+def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
     """
     Turn the options into `CameraFacts`.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+    aspect_ratio : float or 'free'
+        Where the user says nothing of it.
 
     Raises
     ------
@@ -66,8 +74,10 @@ def facts_from(args: argparse.Namespace) -> CameraFacts:
 
     """
     from selfcal_ros.geometry.camera import CameraFacts
+    if args.aspect_ratio is not None:
+        aspect_ratio = args.aspect_ratio
     return CameraFacts(
-        aspect_ratio=None if args.aspect_ratio == FREE else args.aspect_ratio,
+        aspect_ratio=None if aspect_ratio == FREE else aspect_ratio,
         skew=None if args.skew == FREE else args.skew,
         principal_point=tuple(args.principal_point) if args.principal_point else None,
         aspect_ratio_sigma=args.aspect_ratio_sigma,

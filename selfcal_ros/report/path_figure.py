@@ -42,6 +42,8 @@ def path_figure(result: Calibration) -> Drawing | None:
         None if there are fewer than two views.
 
     """
+    if result.motion == 'known-object':
+        return None     # poses of a board held anyhow: no path
     poses = np.asarray(result.reconstruction.cam_from_world, float)
     if len(poses) < 2 or not np.isfinite(poses).all():
         return None

@@ -70,7 +70,9 @@ def verdict(result: Calibration) -> str:
     if len(words) > 1 and [w[0] for w in words[:2]] == ['fx', 'fy'] and words[0][1] == words[1][1]:
         words[:2] = [['fx = fy', words[0][1]]]
     words = [' = '.join(word) for word in words]
-    sentence = f'Calibrated from {result.motion} motion: {", ".join(words) or "in part"}.'
+    source = ('a known object' if result.motion == 'known-object'
+              else f'{result.motion} motion')
+    sentence = f'Calibrated from {source}: {", ".join(words) or "in part"}.'
     weak = [name for name, status in result.status.items() if status == 'unobservable']
     if weak:
         sentence += (f' The data do not determine {", ".join(weak)}: state it as a fact, or '
