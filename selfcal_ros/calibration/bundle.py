@@ -89,8 +89,10 @@ class Bundle:
         per_view[0, [0, 1, 2, 5]] = False      # the world frame is that of the first view
         if motion.tilt_sigma_rad == 0:
             per_view[:, 3:5] = False
-        elif not np.isfinite(motion.tilt_sigma_rad):
-            per_view[0, 3:5] = False           # no prior: the tilt of view 0 is gauge
+        elif not motion.keeps_plane:
+            # no plane: the world's directions are gauge, too
+            per_view[0, 3:5] = False
+            free[9:SHARED] = False
         if motion.height_sigma == 0:
             per_view[:, 5] = False
         for index, prior in priors.items():

@@ -58,6 +58,9 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
     missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
     if missing or path.refusal:
+        if path.motion == 'translation':
+            # without rotation a small sigma is an accident of a wrong optimum
+            status = {name: 'held' if name in held else 'unobservable' for name in status}
         reason, advice = path.explain(missing, camera, facts)
         return NotCalibrated(reason, advice, path.motion, frames, facts, status)
     return Calibration(

@@ -27,6 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.conclusion import conclude
 from selfcal_ros.calibration.model_choice import choose_model, Model
+from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.problem import observations_of, Problem
 from selfcal_ros.calibration.refine import (bundle_of, fit_robustly, flatten, NEARLY_PLANAR,
@@ -36,7 +37,7 @@ from selfcal_ros.calibration.search import best_start, closed_form, START_TRACKS
 from selfcal_ros.calibration.start import planar_start
 from selfcal_ros.calibration.state import BundleState, holding, MotionModel, priors_from_facts
 from selfcal_ros.calibration.view_graph import ViewGraph
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 
 #: Motion that leaves the plane freely.
 GENERAL = MotionModel(np.inf, np.inf)
@@ -86,7 +87,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     observations = observations_of(graph.tracks, graph.frames)
     if len(graph.frames) < 3:
         return refuse(f'Only {len(graph.frames)} images share points; self-calibration needs at '
-                      'least three.', 'Record a longer sequence with turns.')
+                      'least three.', 'Record a longer sequence with turns.',
+                      status={name: 'held' if name in held_facts(facts) else 'unobservable'
+                              for name in PARAMETER_NAMES})
     if graph.parallax < PARALLAX_RATIO:
         return refuse('One homography explains every pair of images to within the noise '
                       f'({graph.parallax:.1f} times it): the camera only rotated, or all points '

@@ -40,6 +40,8 @@ LEAST_DEGREE, MOST_DEGREE = 2, 4
 SIZES_PX = 0.003 * 2.0**np.arange(9)
 #: Least gain of the log evidence over no field: odds of 150 to 1.
 LEAST_GAIN = 5.0
+#: A step that changes the focal length by more than this share is outside the linear range.
+MOST_SHIFT = 0.1
 #: Weights of Huber's loss as in the adjustment itself.
 HUBER_SIGMAS = 2.0
 
@@ -175,7 +177,10 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
     through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
     inner[np.ix_(chosen, chosen)] = (unit.T @ cho_solve(factor, unit)
                                      + (through * posterior) @ through.T)
+    found = bundle.apply(state, step[place], points)
+    if not abs(found.intrinsics[0] / state.intrinsics[0] - 1) < MOST_SHIFT:
+        return None
     displacement = modes @ coefficients
     moved = line.residual + system.predict(step, points) / np.maximum(root, 1e-300)
     return LensField(float(SIZES_PX[best]), float(np.sqrt(np.mean(np.sum(displacement**2, 1)))),
-                     bundle.apply(state, step[place], points), inner, moved)
+                     found, inner, moved)

@@ -24,6 +24,9 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 
+#: No image is wider; a position beyond it is no pixel.
+LARGEST_PX = 1e6
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -68,6 +71,11 @@ class Tracks:
             bad = int(np.flatnonzero(~np.isfinite(xy).all(axis=1))[0])
             raise InputError(f'Track observation {bad} (frame {frame[bad]}, track {track[bad]}) '
                              'is not finite; remove such rows.')
+        if len(xy) and np.abs(xy).max() > LARGEST_PX:
+            bad = int(np.argmax(np.abs(xy).max(axis=1)))
+            raise InputError(f'Track observation {bad} (frame {frame[bad]}, track {track[bad]}) '
+                             f'is {np.abs(xy[bad]).max():.3g} pixels off the image; remove such '
+                             'rows.')
         frame, track = frame.astype(np.int64), track.astype(np.int64)
         order = np.lexsort((frame, track))
         frame, track, xy = frame[order], track[order], np.ascontiguousarray(xy[order])
