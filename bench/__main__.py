@@ -34,6 +34,7 @@ BENCHES = {
     'rendered_drive': 'rendered drive, images to K, beside COLMAP',
     'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
     'dinosaur': 'the turntable of vgg_dino: steps and fixed points',
+    'arm': 'rendered and recorded arms, general motion against its bound',
     'affine_tables': 'thesis tables 4.1 and 4.2, rotations that leave parameters open',
     'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
     'speed': 'time of the estimate, of the command, and their growth',

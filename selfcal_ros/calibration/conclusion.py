@@ -30,6 +30,9 @@ from selfcal_ros.calibration.state import BundleState, parameter_covariance
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
+#: A larger share of outliers than this, and the rest proves nothing.
+MOST_OUTLIERS = 1 / 3
+
 
 def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
              ) -> Calibration | NotCalibrated:
@@ -56,6 +59,13 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     path = describe_path(state, model.exact, problem.motion.keeps_plane)
     status = parameter_status(camera, covariance, facts)
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
+    rejected = (fit.outliers + graph.rejected) / max(fit.outliers + graph.rejected
+                                                     + len(fit.observations.view), 1)
+    if rejected > MOST_OUTLIERS:
+        return NotCalibrated(
+            f'{100 * rejected:.0f} % of the observations contradict the rest: what remains may be '
+            'chosen to fit.', 'The scene must stand still and be distinct: repeated patterns are '
+            'easily taken for one another.', path.motion, frames, facts, status)
     missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
     if missing or path.refusal:
         if path.motion == 'translation':

@@ -95,7 +95,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                       f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
                       'lie on one plane.',
                       'Self-calibration from motion needs a camera that also moves, before a '
-                      'scene with depth.', 'rotation')
+                      'scene with depth; or say --motion rotation, if it only rotated.',
+                      'rotation')
     problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02))
     freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
                         1.0).degrees_of_freedom
@@ -121,10 +122,11 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     chain = closed_form(window) if problem.motion.keeps_plane else []
     start, noise_px = best_start(window, [*proposals, *chain])
     if not noise_px < EXPLAINED * problem.noise_px:
-        return refuse('No camera and no such motion explain the tracks: the best leaves '
-                      f'{noise_px:.2g} px where pairs of images agree to {problem.noise_px:.2g} '
-                      'px.', 'The scene must stand still, and most of what is seen must belong '
-                      'to it.', 'general' if problem.motion.keeps_plane else 'unknown')
+        left = f'the best leaves {noise_px:.2g} px' if np.isfinite(noise_px) else 'no start stands'
+        return refuse(f'No camera and no such motion explain the tracks: {left}, where pairs of '
+                      f'images agree to {problem.noise_px:.2g} px.',
+                      'The scene must stand still, and most of what is seen must belong to it.',
+                      'general' if problem.motion.keeps_plane else 'unknown')
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:

@@ -27,6 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle import Bundle
 from selfcal_ros.calibration.conic_calibration import camera_from_homographies, Undetermined
+from selfcal_ros.calibration.dependence import assess_dependence
 from selfcal_ros.calibration.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.refine import Observations, OUTLIER_SIGMAS
@@ -35,7 +36,7 @@ from selfcal_ros.calibration.state import (BundleState, F, holding, MotionModel,
                                            parameter_covariance, PER_VIEW, priors_from_facts,
                                            SHARED, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry.camera import (Camera, CameraFacts, DISTORTION_MODELS,
+from selfcal_ros.geometry.camera import (Camera, CameraFacts,
                                          PARAMETER_NAMES)
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -221,30 +222,27 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
             best = cost, state
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
-    facts, state = _simplest_lens(best[1], observed, facts)
+    facts, state = _richest_lens(best[1], observed, facts, size)
     return _conclude(state, observed, priors_from_facts(facts), facts, frames, size, conic,
                      refuse, epipolar_noise(tracks, frames))
 
 
-def _simplest_lens(state, observed, facts):
-    """Choose the distortion model, where none is stated, by the information criterion (BIC)."""
-    if facts.distortion != 'auto':
-        return facts, state
-    tried, sigma = [], None
-    for name in _LENSES:
+def _richest_lens(state, observed, facts, size):
+    """Choose the richest lens with which the images determine the camera, if none is stated."""
+    for name in _LENSES if facts.distortion == 'auto' else (facts.distortion,):
         stated = replace(facts, distortion=name)
         priors = priors_from_facts(stated)
         bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
-                                sigma_px=sigma or 1.0)
-        if sigma is None:
-            # all are weighed by the noise that the richest leaves
-            sigma = bundle.noise_sigma(state)
-            bundle = bundle.with_sigma(sigma)
-        found = bundle.optimise(holding(state, priors), 30, 0.1)
-        score = 2 * bundle.cost(found) + len(DISTORTION_MODELS[name]) * np.log(len(observed.xy))
-        tried.append((score, stated, found))
-    _, facts, state = min(tried, key=lambda entry: entry[0])
-    return facts, state
+                                sigma_px=1.0)
+        state = holding(state, priors)
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(state), LEAST_NOISE_PX))
+        found = bundle.optimise(state, 30, 0.1)
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(found), LEAST_NOISE_PX))
+        covariance = parameter_covariance(bundle.covariance(found), found.intrinsics)
+        if found.intrinsics[F] > 0 and 'unobservable' not in parameter_status(
+                found.camera(*size), covariance, stated).values():
+            break
+    return stated, found
 
 
 def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise_px):
@@ -276,7 +274,8 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
         return refuse(f'Only a focal length of {focal:.3g} px with a skew of {skew:.3g} px '
                       'explains the images, which is no camera.')
     camera = state.camera(*size)
-    covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
+    dependence = assess_dependence(bundle.evidence(state), observed.point, observed.xy, size)
+    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
     held = held_facts(facts)
     for name in held:
         k = PARAMETER_NAMES.index(name)

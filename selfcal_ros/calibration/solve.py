@@ -29,6 +29,9 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.version import __version__
 
+#: With fewer views a small translation hides in the noise, yet moves the calibration by several
+#: sigmas: that the camera only rotates must then be said.
+ROTATION_LEAST_VIEWS = 5
 METHODS = (*MOTION_MODELS, 'translation', 'rotation')
 
 
@@ -82,7 +85,8 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     else:
         result = calibrate_from_motion(graph, size, facts, [start] if start else [],
                                        MOTION_MODELS[motion])
-        if motion == 'auto' and not result and result.motion == 'rotation':
+        if (motion == 'auto' and not result and result.motion == 'rotation'
+                and len(graph.frames) >= ROTATION_LEAST_VIEWS):
             # no parallax: a plane before the camera stays refused there
             result = calibrate_rotating(graph.tracks, size, facts) or result
     return replace(result, software=f'selfcal_ros {__version__}')

@@ -226,6 +226,7 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
     centres = np.zeros((views, 3))
     last = max(int(pair.track.max()) for pair in pairs) + 1
     position, placed = np.zeros((last, 3)), np.zeros(last, dtype=bool)
+    steps = []
     for k, old, new in spanning_order(pairs, views):
         pair = pairs[k]
         sides = (pair.xy_first, pair.xy_second)
@@ -251,8 +252,10 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
             ratio = ratio[ratio > 0]
             if len(ratio):
                 length = float(np.median(ratio))
-        elif placed.any():
-            return centres[:0]
+        elif steps:
+            # nothing in common with what stands: the usual step, for the adjustment to mend
+            length = float(np.median(steps))
+        steps.append(length)
         centres[new] = centres[old] + length * direction
         fresh = good & ~placed[track]
         position[track[fresh]] = centres[old] + length * depth[fresh, None] * d_old[fresh]
@@ -376,7 +379,7 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
     rotations = mount @ state.rotations()
     centres = chained_centres(pairs, camera, rotations, planar=exact)
     rays = homogeneous(camera.normalised(xy))
-    if not len(centres) or not np.isfinite(rays).all():
+    if not np.isfinite(rays).all():
         return None
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)

@@ -110,11 +110,15 @@ def test_degenerate_sequences_are_refused_with_the_reason(name, words, seed):
 
 @pytest.mark.parametrize('seed', range(3))
 def test_a_camera_that_only_rotates_is_calibrated_as_such(seed):
-    sequence = special_scenes.pure_rotation(np.random.default_rng(seed), 0.2)
+    sequence = special_scenes.pure_rotation(np.random.default_rng(seed), 0.2, views=6)
     result = calibrate(sequence.tracks, facts=SQUARE)
+    few = sequence.tracks.in_frames(range(3))
 
     assert result
     assert result.motion == 'rotation'
+    # three views cannot show that it did not move as well
+    assert not calibrate(few, facts=SQUARE)
+    assert calibrate(few, motion='rotation', facts=SQUARE)
     assert np.abs(deviations(result, sequence.camera)).max() < 4
 
 
