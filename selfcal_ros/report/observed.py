@@ -79,7 +79,13 @@ def observed(result: Calibration, tracks: Tracks) -> Observed:
     depth = np.where(ahead, X[:, 2], np.nan)
     residual = result.camera.pixels(X[:, :2] / depth[:, None]) - xy
     with np.errstate(invalid='ignore', over='ignore'):
-        used = np.linalg.norm(residual, axis=1) < OUTLIER_SIGMAS * result.noise_sigma_px
+        distance = np.linalg.norm(residual, axis=1)
+        finite = np.sort(distance[np.isfinite(distance)])
+        limit = OUTLIER_SIGMAS * result.noise_sigma_px
+        # a lens field that was allowed for is no part of the camera: it stays in the residuals
+        if 0 < result.observation_count <= len(finite):
+            limit = max(limit, finite[result.observation_count - 1])
+        used = distance <= limit
     return Observed(view, tracks.track[both], xy, residual, used)
 
 

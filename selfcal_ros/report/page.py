@@ -106,7 +106,7 @@ def _numbers(result: Calibration | NotCalibrated) -> list[tuple[str, str]]:
         total = result.observation_count + result.outlier_count
         share = 100 * result.outlier_count / max(total, 1)
         numbers += [('observations', str(result.observation_count)),
-                    ('rejected', f'{result.outlier_count} ({share:.1f} %)'),
+                    ('rejected', f'{share:.1f} %'),
                     ('reprojection rms', f'{result.reprojection_rms_px:.3g} px'),
                     ('image noise σ', f'{result.noise_sigma_px:.3g} px'),
                     ('image size', f'{result.camera.width} × {result.camera.height} px')]

@@ -57,6 +57,13 @@ def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | Non
         return None
     caption = ('Residuals of a lens that the model describes are noise: short arrows in all '
                'directions, and a bell.')
+    if seen is not None and _exceeds(residual, result):
+        caption = ('The arrows show how the lens deviates from the distortion model, which the '
+                   'calibration allows for')
+        beside = np.empty(0) if result.residuals is None else np.asarray(result.residuals)
+        beside = beside[np.isfinite(beside)]
+        caption += '.' if len(beside) < 10 else '; the distribution is that of what remains.'
+        values = values if len(beside) < 10 else beside
     with styled():
         figure = new_figure(9.2 if seen else 4.6, 4.0)
         if seen is not None:
@@ -67,6 +74,12 @@ def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | Non
             caption = 'Residuals in both image coordinates.'
         _histogram(right, values)
     return Drawing('residuals', 'Residuals', caption, figure)
+
+
+def _exceeds(residual: np.ndarray, result: Calibration) -> bool:
+    """Tell whether the residuals hold something that the calibration accounted for."""
+    rms = float(np.sqrt(np.nanmean(np.sum(residual**2, axis=1))))
+    return rms > 1.3 * result.reprojection_rms_px
 
 
 def cells(size: tuple[int, int], xy: np.ndarray, along: int) -> tuple[np.ndarray, tuple, float]:

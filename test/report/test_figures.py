@@ -108,6 +108,18 @@ def test_signs_of_homogeneous_points_and_strange_observations_do_not_matter(cali
     assert np.allclose(seen.residual, observed(calibration, tracks).residual, atol=1e-9)
 
 
+def test_what_a_lens_field_displaces_is_no_outlier(calibration, sequence):
+    # a bend of half a pixel, five times the noise, which the calibration has allowed for
+    xy = sequence.tracks.xy + 0.5 * np.sin(sequence.tracks.xy[:, ::-1] / 150)
+    tracks = replace(sequence.tracks, xy=xy)
+    seen = observed(calibration, tracks)
+    assert calibration.observation_count == len(tracks) and seen.used.all()
+    drawings = {drawing.name: drawing for drawing in draw_figures(calibration, tracks)}
+    assert 'deviates' in drawings['residuals'].caption
+    plain = {drawing.name: drawing for drawing in draw_figures(calibration, sequence.tracks)}
+    assert 'deviates' not in plain['residuals'].caption
+
+
 def test_cells_cover_the_image():
     xy = np.array([[-0.5, -0.5], [639.4, 479.4], [19.49, 0], [19.51, 0], [5000, -9]])
     index, shape, side = cells((640, 480), xy, 32)
