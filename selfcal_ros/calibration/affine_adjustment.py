@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks)
+from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
-from selfcal_ros.geometry.triangulation import tangent_basis
 
 #: Residuals beyond so many sigmas weigh less.
 _HUBER_SIGMAS = 2.5

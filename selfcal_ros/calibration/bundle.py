@@ -24,11 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.reprojection import Linearisation, linearise, tangent_basis
+from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            SHARED)
 from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks,
                                            ReducedSystem)
+from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).

@@ -22,6 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.state import BundleState, PER_VIEW, SHARED
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import left_jacobian, pad, rotation_matrix
 
 #: Depth below which a point counts as behind the camera, relative to its distance.
@@ -104,15 +105,6 @@ def linearise(state: BundleState, blocks: PointBlocks, xy: np.ndarray, free: np.
     J_Y = np.concatenate([J_Z @ R, J_Z @ translations[blocks.view][:, :, None]], axis=2)
     point = J_Y @ tangent_basis(state.points)[blocks.point]
     return Linearisation(residual, ahead, shared, own, point)
-
-
-def tangent_basis(points: np.ndarray) -> np.ndarray:
-    """Orthonormal complements of unit vectors (P, 4), shape (P, 4, 3), by a Householder map."""
-    sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
-    u = points.copy()
-    u[:, 3] += sign
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
 
 
 def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -30,6 +30,7 @@ from scipy.sparse.linalg import lsqr
 from selfcal_ros.calibration.state import BundleState, rescale
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 
 #: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
@@ -159,11 +160,6 @@ def planar_angles(pairs: list[PairGeometry], rotations: np.ndarray, axis: np.nda
         spread = 1.5 * np.median(np.abs(error)) + 1e-6
         weight = np.sqrt([len(p.xy_first) for p in pairs]) / (1 + (error / (3 * spread))**2)
     return angles
-
-
-def homogeneous(xy: np.ndarray) -> np.ndarray:
-    """Append one to points (..., 2)."""
-    return np.concatenate([xy, np.ones(xy.shape[:-1] + (1,))], axis=-1)
 
 
 def spanning_order(pairs: list[PairGeometry], views: int) -> list[tuple[int, int, int]]:

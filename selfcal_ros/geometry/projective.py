@@ -52,6 +52,15 @@ def cross_matrix(a) -> np.ndarray:
                      np.stack([-y, x, zero], axis=-1)], axis=-2)
 
 
+def tangent_basis(points: np.ndarray) -> np.ndarray:
+    """Orthonormal complements of unit vectors (P, 4), shape (P, 4, 3), by a Householder map."""
+    sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
+    u = points.copy()
+    u[:, 3] += sign
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
+
+
 def normalising_transform(xy) -> np.ndarray:
     """
     Similarity that brings points to centroid 0 and mean distance sqrt 2 (Hartley).

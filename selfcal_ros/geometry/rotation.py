@@ -17,15 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-
-def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return [a]x of vectors (..., 3), so that [a]x b = a × b; shape (..., 3, 3)."""
-    vector = np.asarray(vector, float)
-    matrix = np.zeros(vector.shape + (3,))
-    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
-    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
-    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
-    return matrix
+from selfcal_ros.geometry.projective import cross_matrix
 
 
 def _sine_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

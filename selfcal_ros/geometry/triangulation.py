@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.geometry.projective import tangent_basis
+
 
 def correct_to_epipolar_line(epipole, xy_a, xy_b) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
@@ -170,16 +172,6 @@ def _errors(P, X, point, count, uv) -> np.ndarray:
     """Sum of squared distances of each point in the image."""
     square = np.sum((project(P, X[point]) - uv)**2, axis=1)
     return np.bincount(point, np.where(np.isfinite(square), square, 1e12), count)
-
-
-def tangent_basis(X) -> np.ndarray:
-    """Orthonormal bases (P, 4, 3) across unit homogeneous points (P, 4)."""
-    # Householder's reflection that takes the first axis to X; its other columns are across X
-    sign = np.where(X[:, 0] < 0, -1.0, 1.0)
-    u = X.copy()
-    u[:, 0] += sign
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return (np.eye(4) - 2 * u[:, :, None] * u[:, None, :])[:, :, 1:]
 
 
 def metric_points(K, affine_points) -> np.ndarray:

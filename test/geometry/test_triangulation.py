@@ -15,10 +15,10 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry.projective import homogeneous
+from selfcal_ros.geometry.projective import homogeneous, tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.geometry.triangulation import (correct_to_epipolar_line, metric_points, project,
-                                                tangent_basis, translated_points, triangulate)
+                                                translated_points, triangulate)
 
 K = np.array([[649.0, 2, 252], [0, 973, 256], [0, 0, 1]])
 
