@@ -1,0 +1,131 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Constant-velocity Kalman filter over the states of any camera and motion model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.projection import ObjectState, Projection
+
+
+class ConstantVelocityFilter:
+    """
+    Mean, velocity and covariance of an object's state (algorithm 7.1, 12 values for a pose).
+
+    The covariance is that of a small correction p of the mean, q = basis p, and of the velocity
+    dp/dt; the rotation turns on the camera's side.
+
+    Parameters
+    ----------
+    projection : Projection
+    basis : ndarray, shape (size, m)
+        Corrections that the motion model allows.
+    state : ObjectState
+    covariance : ndarray, shape (m, m)
+        Of the first state.
+    velocity_sigma, acceleration_sigma : ndarray, shape (m,)
+        Standard deviations of the unknown first velocity, per second, and of the white
+        acceleration, per second squared.
+
+    """
+
+    def __init__(self, projection: Projection, basis, state: ObjectState, covariance,
+                 velocity_sigma, acceleration_sigma):
+        """Start at rest, with a velocity as uncertain as stated."""
+        self.projection, self.basis = projection, np.asarray(basis, float)
+        self.state = state
+        m = self.basis.shape[1]
+        self.velocity = np.zeros(m)
+        self.covariance = np.zeros((2 * m, 2 * m))
+        self.covariance[:m, :m] = covariance
+        self.covariance[m:, m:] = np.diag(np.square(velocity_sigma))
+        self._acceleration = np.square(np.asarray(acceleration_sigma, float))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Covariance of the mean, shape (m, m)."""
+        m = self.basis.shape[1]
+        return self.covariance[:m, :m]
+
+    def predict(self, seconds: float, damping: float = 0.0) -> ObjectState:
+        """
+        Move the state on by so many seconds.
+
+        Parameters
+        ----------
+        seconds : float
+        damping : float
+            Share of the velocity that is lost; for the time when nothing is seen.
+
+        Returns
+        -------
+        ObjectState
+
+        """
+        m = self.basis.shape[1]
+        P, dt = self.covariance, seconds
+        cross = P[:m, m:] + dt * P[m:, m:]
+        P[:m, :m] += dt * (P[:m, m:].T + cross)
+        P[:m, m:] = cross
+        P[m:, :m] = cross.T
+        at = np.arange(m)
+        P[at, at] += self._acceleration * dt**4 / 4
+        P[at, m + at] += self._acceleration * dt**3 / 2
+        P[m + at, at] += self._acceleration * dt**3 / 2
+        P[m + at, m + at] += self._acceleration * dt**2
+        self.state = self.projection.moved(self.state, self.basis @ (self.velocity * dt))
+        self.velocity *= 1 - damping
+        return self.state
+
+    def update(self, measured: ObjectState, noise: np.ndarray) -> None:
+        """Take in a measured state with its covariance (m, m)."""
+        m = self.basis.shape[1]
+        innovation = self.basis.T @ self.projection.difference(measured, self.state)
+        gain = np.linalg.solve(self.spread + noise, self.covariance[:m]).T
+        step = gain @ innovation
+        self.state = self.projection.moved(self.state, self.basis @ step[:m])
+        self.velocity = self.velocity + step[m:]
+        self.covariance = self.covariance - gain @ self.covariance[:m]
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+
+    def absorb(self, state: ObjectState, covariance: np.ndarray) -> None:
+        """
+        Take over the posterior of a measurement that already contained the prediction.
+
+        Parameters
+        ----------
+        state : ObjectState
+            Maximum of the posterior.
+        covariance : ndarray, shape (m, m)
+            Of the posterior.
+
+        """
+        m = self.basis.shape[1]
+        step = self.basis.T @ self.projection.difference(state, self.state)
+        carry = np.linalg.solve(self.spread, self.covariance[:m, m:]).T
+        self.velocity = self.velocity + carry @ step
+        cross = carry @ covariance
+        new = np.empty_like(self.covariance)
+        new[:m, :m] = covariance
+        new[m:, :m], new[:m, m:] = cross, cross.T
+        velocity = (self.covariance[m:, m:]
+                    - carry @ (self.covariance[:m, :m] - covariance) @ carry.T)
+        new[m:, m:] = 0.5 * (velocity + velocity.T)
+        self.covariance, self.state = new, state
+
+    def innovation_share(self, state: ObjectState, noise: np.ndarray) -> float:
+        """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
+        step = self.basis.T @ self.projection.difference(state, self.state)
+        return float(step @ np.linalg.solve(self.spread + noise, step) / len(step))

@@ -1,0 +1,258 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Projection of the object by four camera models, and how a small pose correction moves the image.
+
+The correction is the thesis's q = (theta, Delta): X' = exp(theta) R Xm + T + Delta, with one more
+value for zoom (the relative change of the focal length) and eight values of its own for the
+affine camera. All models end in pixels, through the lens distortion of the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+
+#: Points nearer than this (metres) count as behind the camera.
+NEAREST_M = 1e-6
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """
+    What the tracker estimates.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+    translation : ndarray, shape (3,)
+        X = R Xm + T in the camera's optical frame, metres.
+    zoom : float
+        Focal length as a multiple of the camera's own.
+    affine : ndarray, shape (2, 4), or None
+        [M t] of x = M Xm + t in normalised image coordinates, for the affine camera only; the
+        pose is then the nearest one.
+
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    zoom: float = 1.0
+    affine: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class ProjectedPoints:
+    """
+    Attributes of object points seen in a state.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape (C, 2)
+    xy : ndarray, shape (C, 2)
+        Undistorted normalised coordinates.
+    turned : ndarray, shape (C, 3)
+        R Xm (for the affine camera Xm itself).
+    inverse_depth : ndarray, shape (C,)
+        1 / D; the same for all points of a weak perspective camera.
+
+    """
+
+    pixels: np.ndarray
+    xy: np.ndarray
+    turned: np.ndarray
+    inverse_depth: np.ndarray
+
+
+class Projection:
+    """
+    One camera model on one camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    model : {'perspective', 'zoom', 'weak', 'affine'}
+        Weak perspective takes the object's origin as its mean depth; give it points whose origin
+        lies in their middle.
+
+    Attributes
+    ----------
+    size : int
+        Number of values in a correction: 6, 7 (zoom) or 8 (affine).
+
+    """
+
+    def __init__(self, camera: Camera, model: str = 'perspective'):
+        """Take the pixel map of the camera apart."""
+        self.camera, self.model = camera, model
+        self.size = {'perspective': 6, 'weak': 6, 'zoom': 7, 'affine': 8}[model]
+        self._pixel = camera.K[:2, :2].copy()
+        self._centre = camera.K[:2, 2].copy()
+        self._distorted = bool(camera.distortion.any())
+
+    def project(self, state: ObjectState, points: np.ndarray) -> ProjectedPoints:
+        """
+        Project object points.
+
+        Parameters
+        ----------
+        state : ObjectState
+        points : ndarray, shape (C, 3)
+            Object frame, metres.
+
+        Returns
+        -------
+        ProjectedPoints
+            Points behind the camera come far outside of the image, never on the other side.
+
+        """
+        if self.model == 'affine':
+            turned, inverse = points, np.ones(len(points))
+            xy = points @ state.affine[:, :3].T + state.affine[:, 3]
+        else:
+            turned = points @ state.rotation.T
+            if self.model == 'weak':
+                inverse = np.full(len(points), 1 / max(state.translation[2], NEAREST_M))
+            else:
+                inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
+            xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
+        image = self.camera.distort(xy) if self._distorted else xy
+        return ProjectedPoints(image @ (state.zoom * self._pixel.T) + self._centre, xy, turned,
+                               inverse)
+
+    def rows(self, state: ObjectState, seen: ProjectedPoints, normal: np.ndarray) -> np.ndarray:
+        """
+        Motion of projected points along given directions per unit of correction.
+
+        With the normal n at an edge of angle alpha, n = (-sin alpha, cos alpha), this is -c of
+        the thesis: l' = l - rows q.
+
+        Parameters
+        ----------
+        state : ObjectState
+        seen : ProjectedPoints
+        normal : ndarray, shape (C, 2)
+            Directions in the image (pixels).
+
+        Returns
+        -------
+        ndarray, shape (C, size)
+
+        """
+        slope = normal @ (state.zoom * self._pixel)
+        x, y = seen.xy[:, 0], seen.xy[:, 1]
+        if self._distorted:
+            slope = np.einsum('ci,cij->cj', slope, self._lens_slope(x, y))
+        out = np.empty((len(slope), self.size))
+        if self.model == 'affine':
+            out[:, 0:3] = slope[:, :1] * seen.turned
+            out[:, 3:6] = slope[:, 1:] * seen.turned
+            out[:, 6:8] = slope
+            return out
+        # the image moves by w . (theta x X̂ + Delta) = (X̂ x w) . theta + w . Delta
+        u, v = slope[:, 0] * seen.inverse_depth, slope[:, 1] * seen.inverse_depth
+        w = -(u * x + v * y)
+        X, Y, Z = seen.turned.T
+        out[:, 3], out[:, 4], out[:, 5] = u, v, w
+        if self.model == 'weak':
+            # only the mean depth counts, which a rotation does not change
+            w = 0.0
+        out[:, 0] = Y * w - Z * v
+        out[:, 1] = Z * u - X * w
+        out[:, 2] = X * v - Y * u
+        if self.model == 'zoom':
+            out[:, 6] = np.einsum('ci,ci->c', normal, seen.pixels - self._centre)
+        return out
+
+    def _lens_slope(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Derivative of the distortion, shape (C, 2, 2)."""
+        k1, k2, p1, p2, k3 = self.camera.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
+        out = np.empty((len(x), 2, 2))
+        out[:, 0, 0] = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+        out[:, 0, 1] = out[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
+        out[:, 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+        return out
+
+    def moved(self, state: ObjectState, correction: np.ndarray) -> ObjectState:
+        """Apply a correction (size,) to a state."""
+        if self.model == 'affine':
+            affine = state.affine.copy()
+            affine[:, :3] += correction[:6].reshape(2, 3)
+            affine[:, 3] += correction[6:8]
+            return nearest_pose(affine, state)
+        rotation = rotation_matrix(correction[:3]) @ state.rotation
+        # rounding must not grow over many frames: one step towards the nearest rotation
+        rotation = 1.5 * rotation - 0.5 * rotation @ (rotation.T @ rotation)
+        zoom = state.zoom * float(np.exp(np.clip(correction[6], -1, 1))) \
+            if self.model == 'zoom' else state.zoom
+        return ObjectState(rotation, state.translation + correction[3:6], zoom)
+
+    def difference(self, there: ObjectState, here: ObjectState) -> np.ndarray:
+        """Return the correction (size,) that takes `here` to `there`."""
+        if self.model == 'affine':
+            change = there.affine - here.affine
+            return np.concatenate([change[:, :3].ravel(), change[:, 3]])
+        out = np.empty(self.size)
+        out[:3] = rotation_vector(there.rotation @ here.rotation.T)
+        out[3:6] = there.translation - here.translation
+        if self.size == 7:
+            out[6] = np.log(there.zoom / here.zoom)
+        return out
+
+    def from_pose(self, rotation, translation, zoom: float = 1.0) -> ObjectState:
+        """Return the state of a pose."""
+        rotation = np.array(rotation, float)
+        translation = np.array(translation, float)
+        affine = None
+        if self.model == 'affine':
+            scale = 1 / max(translation[2], NEAREST_M)
+            affine = scale * np.column_stack([rotation[:2], translation[:2]])
+        return ObjectState(rotation, translation, zoom, affine)
+
+    def covariance_of_pose(self, state: ObjectState, covariance: np.ndarray) -> np.ndarray:
+        """
+        Carry a covariance of the correction (size, size) to the pose (theta, Delta), (6, 6).
+
+        For the affine camera by differences of the nearest pose.
+        """
+        if self.model != 'affine':
+            return covariance[:6, :6]
+        slope = np.empty((6, 8))
+        for k, step in enumerate(1e-6 * np.eye(8) * np.abs(state.affine[:, :3]).max()):
+            other = self.moved(state, step)
+            slope[:3, k] = rotation_vector(other.rotation @ state.rotation.T) / step[k]
+            slope[3:, k] = (other.translation - state.translation) / step[k]
+        return slope @ covariance @ slope.T
+
+
+def nearest_pose(affine: np.ndarray, before: ObjectState) -> ObjectState:
+    """
+    Pose whose weak perspective image comes nearest to an affine camera (2, 4).
+
+    The two rows of a scaled rotation nearest in the Frobenius norm; the scale is the mean of the
+    singular values.
+    """
+    U, values, Vt = np.linalg.svd(affine[:, :3], full_matrices=False)
+    two = U @ Vt
+    rotation = np.vstack([two, np.cross(two[0], two[1])])
+    depth = 1 / max(values.mean(), 1e-12)
+    translation = np.array([affine[0, 3] * depth, affine[1, 3] * depth, depth])
+    return ObjectState(rotation, translation, before.zoom, affine)
