@@ -105,18 +105,46 @@ def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
     effects = evidence.influence[:, :CALIBRATION][:, free] @ whiten.T
     of_tracks = effects / np.sqrt(evidence.track_share)
     effects /= np.sqrt(evidence.freedom_share)
-    along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
-    column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
-    row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
     widened = base.copy()
     ratios = {}
     # unequal noise counts with the tracks, and must not count again with the regions
     for name, label, part, against in (
             ('track', track, of_tracks, np.eye(len(whiten))),
-            ('region', row * along + column, effects, effects.T @ effects)):
+            ('region', _regions(xy, size), effects, effects.T @ effects)):
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return Dependence(ratios, widened)
+
+
+def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
+                  size: tuple[int, int]) -> tuple[float, np.ndarray]:
+    """
+    Variance that errors shared within regions of the image add to a covariance.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (k, k)
+    influence : ndarray, shape (N, k)
+        Effect of every observation's residual on the estimate.
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    ratio : float
+        Of sigmas, mean over the parameters; 1 where nothing significant was found.
+    ndarray, shape (k, k)
+        Covariance to add.
+
+    """
+    whiten, unwhiten, free = _whitening(covariance)
+    effects = influence[:, free] @ whiten.T
+    ratio, more = _cluster_excess(effects, _regions(xy, size), effects.T @ effects)
+    added = np.zeros_like(covariance)
+    added[np.ix_(free, free)] = unwhiten @ more @ unwhiten.T
+    return ratio, added
 
 
 def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
@@ -182,6 +210,14 @@ def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     usable = values > 1e-10 * values[-1]
     whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
     return whiten, np.linalg.pinv(whiten), free
+
+
+def _regions(xy, size) -> np.ndarray:
+    """Return the number of the image region (N,) that every place is in."""
+    along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
+    column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
+    row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
+    return row * along + column
 
 
 def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:

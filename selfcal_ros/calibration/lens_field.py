@@ -31,6 +31,7 @@ from numpy.polynomial import legendre
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.dependence import region_excess
 from selfcal_ros.calibration.state import BundleState, SHARED
 from selfcal_ros.geometry.optimise import huber_weights
 
@@ -57,6 +58,8 @@ class LensField:
         Standard deviation of a coefficient.
     rms_px : float
         Root mean square displacement of the most probable field at the observations.
+    region_ratio : float
+        Of sigmas with errors that the regions of the image still share to those without.
     state : BundleState
         The optimum with the field allowed for.
     covariance : ndarray, shape (9, 9)
@@ -68,14 +71,19 @@ class LensField:
 
     size_px: float
     rms_px: float
+    region_ratio: float
     state: BundleState
     covariance: np.ndarray
     residual: np.ndarray
 
     def note(self) -> str:
         """Say it in a sentence."""
+        more = '' if self.region_ratio <= 1 else (
+            f' Beyond it, errors shared within regions of the image make them '
+            f'{self.region_ratio:.1f} times as wide.')
         return (f'The lens deviates from the distortion model by {self.rms_px:.2g} px (root mean '
-                'square over the observations); the calibration and its sigmas allow for it.')
+                'square over the observations); the calibration and its sigmas allow for it.'
+                + more)
 
 
 def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -127,7 +135,9 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
 
     """
     line = bundle.linearise(state)
-    modes = displacement_modes(bundle.xy, size)
+    # where the points project: at the measured places the modes would carry the noise itself,
+    # and one that the rest of the adjustment all but absorbs would explain the residuals by it
+    modes = displacement_modes(bundle.xy + line.residual, size)
     count = modes.shape[2]
     distance = np.linalg.norm(line.residual, axis=1) / bundle.sigma_px
     weight = huber_weights(distance, HUBER_SIGMAS) * line.ahead / (known * bundle.sigma_px**2)
@@ -170,17 +180,23 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
     step[rest] = -(cho_solve(factor, system.gradient[rest] / scale)
                    + solved @ coefficients) / scale
     points = system.point_steps(step)
-    inner = np.zeros((9, 9))
     chosen = np.flatnonzero(bundle.free[:9])
     unit = np.zeros((len(rest), len(chosen)))
     unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
     through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
-    inner[np.ix_(chosen, chosen)] = (unit.T @ cho_solve(factor, unit)
-                                     + (through * posterior) @ through.T)
+    # rows of the joint covariance of the adjustment's unknowns and the field
+    rows = np.zeros((9, len(system.matrix)))
+    rows[np.ix_(chosen, rest)] = ((cho_solve(factor, unit).T
+                                   + (through * posterior) @ (solved @ vectors).T) / scale)
+    rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
+    inner = rows[:, :9]
     found = bundle.apply(state, step[place], points)
     if not abs(found.intrinsics[0] / state.intrinsics[0] - 1) < MOST_SHIFT:
         return None
     displacement = modes @ coefficients
-    moved = line.residual + system.predict(step, points) / np.maximum(root, 1e-300)
+    change = system.predict(step, points)
+    system.residual = system.residual + change
+    ratio, added = region_excess(inner, system.influence(rows), bundle.xy, size)
     return LensField(float(SIZES_PX[best]), float(np.sqrt(np.mean(np.sum(displacement**2, 1)))),
-                     found, inner, moved)
+                     ratio, found, (inner + inner.T) / 2 + added,
+                     line.residual + change / np.maximum(root, 1e-300))

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.special import erf
 
 from selfcal_ros.calibration.pair_tests import homography_cost
 from selfcal_ros.calibration.start import PairGeometry
@@ -36,8 +37,10 @@ MINIMUM_MATCHES = 12
 LEAST_NOISE_PX = 1e-3
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
 RANSAC_MATCHES = 200
-#: Largest distance of an inlier from the epipolar geometry, pixels.
-EPIPOLAR_THRESHOLD_PX = 1.5
+#: Largest distance of an inlier from the epipolar geometry, pixels. Where the noise is so large
+#: that this cuts into it, `NOISE_SIGMAS` times the noise instead, but no more than the second.
+EPIPOLAR_THRESHOLD_PX, WIDEST_THRESHOLD_PX = 1.5, 6.0
+NOISE_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,61 @@ def _refined(samples) -> np.ndarray:
     return data.pixels_F(F)
 
 
+def truncated_sigma(square: float, limit: float) -> float:
+    """
+    Estimate the standard deviation of Gaussian noise from what lies within a limit.
+
+    Parameters
+    ----------
+    square : float
+        Mean square of the values within +-limit.
+    limit : float
+
+    Returns
+    -------
+    float
+        Infinite where the values look evenly spread over the whole interval.
+
+    """
+    # E[d^2 | |d| < T] / T^2 by the ratio t = T / sigma; it falls from 1/3 as t grows
+    t = np.linspace(0.6, 12, 400)
+    expected = (1 - t * np.exp(-t * t / 2) * np.sqrt(2 / np.pi) / erf(t / np.sqrt(2))) / t**2
+    share = square / limit**2
+    if share >= expected[0]:
+        return float('inf')
+    return float(np.sqrt(square)) if share <= expected[-1] else float(
+        limit / np.interp(share, expected[::-1], t[::-1]))
+
+
+def _threshold(F, samples, threshold_px: float) -> float:
+    """Limit that cuts off gross errors but not the noise, which it would make look small."""
+    square, freedom = 0.0, 0
+    for one, (xy_a, xy_b) in zip(F, samples):
+        distance = sampson_distance(one, xy_a, xy_b)
+        near = distance[np.abs(distance) < threshold_px]
+        if len(near) > 7:
+            square, freedom = square + float(near @ near), freedom + len(near) - 7
+    if not freedom:
+        return threshold_px
+    sigma = truncated_sigma(square / freedom, threshold_px)
+    return float(np.clip(NOISE_SIGMAS * sigma, threshold_px, WIDEST_THRESHOLD_PX))
+
+
+def _with_threshold(samples, compared) -> tuple[np.ndarray, float]:
+    """Refine every pair on its inliers, with a limit that suits the noise of all pairs."""
+    F, threshold_px = _refined(samples), EPIPOLAR_THRESHOLD_PX
+    for _ in range(4):
+        wider = _threshold(F, compared, threshold_px)
+        if wider < 1.05 * threshold_px:
+            break
+        threshold_px = wider
+        near = [np.abs(sampson_distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
+        samples = [(a[k], b[k]) if k.sum() >= MINIMUM_MATCHES else old
+                   for k, (a, b), old in zip(near, compared, samples)]
+        F = _refined(samples)
+    return F, threshold_px
+
+
 def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames and the view pairs (n, 2) worth comparing."""
     frames, view = np.unique(tracks.frame, return_inverse=True)
@@ -124,23 +182,24 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    samples, matches = [], []
+    samples, matches, compared = [], [], []
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
         xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
         found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
         if found:
-            few = few[found[0]]
-            samples.append((xy_a[few], xy_b[few]))
+            compared.append((xy_a[few], xy_b[few]))
+            samples.append((xy_a[few[found[0]]], xy_b[few[found[0]]]))
             matches.append((a, b, both))
+    all_F, threshold_px = _with_threshold(samples, compared)
     votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
     pairs, spreads = [], []
-    for (a, b, both), F in zip(matches, _refined(samples)):
+    for (a, b, both), F in zip(matches, all_F):
         rows_a, rows_b = row[a, both], row[b, both]
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
         distance = sampson_distance(F, xy_a, xy_b)
-        inlier = np.abs(distance) < EPIPOLAR_THRESHOLD_PX
+        inlier = np.abs(distance) < threshold_px
         count = int(inlier.sum())
         if count < MINIMUM_MATCHES:
             continue

@@ -1,0 +1,381 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Has the camera changed? A sequential test of new evidence against the calibration in force.
+
+Model: the camera in force errs by what its covariance says; window after window of keyframes tells
+it again, each with its own error (`window_score`). Against that stands, for every moment at which
+it might have happened, a change of focal length and principal point. Twice the logarithm of the
+generalised likelihood ratio of the two is a chi-square with three degrees of freedom; over the
+moments it is maximised, and the threshold bounds the rate at which an unchanged camera exceeds it
+(docs/monitoring.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.state import ASPECT, CX, CY, F
+from selfcal_ros.calibration.window_score import WindowScore
+from selfcal_ros.errors import ArgumentError
+
+#: What may change suddenly. The aspect ratio belongs to the sensor; a change of the distortion
+#: shows as one of these.
+CHANGES = (F, CX, CY)
+CHANGE_NAMES = ('focal length', 'cx', 'cy')
+#: What remains of the statistic without its strongest window must be improbable, too: one window
+#: alone, with a moving object in it, proves nothing.
+WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
+#: The newest windows are kept one by one; older ones are merged in pairs, as many of each size.
+SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
+#: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
+REMEMBERED, LEAST_FOR_SCATTER = 60, 8
+#: A parameter counts as changed when its change exceeds so many sigmas.
+SAID_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """
+    What counts as a change, and how rarely one may be reported where there is none.
+
+    Parameters
+    ----------
+    keyframes : int
+        In a window; successive windows share one.
+    false_alarm_keyframes : float
+        Mean number of keyframes between false alarms, at least.
+    tolerance_px : float
+        Standard deviation of the displacement, half an image diagonal from the middle, that is
+        no change: no two scenes show a camera exactly alike.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is impossible.
+
+    """
+
+    keyframes: int = 9
+    false_alarm_keyframes: float = 3.6e6
+    tolerance_px: float = 0.25
+
+    def __post_init__(self):
+        """Refuse impossible values."""
+        if not 4 <= self.keyframes <= 100:
+            raise ArgumentError('A window of the monitor has 4 to 100 keyframes, '
+                                f'not {self.keyframes!r}.')
+        if not self.false_alarm_keyframes >= 100:
+            raise ArgumentError('The monitor needs at least 100 keyframes between false alarms, '
+                                f'not {self.false_alarm_keyframes!r}.')
+        if not 0 < self.tolerance_px < 100:
+            raise ArgumentError('The tolerance of the monitor lies between 0 and 100 px, '
+                                f'not {self.tolerance_px!r}.')
+
+
+@dataclass(frozen=True)
+class CameraChange:
+    """
+    A change of the camera; first order, so that a large one is stated roughly.
+
+    Attributes
+    ----------
+    change_px : ndarray, shape (3,)
+        Of focal length (fx), cx and cy, pixels.
+    covariance : ndarray, shape (3, 3)
+    focal_px : float
+        fx in force.
+    since_frame, until_frame : int
+        First keyframe of the windows that differ, and last keyframe of the newest.
+    statistic, threshold : float
+        Twice the logarithm of the likelihood ratio, and what it had to exceed.
+
+    """
+
+    change_px: np.ndarray
+    covariance: np.ndarray
+    focal_px: float
+    since_frame: int
+    until_frame: int
+    statistic: float
+    threshold: float
+
+    @property
+    def sigma_px(self) -> np.ndarray:
+        """Standard deviations of the change, shape (3,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def __str__(self) -> str:
+        """Say what changed and by how much."""
+        percent = 100 / self.focal_px
+        parts = []
+        for name, value, sigma, unit in zip(
+                CHANGE_NAMES, self.change_px * [percent, 1, 1], self.sigma_px * [percent, 1, 1],
+                ('%', 'px', 'px')):
+            if abs(value) > SAID_SIGMAS * sigma:
+                parts.append(f'{name} {value:+.2g} ± {sigma:.1g} {unit}')
+        if not parts:
+            # significant together, not one by one
+            parts = [f'{name} {value:+.2g} ± {sigma:.1g} px' for name, value, sigma in zip(
+                CHANGE_NAMES, self.change_px, self.sigma_px)]
+        return 'the camera has changed: ' + ', '.join(parts)
+
+
+@dataclass
+class _Block:
+    """Sum of the evidence of successive windows, relative to the camera in force."""
+
+    information: np.ndarray
+    shift: np.ndarray           # information times step
+    windows: int
+    first_frame: int
+    last_frame: int
+
+    def merged(self, other: _Block) -> _Block:
+        return _Block(self.information + other.information, self.shift + other.shift,
+                      self.windows + other.windows, self.first_frame, other.last_frame)
+
+
+@dataclass
+class _Scatter:
+    """What the windows so far say of the errors' size."""
+
+    dependence: list = field(default_factory=list)
+    misfit: list = field(default_factory=list)
+
+    def inflation(self, own: float) -> float:
+        """
+        Variance of a window over that of independent errors.
+
+        Never less than one; a change raises that of its windows only, which the median ignores.
+        """
+        known = float(np.median([*self.dependence, own]))
+        return max(1.0, known)
+
+    def excess(self) -> float:
+        """Scatter of windows about the camera over what their covariances explain."""
+        if len(self.misfit) < LEAST_FOR_SCATTER:
+            return 1.0
+        return max(1.0, float(np.median(self.misfit)) / float(chi2.median(len(CHANGES))))
+
+    def remember(self, dependence: float, misfit: float):
+        for values, value in ((self.dependence, dependence), (self.misfit, misfit)):
+            values.append(value)
+            del values[:-REMEMBERED]
+
+
+class ChangeMonitor:
+    """
+    Compares windows with a calibration, and with one another.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        In force. Its camera has an image size.
+    settings : MonitorSettings, optional
+
+    Attributes
+    ----------
+    free : ndarray of int, shape (k,)
+        Indices into `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+    change : CameraChange or None
+        The first alarm; it stays.
+    windows, discarded : int
+        Windows that were taken, and those of them that agreed with nothing before or after.
+    statistic, threshold : float
+        Of the newest test.
+
+    """
+
+    def __init__(self, calibration: Calibration, settings: MonitorSettings = MonitorSettings()):
+        self.settings = settings
+        self.camera = calibration.camera
+        covariance = _intrinsic_covariance(calibration)
+        self.free = np.flatnonzero((np.diag(covariance) > 0) | np.isin(np.arange(9), CHANGES))
+        self._changes = np.searchsorted(self.free, CHANGES)
+        size = np.hypot(self.camera.width, self.camera.height)
+        focal = self.camera.K[0, 0]
+        # displacement half a diagonal from the middle: of a focal length, and of the middle
+        reach = 2 * focal / size
+        self._tolerance = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
+        prior = covariance[np.ix_(self.free, self.free)]
+        self._prior = prior + np.diag(self._along(0.01 * self._tolerance))
+        self._own = np.diag(self._along(self._tolerance))
+        self._old: list[_Block] = []
+        self._new: list[_Block] = []
+        self._scatter = _Scatter()
+        self.change: CameraChange | None = None
+        self.windows = self.discarded = 0
+        self.statistic, self.threshold = 0.0, self._threshold(1)
+
+    def _along(self, values) -> np.ndarray:
+        """Spread values (3,) of what may change over the free parameters, (k,)."""
+        result = np.zeros(len(self.free))
+        result[self._changes] = values
+        return result
+
+    def _threshold(self, moments: int) -> float:
+        """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
+        chance = (self.settings.keyframes - 1) / self.settings.false_alarm_keyframes
+        return float(chi2.isf(chance / moments, len(CHANGES)))
+
+    def add(self, score: WindowScore) -> CameraChange | None:
+        """
+        Take the score of the next window.
+
+        Parameters
+        ----------
+        score : WindowScore
+            Of `camera` and `free`.
+
+        Returns
+        -------
+        CameraChange or None
+            The alarm, as long as it stands.
+
+        """
+        self.windows += 1
+        inflation = self._scatter.inflation(score.dependence) * self._scatter.excess()
+        information = score.information / inflation
+        # every scene has its own small error, however much it tells
+        weight = np.linalg.inv(np.eye(len(self.free)) + information @ self._own)
+        self._new.append(_Block(_symmetric(weight @ information),
+                                weight @ information @ score.step, 1,
+                                score.frames[0], score.frames[-1]))
+        self._scatter.remember(score.dependence, self._misfit(score))
+        if self.change is None:
+            self._test()
+        if len(self._new) > SINGLE_WINDOWS:
+            self._retire()
+        return self.change
+
+    # ------------------------------------------------------------------ the test
+
+    def _sums(self, blocks) -> tuple[np.ndarray, np.ndarray]:
+        """Information (n, k, k) and shift (n, k) of the last 1, 2, ... n blocks together."""
+        return (np.cumsum([block.information for block in reversed(blocks)], axis=0),
+                np.cumsum([block.shift for block in reversed(blocks)], axis=0))
+
+    def _ratios(self, before: np.ndarray, before_shift, after, after_shift):
+        """
+        Statistics of changes between evidence before and after, batches of n.
+
+        Returns
+        -------
+        statistic : ndarray, shape (n,)
+        change : ndarray, shape (n, 3)
+        covariance : ndarray, shape (n, 3, 3)
+            Tolerance included.
+
+        """
+        total = before + after
+        along = after[:, :, self._changes]                       # (n, k, 3)
+        # the common camera, which both sides measure, is eliminated
+        solved = np.linalg.solve(total, np.concatenate(
+            [along, (before_shift + after_shift)[..., None]], axis=2))
+        information = along[:, self._changes] - np.swapaxes(along, 1, 2) @ solved[..., :3]
+        right = after_shift[:, self._changes] - np.einsum('nki,nk->ni', along, solved[..., 3])
+        # tolerance T: covariance I⁻¹ + T, without inverting an I that may be singular
+        eased = np.eye(3) + information * self._tolerance
+        weight = np.linalg.solve(eased, information)             # (I⁻¹ + T)⁻¹
+        values, vectors = np.linalg.eigh(_symmetric(information))
+        floor = np.maximum(values, 1e-12 * np.maximum(values[:, -1:], 1e-12))
+        inverse = (vectors / floor[:, None]) @ np.swapaxes(vectors, 1, 2)
+        change = np.einsum('nij,nj->ni', inverse, right)
+        statistic = np.einsum('ni,nij,nj->n', change, weight, change)
+        return statistic, change, inverse + np.diag(self._tolerance)
+
+    def _test(self) -> None:
+        """Test every moment that the blocks leave, and judge the most likely one."""
+        blocks = self._old + self._new
+        after, after_shift = self._sums(blocks)
+        before = after[-1] - after + np.linalg.inv(self._prior)
+        statistic, change, covariance = self._ratios(before, after_shift[-1] - after_shift,
+                                                     after, after_shift)
+        best = int(np.argmax(statistic))
+        self.statistic, self.threshold = float(statistic[best]), self._threshold(len(blocks))
+        if self.statistic < self.threshold or not self._holds_without_strongest(
+                best + 1, before[best], after_shift[-1] - after_shift[best],
+                after[best], after_shift[best]):
+            return
+        self.change = CameraChange(
+            change[best], covariance[best], float(self.camera.K[0, 0]),
+            blocks[-1 - best].first_frame, blocks[-1].last_frame, self.statistic, self.threshold)
+
+    def _holds_without_strongest(self, count, before, before_shift, after, after_shift) -> bool:
+        """Tell whether the change is seen without any one of its newest windows, too."""
+        if count < 2:
+            return False
+        single = self._new[-count:]
+        others = np.stack([after - block.information for block in single])
+        other_shifts = np.stack([after_shift - block.shift for block in single])
+        statistic, *_ = self._ratios(np.repeat(before[None], len(single), axis=0),
+                                     np.repeat(before_shift[None], len(single), axis=0),
+                                     others, other_shifts)
+        return bool(statistic.min() > WITHOUT_STRONGEST)
+
+    # ------------------------------------------------------------------ memory
+
+    def _misfit(self, score: WindowScore) -> float:
+        """Squared distance of a window from the camera in force, in its own sigmas."""
+        inflation = self._scatter.inflation(score.dependence)
+        spread = _inverse(score.information) * inflation + self._own + self._prior
+        step = score.step[self._changes]
+        return float(step @ np.linalg.solve(
+            spread[np.ix_(self._changes, self._changes)], step))
+
+    def _retire(self) -> None:
+        """Move the oldest single window to the merged ones, unless it agrees with nothing."""
+        block = self._new.pop(0)
+        others = self._old + self._new
+        information = np.linalg.inv(self._prior) + sum(b.information for b in others)
+        statistic, *_ = self._ratios(information[None], sum(b.shift for b in others)[None],
+                                     block.information[None], block.shift[None])
+        if statistic[0] > self._threshold(1):
+            self.discarded += 1
+            return
+        self._old.append(block)
+        for size in (2**k for k in range(60)):
+            same = [k for k, b in enumerate(self._old) if size <= b.windows < 2 * size]
+            if len(same) <= OF_EACH_SIZE:
+                break
+            first = same[0]
+            self._old[first:first + 2] = [self._old[first].merged(self._old[first + 1])]
+
+
+def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
+    """Covariance of `INTRINSIC_NAMES` from that of `PARAMETER_NAMES`, (9, 9)."""
+    fx, fy = calibration.camera.K[0, 0], calibration.camera.K[1, 1]
+    J = np.eye(9)
+    J[ASPECT, :2] = -fy / fx**2, 1 / fx
+    covariance = J @ calibration.covariance @ J.T
+    # an aspect ratio that a fact holds has no variance but that of rounding
+    if covariance[ASPECT, ASPECT] < 1e-14:
+        covariance[ASPECT] = covariance[:, ASPECT] = 0
+    return covariance
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return (matrix + np.swapaxes(matrix, -1, -2)) / 2
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Invert by way of unit diagonals: parameters differ in scale."""
+    scale = np.sqrt(np.diag(information))
+    return np.linalg.pinv(information / np.outer(scale, scale),
+                          hermitian=True) / np.outer(scale, scale)
