@@ -1,0 +1,254 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Which primitives can be seen, and the control points on them.
+
+A point X is hidden by a triangle with corners A, B, C where the ray from the camera's centre c
+meets the triangle first: X - c = l1 (A - c) + l2 (B - c) + l3 (C - c) with no l negative and
+l1 + l2 + l3 > 1. This needs no image plane and no orientation of the faces, and is exact for
+every set of plane faces, convex or not, closed or open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.rorapid.silhouettes import SolidCylinders
+from selfcal_ros.rorapid.wireframe import WireframeModel
+
+#: A primitive that lies in the plane of a face up to this share of the object's diameter is
+#: drawn on the face, not behind it.
+ON_FACE = 5e-4
+#: Numbers in the largest array that the test may make.
+_LARGEST = 2_000_000
+
+
+@dataclass(frozen=True)
+class ControlPoints:
+    """
+    The control points of the primitives that can be seen from one pose.
+
+    Parameters
+    ----------
+    object_points : ndarray, shape (C, 3)
+        Metres, object frame.
+    tangents : ndarray, shape (C, 3)
+        Unit direction of the primitive there, object frame.
+    primitive : ndarray of int, shape (C,)
+        Primitive, an index into `kind` and `names`, the same in all views.
+    visible : ndarray of bool, shape (C,)
+        False where a face or cylinder hides the point, or it is not in front of the camera.
+    ids : ndarray of int, shape (C,)
+        Number of the control point, 0 to `VisibleModel.size` - 1, the same in all views.
+    contour : ndarray of bool, shape (C,)
+        Whether the background, not the object, is seen on one side of the primitive.
+    kind : tuple of str, length P
+        'line', 'conic' or 'silhouette' for each primitive of the model.
+    names : tuple of str, length P
+
+    """
+
+    object_points: np.ndarray
+    tangents: np.ndarray
+    primitive: np.ndarray
+    visible: np.ndarray
+    ids: np.ndarray
+    contour: np.ndarray
+    kind: tuple
+    names: tuple
+
+    def __len__(self):
+        """Return the number of control points."""
+        return len(self.ids)
+
+
+class VisibleModel:
+    """
+    A model with control points on its primitives.
+
+    Primitives are numbered: first the lines, then the conics, then two silhouettes a cylinder.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    control_points_per_line, per_conic : int
+        Control points on each line or silhouette, and on each conic.
+    min_visible : int
+        A primitive with fewer visible control points is left out.
+    min_length_px : float
+        A line that is shorter in the image is left out, if the focal length is told.
+
+    """
+
+    def __init__(self, model: WireframeModel, control_points_per_line: int = 6,
+                 per_conic: int = 10, min_visible: int = 1, min_length_px: float = 0.0):
+        """Lay out the control points."""
+        if control_points_per_line < 1 or per_conic < 1:
+            raise ArgumentError('There must be at least one control point on each primitive.')
+        self.model = model
+        self.min_visible = int(min_visible)
+        n = int(control_points_per_line)
+        L, K, S = len(model.lines), len(model.conics), 2 * len(model.cylinders)
+        self.kind = ('line',) * L + ('conic',) * K + ('silhouette',) * S
+        self.names = tuple(
+            given or f'{kind} {index}' for given, kind, index in zip(
+                model.line_names + tuple(c.name for c in model.conics)
+                + tuple(f'{c.name} {side}' if c.name else ''
+                        for c in model.cylinders for side in ('left', 'right')),
+                self.kind, [*range(L), *range(K), *range(S)]))
+        share = (np.arange(n) + 0.5) / n
+        ends = model.edges()
+        span = ends[:, 1] - ends[:, 0]
+        angles = (np.arange(per_conic) + 0.5) * 2 * np.pi / per_conic
+        conics = [c.points(angles) for c in model.conics]
+        slopes = [c.tangents(angles) for c in model.conics]
+        along = span / np.linalg.norm(span, axis=1, keepdims=True)
+        self._points = np.concatenate(
+            [(ends[:, :1] + share[:, None] * span[:, None]).reshape(-1, 3), *conics])
+        self._tangents = np.concatenate([np.repeat(along, n, axis=0), *slopes])
+        self._counts = np.array([n] * L + [per_conic] * K + [n] * S)
+        self._primitive = np.repeat(np.arange(L + K + S), self._counts)
+        self._first = np.concatenate([[0], np.cumsum(self._counts)[:-1]]).astype(int)
+        self._static = len(self._points)
+        #: Number of all control points.
+        self.size = len(self._primitive)
+        self._ids = np.arange(self.size)
+        self._corners = model.vertices[model.triangles]
+        self._on_face = self._drawn_on(ends)
+        self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
+            if model.cylinders else None
+        self._ends, self._L = ends, L
+        self._min_length = np.maximum(model.line_min_length_px, min_length_px)
+        self._sides = self._contour_sides()
+
+    def _drawn_on(self, ends):
+        """For each static control point and each triangle: does the one lie in the other."""
+        model, tolerance = self.model, ON_FACE * self.model.diameter_m
+        normals = model.face_normals[model.triangle_face]
+        offset = (normals * self._corners[:, 0]).sum(axis=1)
+        distance = np.abs(self._points @ normals.T - offset)
+        worst = np.maximum.reduceat(distance, self._first[:len(ends) + len(model.conics)],
+                                    axis=0) if self._static else distance
+        return np.repeat(worst < tolerance, self._counts[:len(worst)], axis=0)
+
+    def _contour_sides(self):
+        """Directions (L, 2, 3) from each line into its faces; the second is the first if one."""
+        sides = np.zeros((self._L, 2, 3))
+        for k, faces in enumerate(self.model.line_faces):
+            if faces:
+                sides[k, 0] = self.model.into_face(k, faces[0])
+                sides[k, 1] = self.model.into_face(k, faces[1]) if len(faces) > 1 else sides[k, 0]
+        return sides
+
+    def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None) -> np.ndarray:
+        """
+        Tell which points are hidden by the faces.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N, 3)
+            Object frame.
+        centre : ndarray, shape (3,)
+            Centre of the camera, object frame.
+        on_face : ndarray of bool, shape (N, T), optional
+            Triangles that are not to be tested, for each point.
+
+        Returns
+        -------
+        ndarray of bool, shape (N,)
+
+        """
+        hidden = np.zeros(len(points), bool)
+        rays = points - centre
+        corners = self._corners - centre
+        chunk = max(1, _LARGEST // max(1, 3 * len(points)))
+        for start in range(0, len(corners), chunk):
+            part = corners[start:start + chunk]
+            a, b, c = part[:, 0], part[:, 1], part[:, 2]
+            cofactors = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)])
+            volume = (a * cofactors[0]).sum(axis=1)
+            size = np.abs(part).max(initial=0.0)
+            edge_on = np.abs(volume) < 1e-12 * size**3
+            volume[edge_on] = 1.0
+            share = rays @ (cofactors / volume[:, None]).reshape(-1, 3).T
+            share = share.reshape(len(points), 3, len(part))
+            behind = (share.min(axis=1) > -1e-9) & (share.sum(axis=1) > 1 + 1e-9) & ~edge_on
+            if on_face is not None:
+                behind &= ~on_face[:, start:start + chunk]
+            hidden |= behind.any(axis=1)
+        return hidden
+
+    def control_points(self, rotation, translation, focal_px: float | None = None,
+                       ) -> ControlPoints:
+        """
+        Control points of the primitives that are seen from a pose.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (3, 3)
+        translation : ndarray, shape (3,)
+            The pose: object -> camera optical frame, metres.
+        focal_px : float, optional
+            Focal length; with it, lines that are too short in the image are left out.
+
+        Returns
+        -------
+        ControlPoints
+
+        """
+        rotation = np.asarray(rotation, float)
+        centre = -np.asarray(translation, float) @ rotation
+        points, tangents = self._points, self._tangents
+        hidden = self.hidden(points, centre, self._on_face)
+        if self._solids is not None:
+            hidden |= self._solids.hidden(points, centre)
+            extra, slopes, exist = self._solids.silhouettes(centre)
+            behind = self.hidden(extra, centre) | ~exist
+            behind |= self._solids.hidden(extra, centre, own=True)
+            points = np.concatenate([points, extra])
+            tangents = np.concatenate([tangents, slopes])
+            hidden = np.concatenate([hidden, behind])
+        visible = ~hidden & ((points - centre) @ rotation[2] > 0)
+        seen = np.add.reduceat(visible, self._first) >= self.min_visible
+        if focal_px is not None:
+            seen[:self._L] &= self._long_enough(rotation, translation, focal_px)
+        keep = np.flatnonzero(seen[self._primitive])
+        primitive = self._primitive[keep]
+        return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
+                             keep, self._contours(centre)[primitive], self.kind, self.names)
+
+    def _long_enough(self, rotation, translation, focal_px):
+        """Which lines are long enough in the image, (L,) bool."""
+        ends = self._ends @ rotation.T + translation
+        depth = np.maximum(ends[..., 2:], 1e-3 * self.model.diameter_m)
+        xy = ends[..., :2] / depth
+        return focal_px * np.hypot(*(xy[:, 1] - xy[:, 0]).T) >= self._min_length
+
+    def _contours(self, centre):
+        """Whether the faces of each primitive are seen on one side of it only, (P,) bool."""
+        contour = np.zeros(len(self.kind), bool)
+        if self._L:
+            view = _cross(self._ends[:, 0] - centre, self._ends[:, 1] - centre)
+            side = (self._sides * view[:, None]).sum(axis=2)
+            contour[:self._L] = side[:, 0] * side[:, 1] > 0
+        contour[len(self.kind) - 2 * len(self.model.cylinders):] = True
+        return contour
+
+
+def _cross(a, b):
+    """Cross products of rows (N, 3); numpy's own is slow on small arrays."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
