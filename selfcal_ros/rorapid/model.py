@@ -19,9 +19,10 @@ from pathlib import Path
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.rorapid.cao_file import read_cao
+from selfcal_ros.rorapid.model_file import read_model_yaml, write_model_yaml
 from selfcal_ros.rorapid.wireframe import Conic, Cylinder, Polygon, WireframeModel
 
-__all__ = ['Conic', 'Cylinder', 'Polygon', 'WireframeModel', 'read_model']
+__all__ = ['Conic', 'Cylinder', 'Polygon', 'WireframeModel', 'read_model', 'write_model']
 
 
 def read_model(path) -> WireframeModel:
@@ -45,4 +46,22 @@ def read_model(path) -> WireframeModel:
     path = Path(path)
     if path.suffix.lower() == '.cao':
         return read_cao(path)
+    if path.suffix.lower() in ('.yaml', '.yml'):
+        return read_model_yaml(path)
     raise InputError(f'The model {path} must be a .cao or a .yaml file.')
+
+
+def write_model(model: WireframeModel, path) -> Path:
+    """
+    Write a model as ``.yaml``.
+
+    Raises
+    ------
+    InputError
+        If the name does not end in ``.yaml`` or ``.yml``, or the file cannot be written.
+
+    """
+    path = Path(path)
+    if path.suffix.lower() not in ('.yaml', '.yml'):
+        raise InputError(f'The model {path} must be named .yaml to be written.')
+    return write_model_yaml(model, path)
