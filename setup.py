@@ -25,6 +25,7 @@ EXECUTABLES = {
     'feature_tracker': 'selfcal_ros.nodes.feature_tracker:main',
     'planar_calibrator': 'selfcal_ros.nodes.planar_calibrator:main',
     'affine_calibrator': 'selfcal_ros.nodes.affine_calibrator:main',
+    'rorapid_tracker': 'selfcal_ros.nodes.rorapid_tracker:main',
     'bag_player': 'selfcal_ros.nodes.bag_player:main',
     'selfcal': 'selfcal_ros.cli.main:main',
 }

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from msg_adapters.poses import camera_poses, point_message
+from msg_adapters.poses import camera_poses, point_message, pose_message
 from msg_adapters.stamps import copy_header
 
 import numpy as np
@@ -82,6 +82,35 @@ def structure_markers(points: np.ndarray, header, types, size: float = 0.02):
     points = points[np.isfinite(points).all(axis=1)]
     return types.MarkerArray(markers=[_marker(header, types, 'structure', _POINTS, points,
                                               (size, size, 0), (0.9, 0.9, 0.9))])
+
+
+def object_markers(segments: np.ndarray, pose: np.ndarray, header, types, colour,
+                   width: float, lifetime_s: float = 0.0):
+    """
+    Build a MarkerArray of a wireframe at its pose.
+
+    Parameters
+    ----------
+    segments : ndarray, shape (N, 2, 3)
+        Ends of its lines, metres, in the frame of the object.
+    pose : ndarray, shape (3, 4) or (4, 4)
+        Maps points of the object to the frame in the header.
+    header : std_msgs/Header
+    types : MessageTypes
+    colour : (float, float, float)
+        Red, green, blue, 0 to 1.
+    width : float
+        Of the lines, metres.
+    lifetime_s : float
+        The marker vanishes after so long; 0: it stays.
+
+    """
+    marker = _marker(header, types, 'object', _LINE_LIST, np.reshape(segments, (-1, 3)),
+                     (width, 0, 0), colour)
+    marker.pose = pose_message(pose, types)
+    seconds = int(lifetime_s)
+    marker.lifetime = types.Duration(sec=seconds, nanosec=round((lifetime_s - seconds) * 1e9))
+    return types.MarkerArray(markers=[marker])
 
 
 def delete_markers(header, types):

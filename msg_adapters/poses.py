@@ -88,6 +88,27 @@ def pose_with_covariance_message(pose: np.ndarray, covariance: np.ndarray, heade
     return types.PoseWithCovarianceStamped(header=copy_header(header, types), pose=both)
 
 
+def transform_message(pose: np.ndarray, header, child_frame: str, types):
+    """
+    Build a geometry_msgs/TransformStamped from the header's frame to that of an object.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (3, 4) or (4, 4)
+        Maps points of the object to the frame in the header.
+    header : std_msgs/Header
+    child_frame : str
+        Frame of the object.
+    types : MessageTypes
+
+    """
+    at = pose_message(pose, types)
+    moved = types.Vector3(x=at.position.x, y=at.position.y, z=at.position.z)
+    return types.TransformStamped(
+        header=copy_header(header, types), child_frame_id=child_frame,
+        transform=types.Transform(translation=moved, rotation=at.orientation))
+
+
 def path_message(poses, headers, header, types):
     """
     Build a nav_msgs/Path.

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 NOT_SOURCES = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', 'out',
                                      '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis')
 EXECUTABLES = ['affine_calibrator', 'bag_player', 'feature_tracker', 'planar_calibrator',
-               'selfcal']
+               'rorapid_tracker', 'selfcal']
 
 pytestmark = [pytest.mark.install,
               pytest.mark.skipif(os.environ.get('COLCON') == '1', reason='colcon is at work'),

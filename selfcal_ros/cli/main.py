@@ -28,6 +28,7 @@ VERBS = {
     'calibrate': 'calibrate a camera from a recording of its own motion',
     'compare': 'compare two calibration files, in pixels over the image',
     'convert': 'turn an image folder or a video into a bag',
+    'track': 'follow a known object through a recording',
     'demo': 'replay the recorded drive of this package and calibrate it',
 }
 

@@ -70,6 +70,36 @@ INTERFACES = {
     ),
     'planar_calibrator': _CALIBRATOR,
     'affine_calibrator': _CALIBRATOR,
+    'rorapid_tracker': (
+        Endpoint('in', 'image', 'sensor_msgs/Image', 'any encoding of a grey or colour camera'),
+        Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
+        Endpoint('in', 'camera_info', 'sensor_msgs/CameraInfo',
+                 'calibration of the camera, with distortion, binning and region of interest'),
+        Endpoint('in', 'initialpose', 'geometry_msgs/PoseWithCovarianceStamped',
+                 'where the object is, roughly, in the optical frame of the camera'),
+        Endpoint('out', 'pose', 'geometry_msgs/PoseWithCovarianceStamped',
+                 'pose of the object in the optical frame, with the stamp of the image; none '
+                 'while the object is lost'),
+        Endpoint('out', 'overlay', 'sensor_msgs/Image',
+                 'the image with the object drawn over it: green found, vermilion rejected, '
+                 'orange nothing found, grey hidden; drawn only while somebody listens'),
+        Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
+                 'the wireframe at its pose, for RViz and Foxglove'),
+        Endpoint('out', '~/state', 'std_msgs/String',
+                 'initialising, tracking, degraded or lost, and why, whenever that changes; '
+                 'latched'),
+        Endpoint('out', '~/camera_info', 'sensor_msgs/CameraInfo',
+                 'with camera_model zoom: the camera at the focal length of each image'),
+        Endpoint('out', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
+                 'once a second: state and reason, share of the object that is confirmed, '
+                 'sigmas, time an image takes'),
+        Endpoint('out', '/tf', 'tf2_msgs/TFMessage',
+                 'with publish_tf: from the optical frame to `object_frame`'),
+        Endpoint('service', '~/start', 'std_srvs/Trigger',
+                 'track from the start pose: the last initialpose, or the parameter'),
+        Endpoint('service', '~/reset', 'std_srvs/Trigger',
+                 'stop, and wait for ~/start or another initialpose'),
+    ),
     'bag_player': (
         Endpoint('out', 'image', 'sensor_msgs/Image', 'where the bag holds this type'),
         Endpoint('out', 'image/compressed', 'sensor_msgs/CompressedImage',

@@ -22,6 +22,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterValueException
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
 
 def parameter(default, description: str, low=None, high=None, one_of=()):
@@ -181,6 +182,44 @@ class AffineCalibratorParameters(CalibratorParameters):
     """Parameters of affine_calibrator."""
 
     motion: str = _motion('general')
+
+
+@dataclass(frozen=True)
+class RorapidTrackerParameters:
+    """Parameters of rorapid_tracker."""
+
+    model: str = parameter('', "wireframe of the object: ViSP's .cao, or our .yaml")
+    camera_file: str = parameter('', 'calibration file to use until a camera_info comes; empty: '
+                                 'wait for one')
+    start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
+                                'angle-axis radians, in the optical frame of the camera), or a '
+                                '.pos file; empty: wait for initialpose')
+    image_transport: str = parameter(
+        'auto', 'which of the topics image and image/compressed to follow; auto takes the one '
+        'that speaks first', one_of=('auto', 'raw', 'compressed'))
+    method: str = parameter('modern', "RAPiD and RoRAPiD are the thesis's; modern adds what has "
+                            'been learned since', one_of=METHODS)
+    camera_model: str = parameter(
+        'perspective', 'zoom: the focal length changes and is tracked; weak, affine: for long '
+        'lenses', one_of=CAMERA_MODELS)
+    motion: str = parameter('general', 'how the object can move before the camera',
+                            one_of=MOTIONS)
+    plane_axis: str = parameter('', 'with planar motion: axis of rotation "x y z" in the optical '
+                                'frame; empty: learned')
+    control_points_per_line: int = parameter(6, 'control points on each line', 2, 200)
+    control_points_per_conic: int = parameter(10, 'control points on each circle', 5, 400)
+    search_least_px: float = parameter(8.0, 'least search range to each side of an edge', 2.0,
+                                       100.0)
+    search_most_px: float = parameter(24.0, 'most search range to each side of an edge', 2.0,
+                                      200.0)
+    least_contrast: float = parameter(4.0, 'weakest edge that counts, in grey levels', 0.5, 255.0)
+    texture: bool = parameter(True, "remember and use what the object's faces look like")
+    recovery: bool = parameter(True, 'search for the object again after a loss')
+    object_frame: str = parameter('object', 'frame of the object')
+    publish_tf: bool = parameter(False, 'publish the transform from the camera to object_frame; '
+                                 'a frame may have one parent only')
+    camera_name: str = parameter('camera', 'name of the camera in the diagnostics')
+    silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)
 
 
 @dataclass(frozen=True)

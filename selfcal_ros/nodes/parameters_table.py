@@ -29,7 +29,8 @@ import sys
 
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters,
-                                          FeatureTrackerParameters, PlanarCalibratorParameters)
+                                          FeatureTrackerParameters, PlanarCalibratorParameters,
+                                          RorapidTrackerParameters)
 from selfcal_ros.report.files import atomic_write
 
 #: Parameters by node.
@@ -37,6 +38,7 @@ PARAMETERS = {
     'feature_tracker': FeatureTrackerParameters,
     'planar_calibrator': PlanarCalibratorParameters,
     'affine_calibrator': AffineCalibratorParameters,
+    'rorapid_tracker': RorapidTrackerParameters,
     'bag_player': BagPlayerParameters,
 }
 _BLOCK = re.compile(r'(<!-- (parameters|interface):(\w+) -->\n).*?(?=<!-- /\2:\3 -->)', re.S)

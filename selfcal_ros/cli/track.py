@@ -1,0 +1,103 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal track`: follow a known object through a recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `selfcal track`."""
+    parser.add_argument('input', metavar='INPUT',
+                        help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
+                             'or a video')
+    parser.add_argument('--topic', help='image topic of a bag, when it holds several')
+    add_object_arguments(parser)
+    parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
+                        help='calibration of the camera, as `selfcal calibrate` writes it')
+    group = parser.add_argument_group('how to track')
+    group.add_argument('--method', choices=('modern', 'rorapid', 'rapid'), default='modern',
+                       help="RAPiD and RoRAPiD are the thesis's; modern adds what has been "
+                            'learned since (default)')
+    group.add_argument('--camera-model', choices=('perspective', 'zoom', 'weak', 'affine'),
+                       default='perspective',
+                       help='zoom: the focal length changes and is tracked; weak, affine: for '
+                            'long lenses (default perspective)')
+    group.add_argument('--motion', choices=('general', 'translation', 'planar'),
+                       default='general', help='how the object can move before the camera '
+                       '(default general)')
+    group.add_argument('--plane-axis', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
+                       help='with --motion planar: axis of rotation in the camera frame '
+                            '(default: learned)')
+    output = parser.add_argument_group('output')
+    output.add_argument('--output', type=Path, default=Path('poses.csv'), metavar='POSES.CSV',
+                        help='pose of the object in every image (default poses.csv)')
+    output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
+                        help='the images with the object drawn over them')
+    output.add_argument('--quiet', action='store_true',
+                        help='print nothing but errors and the reason of a failure')
+
+
+def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    """Add the options that say what the object is and where it is at first."""
+    group = parser.add_argument_group('the object')
+    group.add_argument('--model', type=Path, required=required, metavar='MODEL.CAO',
+                       help="wireframe of the object: ViSP's .cao, or our .yaml")
+    group.add_argument('--init', metavar='POSE',
+                       help='where the object is in the first image: six numbers '
+                            '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
+                            "camera's optical frame), or a .pos file; or a .init file of object "
+                            'points, with --clicks')
+    group.add_argument('--clicks', type=float, nargs='+', metavar='U V',
+                       help='where the points of the .init file are in the first image, in '
+                            'pixels and in its order')
+    group.add_argument('--seed', type=int, default=0, help=argparse.SUPPRESS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Track; returns the exit status."""
+    from selfcal_ros.cli.progress import ProgressBar
+    from selfcal_ros.errors import ArgumentError
+    from selfcal_ros.pipeline.tracking_run import read_start, track_sequence
+    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.report.files import check_writable
+    from selfcal_ros.report.overlay import check_video_path
+    from selfcal_ros.rorapid.model import read_model
+    from selfcal_ros.rorapid.options import TrackerOptions
+    options = TrackerOptions(method=args.method, camera_model=args.camera_model,
+                             motion=args.motion,
+                             plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
+    if args.overlay and args.overlay.absolute() == args.output.absolute():
+        raise ArgumentError('Two outputs have the same name; give each its own file.')
+    check_writable(args.output)
+    if args.overlay:
+        check_video_path(args.overlay)
+    camera, _ = read_camera_yaml(args.camera)
+    model = read_model(args.model)
+    start = read_start(args.init, args.clicks, camera)
+    with ProgressBar(not args.quiet) as progress:
+        run = track_sequence(args.input, model, camera, start, options, topic=args.topic,
+                             overlay=args.overlay, seed=args.seed, progress=progress)
+    written = [run.table.write(args.output)] + ([args.overlay] if args.overlay else [])
+    if not args.quiet:
+        print(run.text())
+        print(f'Written: {", ".join(map(str, written))}.')
+    elif not run.followed:
+        print(run.text(), file=sys.stderr)
+    return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED

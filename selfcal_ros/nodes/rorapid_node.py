@@ -1,0 +1,290 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""rorapid_tracker: images and the camera's calibration in, poses of a known object out."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from msg_adapters.camera_info import camera_info_message, image_camera_from_info
+from msg_adapters.diagnostics import diagnostics_message, status_message
+from msg_adapters.markers import delete_markers, object_markers
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.poses import pose_matrix, pose_with_covariance_message, transform_message
+from msg_adapters.stamps import header_message
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.nodes.parameters import declare, RorapidTrackerParameters
+from selfcal_ros.nodes.quality_of_service import IMAGES_IN, LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.silence import SilenceWatch
+from selfcal_ros.nodes.tracker_node import TRANSPORTS
+from selfcal_ros.nodes.tracking_status import tracking_status
+from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
+from selfcal_ros.pipeline.tracking_run import read_start
+from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
+from selfcal_ros.rorapid.model import read_model
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.tracked_frame import TrackerState
+
+#: Red, green, blue of the wireframe's marker.
+MARKER_COLOURS = {TrackerState.TRACKING: (0.0, 0.62, 0.45),
+                  TrackerState.DEGRADED: (0.9, 0.62, 0.0),
+                  TrackerState.INITIALISING: (0.6, 0.6, 0.6)}
+#: A marker vanishes when no newer one comes for so long.
+MARKER_LIFE_S = 1.0
+
+
+class RorapidNode(Node):
+    """Follows an object through `image` or `image/compressed` and publishes its `pose`."""
+
+    def __init__(self):
+        super().__init__('rorapid_tracker')
+        p = self.parameters = declare(self, RorapidTrackerParameters)
+        if not p.model:
+            raise ArgumentError('rorapid_tracker needs the wireframe of the object: '
+                                '--ros-args -p model:=/path/to/model.cao')
+        self._types = rclpy_types()
+        self._model = read_model(p.model)
+        self._segments = wireframe_segments(self._model)
+        session = TrackingSession(self._model, tracker_options(p))
+        camera = read_camera_yaml(p.camera_file)[0] if p.camera_file else None
+        if camera is not None:
+            session.set_camera(camera)
+        self._start = read_start(p.start_pose, None, camera) if p.start_pose else None
+        if self._start is not None:
+            session.start(*self._start)
+        self._transport, self._frame_id = p.image_transport, ''
+        self._info_key = self._newest = self._state = None
+        self._info_problem = ''
+        self._pose = self.create_publisher(PoseWithCovarianceStamped, 'pose', PER_IMAGE)
+        self._overlay = self.create_publisher(Image, 'overlay', PER_IMAGE)
+        self._markers = self.create_publisher(MarkerArray, '~/markers', PER_IMAGE)
+        self._states = self.create_publisher(String, '~/state', LATCHED)
+        self._camera_info = (self.create_publisher(CameraInfo, '~/camera_info', PER_IMAGE)
+                             if p.camera_model == 'zoom' else None)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._transforms = self._transform_publisher() if p.publish_tf else None
+        self._ready = self.create_guard_condition(self._publish)
+        self._worker = TrackingWorker(session, self._ready.trigger)
+        wanted = TRANSPORTS if self._transport == 'auto' else {self._transport}
+        self._inputs = {name: self.create_subscription(
+            TRANSPORTS[name][1], TRANSPORTS[name][0],
+            lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            for name in sorted(wanted, reverse=True)}
+        # a publisher of CameraInfo may be of either reliability, too
+        self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, IMAGES_IN)
+        self.create_subscription(PoseWithCovarianceStamped, 'initialpose', self._on_initialpose,
+                                 PER_IMAGE)
+        self._silence = SilenceWatch(self, 'images', lambda: [s.topic_name for s in
+                                                              self._inputs.values()], p.silence_s)
+        self.create_service(Trigger, '~/start', self._on_start)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_timer(1.0, self._diagnose, clock=STEADY)
+
+    def destroy_node(self):
+        """End the thread, too."""
+        if hasattr(self, '_worker'):
+            self._worker.stop()
+        super().destroy_node()
+
+    def _transform_publisher(self):
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            raise InputError('publish_tf needs the package tf2_msgs (ros-jazzy-tf2-msgs), which '
+                             'is not installed.') from None
+        return self.create_publisher(TFMessage, '/tf', 100)
+
+    # what comes in
+
+    def _on_image(self, msg, transport: str):
+        if self._transport == 'auto':
+            self.get_logger().info(f'images arrive on {self._inputs[transport].topic_name}')
+            self._transport = transport
+        if transport != self._transport:
+            return
+        self._silence.heard()
+        self._frame_id = msg.header.frame_id
+        self._worker.submit(msg, self._overlay.get_subscription_count() > 0)
+
+    def _on_camera_info(self, msg: CameraInfo):
+        # drivers send the same calibration with every image
+        key = (msg.width, msg.height, msg.k.tobytes(), bytes(msg.d), msg.binning_x, msg.binning_y,
+               msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
+        if key == self._info_key:
+            return
+        self._info_key = key
+        try:
+            camera = image_camera_from_info(msg)
+        except InputError as error:
+            self._refuse_camera(str(error))
+            return
+        if camera is None:
+            self._refuse_camera('The camera_info is of a camera that is not calibrated (its focal '
+                                'length is zero).')
+            return
+        self._info_problem = ''
+        self.get_logger().info(f'calibration for {camera.width}x{camera.height} pixels: '
+                               f'fx {camera.K[0, 0]:.1f}, fy {camera.K[1, 1]:.1f} px')
+        self._worker.command(lambda session: session.set_camera(camera))
+
+    def _refuse_camera(self, problem: str):
+        self._info_problem = problem
+        self.get_logger().warning(f'camera_info dropped: {problem}', throttle_duration_sec=5.0)
+
+    def _on_initialpose(self, msg: PoseWithCovarianceStamped):
+        try:
+            frame = msg.header.frame_id
+            if frame and self._frame_id and frame != self._frame_id:
+                raise InputError(f'It is in the frame {frame!r:.60}, the images are in '
+                                 f'{self._frame_id!r:.60}; give it in the frame of the images.')
+            pose = pose_matrix(msg)
+        except InputError as error:
+            self.get_logger().warning(f'initialpose dropped: {error}')
+            return
+        self._begin(pose[:3, :3], pose[:3, 3])
+
+    def _begin(self, rotation, translation):
+        def begin(session):
+            session.start(rotation, translation)
+            self._start = rotation, translation
+
+        self._worker.command(begin)
+
+    def _on_start(self, _, response):
+        if self._start is None:
+            response.success = False
+            response.message = ('there is no start pose; publish one on initialpose, or set the '
+                                'parameter start_pose')
+            return response
+        self._begin(*self._start)
+        response.success, response.message = True, 'tracking from the start pose'
+        return response
+
+    def _on_reset(self, _, response):
+        self._worker.command(lambda session: session.reset(forget_pose=True))
+        self._say('waiting for a start pose')
+        self._clear_markers()
+        self._newest = None
+        response.success = True
+        response.message = 'stopped; ~/start or an initialpose starts it again'
+        return response
+
+    # what goes out
+
+    def _publish(self):
+        """Publish what the thread has finished."""
+        while (done := self._worker.poll()) is not None:
+            if isinstance(done, str):
+                self.get_logger().warning(done)
+            else:
+                self._publish_image(done)
+
+    def _publish_image(self, done: TrackedImage):
+        self._newest = done
+        if done.overlay is not None:
+            self._overlay.publish(done.overlay)
+        if done.problem:
+            self.get_logger().warning(f'image dropped: {done.problem}', throttle_duration_sec=5.0)
+            return
+        tracked = done.tracked
+        self._say(tracked.state.value + (f': {tracked.reason}' if tracked.reason else ''),
+                  tracked.state)
+        if tracked.state is TrackerState.LOST:
+            return
+        pose = np.column_stack([tracked.rotation, tracked.translation])
+        if tracked:
+            self._pose.publish(pose_with_covariance_message(pose, tracked.covariance, done.header,
+                                                            self._types))
+            if self._transforms is not None:
+                self._send_transform(pose, done.header)
+        if self._camera_info is not None and tracked.focal_sigma_px > 0:
+            self._camera_info.publish(camera_info_message(
+                zoomed_camera(done.camera, tracked), done.header, self._types))
+        if self._markers.get_subscription_count():
+            self._markers.publish(object_markers(
+                self._segments, pose, done.header, self._types, MARKER_COLOURS[tracked.state],
+                0.01 * self._model.diameter_m, MARKER_LIFE_S))
+
+    def _send_transform(self, pose, header):
+        from tf2_msgs.msg import TFMessage
+        self._transforms.publish(TFMessage(transforms=[transform_message(
+            pose, header, self.parameters.object_frame, self._types)]))
+
+    def _say(self, text: str, state: TrackerState | None = None):
+        """Tell the state where it has changed."""
+        if state is not None and state == self._state:
+            return
+        if state is TrackerState.LOST:
+            self.get_logger().warning(text)
+            self._clear_markers()
+        else:
+            self.get_logger().info(text)
+        self._state = state
+        self._states.publish(String(data=text))
+
+    def _clear_markers(self):
+        header = header_message(self.get_clock().now().nanoseconds, self._frame_id, self._types)
+        self._markers.publish(delete_markers(header, self._types))
+
+    def _diagnose(self):
+        level, text, values = tracking_status(
+            self._newest, self._info_problem, self._worker.dropped,
+            self._silence.silent_s if self._silence.silent_s > self.parameters.silence_s else 0.0)
+        status = status_message(f'{self.get_name()}: tracking', level, text, self._types, values,
+                                self.parameters.camera_name)
+        header = header_message(self.get_clock().now().nanoseconds, '', self._types)
+        self._diagnostics.publish(diagnostics_message([status], header, self._types))
+
+
+def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:
+    """
+    Translate the parameters.
+
+    Raises
+    ------
+    ArgumentError
+        If values contradict each other.
+
+    """
+    axis = None
+    if parameters.plane_axis:
+        try:
+            axis = tuple(float(word) for word in parameters.plane_axis.replace(',', ' ').split())
+        except ValueError:
+            axis = ()
+        if len(axis) != 3:
+            raise ArgumentError('The parameter plane_axis must be three numbers "x y z", not '
+                                f'{parameters.plane_axis!r:.60}.')
+    names = ('method', 'camera_model', 'motion', 'control_points_per_line',
+             'control_points_per_conic', 'search_least_px', 'search_most_px', 'least_contrast',
+             'texture', 'recovery')
+    values = {name: getattr(parameters, name) for name in names}
+    # rapid and rorapid keep to the least numbers of the thesis, which fewer points cannot reach
+    default = TrackerOptions()
+    return TrackerOptions(
+        plane_axis=axis,
+        least_per_line=min(default.least_per_line, values['control_points_per_line']),
+        least_per_conic=min(default.least_per_conic, values['control_points_per_conic']),
+        **values)

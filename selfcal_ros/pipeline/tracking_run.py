@@ -1,0 +1,263 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A whole recording through the tracker: poses, an overlay video, and how it went."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+import math
+from pathlib import Path
+import time
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.report.overlay import draw_overlay, OverlayVideo
+from selfcal_ros.report.poses_csv import PosesTable
+from selfcal_ros.rorapid.pose import pose_from_clicks, read_init, read_pose_file
+from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
+
+#: Clicks may miss a pose by so much of the image diagonal; beyond it they are in another order.
+CLICK_ERROR_SHARE = 0.03
+#: A video without a clock is shown at so many images a second.
+RATE_HZ = 30.0
+#: Of several remarks of one kind, so many are told.
+MOST_REMARKS = 3
+
+
+@dataclass
+class TrackingRun:
+    """
+    What a recording gave.
+
+    Attributes
+    ----------
+    table : PosesTable
+        One row an image that was tracked.
+    images : int
+    by_state : dict of str to int
+    stretches : list of (int, int, str)
+        Where the object was lost: first image, last image, reason.
+    remarks : list of str
+        Images that were passed over, and why.
+    rms_px : float
+        Of the edgels that support the poses, over all images.
+    seconds : float
+        Time of the tracker alone.
+    last_state : str
+    description : str
+
+    """
+
+    table: PosesTable = field(default_factory=PosesTable)
+    images: int = 0
+    by_state: dict = field(default_factory=dict)
+    stretches: list = field(default_factory=list)
+    remarks: list = field(default_factory=list)
+    rms_px: float = math.nan
+    seconds: float = 0.0
+    last_state: str = ''
+    description: str = ''
+
+    @property
+    def followed(self) -> bool:
+        """Whether the object was still followed at the end."""
+        return self.last_state in ('tracking', 'degraded')
+
+    def text(self) -> str:
+        """Return the outcome for a person."""
+        if not self.images:
+            lines = ['Not tracked: none of the images could be used.']
+        else:
+            seen = sum(self.by_state.get(state, 0) for state in ('tracking', 'degraded'))
+            head = (f'Tracked in {seen} of {self.images} images' if self.followed else
+                    f'Lost at the end, after {seen} of {self.images} images were tracked')
+            states = ', '.join(f'{count} {state}' for state, count in self.by_state.items())
+            lines = [f'{head} ({states}).']
+            if math.isfinite(self.rms_px):
+                lines.append(f'Edges lie {self.rms_px:.2f} px rms from the model; '
+                             f'{1000 * self.seconds / self.images:.2f} ms an image.')
+        lines += [f'Lost from image {first} to {last}: {reason}'
+                  for first, last, reason in self.stretches[:MOST_REMARKS]]
+        if len(self.stretches) > MOST_REMARKS:
+            lines.append(f'... and {len(self.stretches) - MOST_REMARKS} times more.')
+        lines += self.remarks[:MOST_REMARKS]
+        if len(self.remarks) > MOST_REMARKS:
+            lines.append(f'... and {len(self.remarks) - MOST_REMARKS} more images passed over.')
+        return '\n'.join(lines)
+
+
+def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Read where the object is at first.
+
+    Parameters
+    ----------
+    init : str or None
+        Six numbers, or the name of a .pos or .init file.
+    clicks : sequence of float or None
+        u, v of each point of the .init file.
+    camera : Camera
+
+    Returns
+    -------
+    rotation : ndarray, shape (3, 3)
+    translation : ndarray, shape (3,)
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If something is missing or wrong; the sentence says what.
+
+    """
+    if not init:
+        raise ArgumentError('Say where the object is in the first image: --init '
+                            '"tx ty tz rx ry rz", or --init FILE.init with --clicks.')
+    try:
+        numbers = [float(word) for word in init.replace(',', ' ').split()]
+    except ValueError:
+        numbers = None
+    if numbers is not None:
+        if len(numbers) != 6 or not np.isfinite(numbers).all():
+            raise ArgumentError('--init takes six finite numbers "tx ty tz rx ry rz" (metres, '
+                                f'radians), not {init!r:.80}.')
+        return rotation_matrix(numbers[3:]), np.array(numbers[:3])
+    path = Path(init)
+    if path.suffix.lower() != '.init':
+        return read_pose_file(path)
+    points = read_init(path)
+    if clicks is None:
+        raise ArgumentError(f'{path} names {len(points)} points of the object; say with --clicks '
+                            f'where they are in the first image ({2 * len(points)} numbers).')
+    if len(clicks) != 2 * len(points):
+        raise ArgumentError(f'{path} names {len(points)} points of the object, so --clicks takes '
+                            f'{2 * len(points)} numbers, not {len(clicks)}.')
+    rotation, translation, rms_px = pose_from_clicks(points, np.reshape(clicks, (-1, 2)), camera)
+    limit = CLICK_ERROR_SHARE * (np.hypot(camera.width, camera.height) or 1000.0)
+    if rms_px > limit:
+        raise InputError(f'No pose fits the clicks: {rms_px:.0f} px remain. Check that they are '
+                         f'in the order of {path.name}, and that the calibration is of this '
+                         'camera.')
+    return rotation, translation
+
+
+def track_sequence(path, model, camera: Camera, start, options: TrackerOptions | None = None, *,
+                   topic: str | None = None, overlay=None, seed: int = 0,
+                   progress: Callable | None = None,
+                   each: Callable | None = None) -> TrackingRun:
+    """
+    Follow an object through a recording of any kind that `open_source` knows.
+
+    Parameters
+    ----------
+    path : str or Path
+    model : WireframeModel
+    camera : Camera
+    start : (ndarray (3, 3), ndarray (3,))
+        Pose of the object in the first image, roughly.
+    options : TrackerOptions, optional
+    topic : str, optional
+        Image topic of a bag.
+    overlay : str or Path, optional
+        Video to write.
+    seed : int
+    progress : callable, optional
+        Called as progress(text, done, total).
+    each : callable, optional
+        Called as each(frame, tracked) after every image.
+
+    Returns
+    -------
+    TrackingRun
+
+    Raises
+    ------
+    InputError
+        If the input, the start pose or the size of the images is wrong.
+
+    """
+    run, squares, edgels = TrackingRun(), 0.0, 0
+    session = TrackingSession(model, options, camera, seed)
+    session.start(*start)
+    with ExitStack() as stack:
+        source = stack.enter_context(open_source(path, topic, colour=overlay is not None))
+        if source.kind == 'tracks':
+            raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
+        _check_size(source, camera)
+        run.description = source.description
+        video = stack.enter_context(OverlayVideo(overlay, _rate(source))) if overlay else None
+        # images of a folder have no clock of their own
+        timed = source.clock != 'nominal'
+        for frame in source:
+            began = time.perf_counter()
+            try:
+                tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+            except InputError as error:
+                run.remarks.append(f'{frame.name or f"Image {frame.index}"} was passed over: '
+                                   f'{error}')
+                continue
+            run.seconds += time.perf_counter() - began
+            run.table.add(frame.index, frame.stamp_ns, tracked)
+            _count(run, frame.index, tracked)
+            if tracked.found.any():
+                squares += float(np.sum(tracked.edge_px[tracked.found]**2))
+                edgels += int(np.count_nonzero(tracked.found))
+            if each:
+                each(frame, tracked)
+            if video is not None:
+                picture = frame.image if frame.bgr is None else frame.bgr
+                video.add(draw_overlay(picture, tracked, model, camera))
+            if progress:
+                progress('Tracking', frame.index + 1, source.count)
+    run.rms_px = math.sqrt(squares / edgels) if edgels else math.nan
+    return run
+
+
+def _check_size(source, camera: Camera) -> None:
+    """Refuse a calibration of another image size before the first image."""
+    if source.image_size and camera.width and source.image_size != (camera.width, camera.height):
+        raise InputError(f'The images are {source.image_size[0]}x{source.image_size[1]}, the '
+                         f'calibration is for {camera.width}x{camera.height} pixels; use the '
+                         'calibration of this image size.')
+
+
+def _rate(source) -> float:
+    """Images a second of the overlay video."""
+    if source.clock in ('none', 'nominal'):
+        return RATE_HZ
+    stamps = []
+    for frame in source:
+        stamps.append(frame.stamp_ns)
+        if len(stamps) == 3:
+            break
+    steps = np.diff(stamps)
+    return float(1e9 / steps.min()) if len(steps) and steps.min() > 0 else RATE_HZ
+
+
+def _count(run: TrackingRun, index: int, tracked) -> None:
+    """Note how an image went."""
+    run.images += 1
+    run.last_state = tracked.state.value
+    run.by_state[run.last_state] = run.by_state.get(run.last_state, 0) + 1
+    if tracked.state is TrackerState.LOST:
+        if run.stretches and run.stretches[-1][1] == index - 1:
+            run.stretches[-1] = (run.stretches[-1][0], index, run.stretches[-1][2])
+        else:
+            run.stretches.append((index, index, tracked.reason))

@@ -1,0 +1,291 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Images in, poses of a known object out: what `selfcal track` and the node rorapid_tracker drive.
+
+The session checks what comes from outside (cameras, start poses, images, stamps) and says in a
+sentence what is wrong with it; the tracker behind it only sees what it can work with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
+from selfcal_ros.rorapid.tracker import (RorapidTracker, TrackedFrame, TrackerOptions,
+                                         TrackerState)
+
+#: Smaller images than this hold no object that could be followed.
+MINIMUM_SIDE_PX = 16
+#: A rotation may miss orthogonality by so much, as numbers in a file do.
+ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class TrackingSnapshot:
+    """
+    State of a session, for diagnostics.
+
+    Attributes
+    ----------
+    images : int
+        Images since the last reset.
+    by_state : dict of str to int
+        How many of them left the tracker in which state.
+    losses : int
+        How often the object was lost.
+    resets : int
+    newest : TrackedFrame or None
+    waiting_for : str
+        'camera', 'pose', or empty.
+
+    """
+
+    images: int
+    by_state: dict
+    losses: int
+    resets: int
+    newest: TrackedFrame | None
+    waiting_for: str
+
+
+class TrackingSession:
+    """
+    Follows one object.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    options : TrackerOptions, optional
+    camera : Camera, optional
+        Without it nothing is tracked until `set_camera`.
+    seed : int
+        Of the samples of RANSAC: the same images give the same poses.
+
+    """
+
+    def __init__(self, model, options: TrackerOptions | None = None, camera: Camera | None = None,
+                 seed: int = 0):
+        self.model = model
+        self.options = TrackerOptions() if options is None else options
+        self._seed = seed
+        self._camera = None
+        self._tracker = None
+        self._start = None
+        self._resets = -1
+        self.reset(forget_pose=True)
+        if camera is not None:
+            self.set_camera(camera)
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera in use."""
+        return self._camera
+
+    @property
+    def newest(self) -> TrackedFrame | None:
+        """What the last image gave."""
+        return self._newest
+
+    def reset(self, forget_pose: bool = False) -> None:
+        """Begin again from the start pose; or wait for another one."""
+        self._newest = None
+        self._newest_ns = None
+        self._images = 0
+        self._losses = 0
+        self._by_state = {}
+        self._resets += 1
+        if forget_pose:
+            self._start = None
+        if self._tracker is not None:
+            self._tracker.reset()
+            if self._start is not None:
+                self._tracker.start(*self._start)
+
+    def set_camera(self, camera: Camera) -> bool:
+        """
+        Take a calibration; the object is followed on from where it is.
+
+        Returns
+        -------
+        bool
+            Whether it differs from the one in use.
+
+        """
+        old = self._camera
+        if old is not None and (old.width, old.height) == (camera.width, camera.height) and \
+                np.array_equal(old.K, camera.K) and \
+                np.array_equal(old.distortion, camera.distortion):
+            return False
+        self._camera = camera
+        self._tracker = RorapidTracker(self.model, camera, self.options,
+                                       rng=np.random.default_rng(self._seed))
+        pose = self._start
+        if self._newest:
+            pose = self._newest.rotation, self._newest.translation
+        if pose is not None:
+            self._tracker.start(*pose)
+        return True
+
+    def start(self, rotation, translation) -> None:
+        """
+        Take a guess of the pose of the object in the camera's optical frame.
+
+        Parameters
+        ----------
+        rotation : array_like, shape (3, 3)
+        translation : array_like, shape (3,)
+            Metres.
+
+        Raises
+        ------
+        InputError
+            If it is no pose, or the object would lie behind the camera or outside the image.
+
+        """
+        rotation, translation = checked_pose(rotation, translation)
+        points = self.model.extent @ rotation.T + translation
+        if not points[:, 2].max() > 0:
+            raise InputError('The start pose puts the object behind the camera; its z (the third '
+                             'number, metres along the optical axis) must be positive.')
+        camera = self._camera
+        if camera is not None and camera.width and camera.height:
+            _check_in_image(camera, points)
+        self._start = rotation, translation
+        self.reset()
+
+    def add(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
+        """
+        Find the object in the next image.
+
+        Parameters
+        ----------
+        image : ndarray of uint8, shape (H, W) or (H, W, 3)
+        stamp_ns : int, optional
+            Acquisition time. When time jumps back (a bag that is played again), the session
+            begins again from the start pose.
+
+        Returns
+        -------
+        TrackedFrame
+
+        Raises
+        ------
+        InputError
+            If the image cannot be used: there is no camera or start pose yet, it has another
+            size than the camera was calibrated for, or it is older than the one before.
+
+        """
+        if self._tracker is None:
+            raise InputError('There is no calibration of the camera yet; the tracker needs one.')
+        if self._start is None:
+            raise InputError('There is no start pose yet; say roughly where the object is.')
+        self._check_image(image)
+        stamp_ns = self._checked_stamp(stamp_ns)
+        frame = self._tracker.track(image, stamp_ns)
+        self._images += 1
+        self._by_state[frame.state.value] = self._by_state.get(frame.state.value, 0) + 1
+        before = self._newest.state if self._newest is not None else None
+        if frame.state is TrackerState.LOST and before is not TrackerState.LOST:
+            self._losses += 1
+        self._newest = frame
+        return frame
+
+    def snapshot(self) -> TrackingSnapshot:
+        """Return the state for diagnostics."""
+        waiting = ('camera' if self._tracker is None else
+                   'pose' if self._start is None else '')
+        return TrackingSnapshot(self._images, dict(self._by_state), self._losses, self._resets,
+                                self._newest, waiting)
+
+    def _check_image(self, image) -> None:
+        """Refuse what is no image of this camera."""
+        if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
+                image.ndim == 3 and image.shape[2] != 3):
+            raise InputError(f'An array of shape {image.shape} and type {image.dtype} is no image '
+                             'that can be tracked in; give 8 bits, grey or bgr.')
+        height, width = image.shape[:2]
+        camera = self._camera
+        if camera.width and camera.height and (width, height) != (camera.width, camera.height):
+            raise InputError(f'The image is {width}x{height}, the calibration for '
+                             f'{camera.width}x{camera.height} pixels; use the calibration of '
+                             'this image size.')
+        if min(height, width) < MINIMUM_SIDE_PX:
+            raise InputError(f'The image is {width}x{height} pixels, too small to track in; '
+                             f'{MINIMUM_SIDE_PX} a side are needed.')
+
+    def _checked_stamp(self, stamp_ns: int | None) -> int | None:
+        """Return the stamp as the tracker takes it; begin anew where time jumps back."""
+        if stamp_ns is None:
+            return None
+        newest = self._newest_ns
+        if newest is not None and stamp_ns < newest:
+            if newest - stamp_ns < BACKWARD_JUMP_NS:
+                raise InputError(f'The image is {(newest - stamp_ns) * 1e-6:.1f} ms older than '
+                                 'the one before it; images must come in order.')
+            self.reset()
+            newest = None
+        self._newest_ns = stamp_ns
+        # a driver without a clock stamps all images alike
+        return None if stamp_ns == newest else stamp_ns
+
+
+def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return a pose as arrays, its rotation made exactly orthogonal.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or the matrix is no rotation.
+
+    """
+    rotation = np.asarray(rotation, float)
+    translation = np.asarray(translation, float).ravel()
+    if rotation.shape != (3, 3) or translation.shape != (3,) or not (
+            np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        raise InputError('The start pose must be finite numbers: three metres and a rotation.')
+    U, _, V = np.linalg.svd(rotation)
+    nearest = U @ V
+    if np.abs(nearest - rotation).max() > ROTATION_TOLERANCE or np.linalg.det(nearest) < 0:
+        raise InputError('The start pose has no rotation matrix; check what gives it.')
+    return nearest, translation
+
+
+def _check_in_image(camera: Camera, points: np.ndarray) -> None:
+    """Refuse a pose at which nothing of the object (N, 3, camera frame) is in the image."""
+    ahead = points[points[:, 2] > 1e-6]
+    low, high = ahead_box(camera, ahead)
+    size = np.array([camera.width, camera.height])
+    if (high < 0).any() or (low > size - 1).any():
+        centre = np.rint(0.5 * (low + high)).astype(int)
+        raise InputError('The start pose puts the object outside the image, at pixel '
+                         f'({centre[0]}, {centre[1]}) of {camera.width}x{camera.height}; check '
+                         'its unit (metres), its frame (optical: x right, y down, z forward) and '
+                         'the calibration.')
+
+
+def ahead_box(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Bound the image of points (N, 3) that lie ahead: two corners (2,) in pixels.
+
+    Without distortion, whose polynomial means nothing far outside the image.
+    """
+    xy = np.clip(points[:, :2] / points[:, 2:], -1e6, 1e6)
+    pixels = xy @ camera.K[:2, :2].T + camera.K[:2, 2]
+    return pixels.min(axis=0), pixels.max(axis=0)
