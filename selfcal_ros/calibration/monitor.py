@@ -33,6 +33,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.state import ASPECT, CX, CY, F
 from selfcal_ros.calibration.window_score import WindowScore
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
 
 #: What may change suddenly. The aspect ratio belongs to the sensor; a change of the distortion
 #: shows as one of these.
@@ -45,6 +46,8 @@ WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
 SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
 #: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
 REMEMBERED, LEAST_FOR_SCATTER = 60, 8
+#: A score is exact to first order: so much of the step that it tells is its own uncertainty.
+CURVATURE = 0.1
 #: A parameter counts as changed when its change exceeds so many sigmas.
 SAID_SIGMAS = 3.0
 
@@ -191,10 +194,14 @@ class ChangeMonitor:
 
     Attributes
     ----------
+    calibration : Calibration
     free : ndarray of int, shape (k,)
         Indices into `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+    camera : Camera
+        That the next window is to be scored against: the one in force, or after an alarm the one
+        that there seems to be, since a score is exact to first order only.
     change : CameraChange or None
-        The first alarm; it stays.
+        The alarm. It stays once it is raised, and what it states improves with every window.
     windows, discarded : int
         Windows that were taken, and those of them that agreed with nothing before or after.
     statistic, threshold : float
@@ -203,10 +210,12 @@ class ChangeMonitor:
     """
 
     def __init__(self, calibration: Calibration, settings: MonitorSettings = MonitorSettings()):
-        self.settings = settings
+        self.settings, self.calibration = settings, calibration
         self.camera = calibration.camera
+        fx, fy, *rest = self.camera.parameters
         covariance = _intrinsic_covariance(calibration)
         self.free = np.flatnonzero((np.diag(covariance) > 0) | np.isin(np.arange(9), CHANGES))
+        self._in_force = np.array([fx, fy / fx, *rest])[self.free]
         self._changes = np.searchsorted(self.free, CHANGES)
         size = np.hypot(self.camera.width, self.camera.height)
         focal = self.camera.K[0, 0]
@@ -215,7 +224,6 @@ class ChangeMonitor:
         self._tolerance = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
         prior = covariance[np.ix_(self.free, self.free)]
         self._prior = prior + np.diag(self._along(0.01 * self._tolerance))
-        self._own = np.diag(self._along(self._tolerance))
         self._old: list[_Block] = []
         self._new: list[_Block] = []
         self._scatter = _Scatter()
@@ -241,7 +249,7 @@ class ChangeMonitor:
         Parameters
         ----------
         score : WindowScore
-            Of `camera` and `free`.
+            Of `free`, against `camera` or against the one in force.
 
         Returns
         -------
@@ -252,14 +260,16 @@ class ChangeMonitor:
         self.windows += 1
         inflation = self._scatter.inflation(score.dependence) * self._scatter.excess()
         information = score.information / inflation
+        step = score.at + score.step - self._in_force
         # every scene has its own small error, however much it tells
-        weight = np.linalg.inv(np.eye(len(self.free)) + information @ self._own)
+        own = np.diag(self._along(self._tolerance
+                                  + np.square(CURVATURE * score.step[self._changes])))
+        weight = np.linalg.inv(np.eye(len(self.free)) + information @ own)
         self._new.append(_Block(_symmetric(weight @ information),
-                                weight @ information @ score.step, 1,
+                                weight @ information @ step, 1,
                                 score.frames[0], score.frames[-1]))
-        self._scatter.remember(score.dependence, self._misfit(score))
-        if self.change is None:
-            self._test()
+        self._scatter.remember(score.dependence, self._misfit(score, step[self._changes]))
+        self._test()
         if len(self._new) > SINGLE_WINDOWS:
             self._retire()
         return self.change
@@ -309,18 +319,33 @@ class ChangeMonitor:
                                                      after, after_shift)
         best = int(np.argmax(statistic))
         self.statistic, self.threshold = float(statistic[best]), self._threshold(len(blocks))
-        if self.statistic < self.threshold or not self._holds_without_strongest(
+        if best == 0 or self.statistic < self.threshold:
+            return
+        if self.change is None and not self._holds_without_strongest(
                 best + 1, before[best], after_shift[-1] - after_shift[best],
                 after[best], after_shift[best]):
             return
+        # the camera may have changed within the first of the windows that differ: it is a mixture
+        # of two cameras, and counts with neither
+        _, change, covariance = self._ratios(
+            before[best:best + 1], (after_shift[-1] - after_shift[best])[None],
+            after[best - 1:best], after_shift[best - 1:best])
         self.change = CameraChange(
-            change[best], covariance[best], float(self.camera.K[0, 0]),
-            blocks[-1 - best].first_frame, blocks[-1].last_frame, self.statistic, self.threshold)
+            change[0], covariance[0], float(self._in_force[0]), blocks[-1 - best].first_frame,
+            blocks[-1].last_frame, self.statistic, self.threshold)
+        self.camera = self._changed(change[0])
+
+    def _changed(self, change) -> Camera:
+        """Return the camera in force after a change (3,), within reason."""
+        camera = self.calibration.camera
+        values = camera.parameters
+        values[:2] *= np.clip(1 + change[0] / values[0], 0.5, 2.0)
+        values[2:4] += np.clip(change[1:], *(np.array([-0.25, 0.25])
+                                             * np.hypot(camera.width, camera.height)))
+        return Camera.from_parameters(values, camera.width, camera.height)
 
     def _holds_without_strongest(self, count, before, before_shift, after, after_shift) -> bool:
         """Tell whether the change is seen without any one of its newest windows, too."""
-        if count < 2:
-            return False
         single = self._new[-count:]
         others = np.stack([after - block.information for block in single])
         other_shifts = np.stack([after_shift - block.shift for block in single])
@@ -331,13 +356,12 @@ class ChangeMonitor:
 
     # ------------------------------------------------------------------ memory
 
-    def _misfit(self, score: WindowScore) -> float:
+    def _misfit(self, score: WindowScore, step: np.ndarray) -> float:
         """Squared distance of a window from the camera in force, in its own sigmas."""
         inflation = self._scatter.inflation(score.dependence)
-        spread = _inverse(score.information) * inflation + self._own + self._prior
-        step = score.step[self._changes]
-        return float(step @ np.linalg.solve(
-            spread[np.ix_(self._changes, self._changes)], step))
+        spread = _inverse(score.information) * inflation + self._prior
+        spread = spread[np.ix_(self._changes, self._changes)] + np.diag(self._tolerance)
+        return float(step @ np.linalg.solve(spread, step))
 
     def _retire(self) -> None:
         """Move the oldest single window to the merged ones, unless it agrees with nothing."""

@@ -54,21 +54,24 @@ class WindowScore:
     ----------
     frames : tuple of int
         Keyframes of the window.
+    at : ndarray, shape (k,)
+        Parameters of the camera that was supposed.
     step : ndarray, shape (k,)
-        From the camera in force to the one that the window shows (one Newton step).
+        From there to the camera that the window shows (one Newton step).
     information : ndarray, shape (k, k)
         Inverse covariance of the step for independent errors.
     dependence : float
         Variance of the step with errors shared within tracks over that with independent errors;
         scatters about 1 where the errors are independent.
     noise_px : float
-        Standard deviation of an image coordinate, with the camera in force.
+        Standard deviation of an image coordinate, with that camera.
     misfit : float
         That noise over what the epipolar geometry leaves, which knows no camera.
 
     """
 
     frames: tuple
+    at: np.ndarray
     step: np.ndarray
     information: np.ndarray
     dependence: float
@@ -86,7 +89,7 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
     tracks : Tracks
         Of these keyframes only, in pixels.
     camera : Camera
-        In force.
+        That is supposed: the one in force, or where it is thought to be now.
     free : ndarray of int, shape (k,)
         Indices into `INTRINSIC_NAMES`.
     rng : numpy.random.Generator
@@ -123,7 +126,7 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
     information = np.linalg.pinv(covariance / np.outer(scale, scale),
                                  hermitian=True) / np.outer(scale, scale)
     return WindowScore(
-        tuple(int(frame) for frame in graph.frames),
+        tuple(int(frame) for frame in graph.frames), state.intrinsics[free],
         evidence.influence[:, free].sum(axis=0), information,
         _shared_within_tracks(evidence, observations.point, free, information),
         bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, LEAST_NOISE_PX))
