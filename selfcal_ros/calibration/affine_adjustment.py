@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks)
+from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
 
@@ -192,7 +192,8 @@ class _Adjustment:
     @staticmethod
     def _cost(residual, sigma):
         distance = np.linalg.norm(residual, axis=1) / sigma
-        return huber_cost(np.where(np.isfinite(distance), distance, 1e6), _HUBER_SIGMAS)
+        return float(huber_loss(np.where(np.isfinite(distance), distance, 1e6),
+                                _HUBER_SIGMAS).sum())
 
     def _covariance(self, cameras, points, sigma):
         """Covariance of the free cameras' left halves, scales and depth unit held."""

@@ -20,20 +20,22 @@ eliminated, facts and planarity as measurements, Huber's loss.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            SHARED)
-from selfcal_ros.geometry.optimise import (DampedFactor, huber_cost, huber_weights, PointBlocks,
+from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks,
                                            ReducedSystem)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0
+#: Misfit of an observation of a point behind the camera, where the model predicts nothing.
+BEHIND_SIGMAS = 100.0
 
 
 @dataclass(frozen=True)
@@ -160,13 +162,15 @@ class Bundle:
         if not (np.isfinite(state.intrinsics).all() and state.intrinsics[F] > 0
                 and state.intrinsics[ASPECT] > 0):
             return np.inf
-        line = self.linearise(state, jacobians=False)
-        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
+        distance = self._misfits(self.linearise(state, jacobians=False))
         if not np.isfinite(distance).all():
             return np.inf
-        # behind the camera the model predicts nothing: a constant, large misfit
-        distance = np.where(line.ahead, distance, np.maximum(distance, 100.0))
-        return huber_cost(distance, HUBER_SIGMAS) + self.prior_terms(state)[0]
+        return float(huber_loss(distance, HUBER_SIGMAS).sum()) + self.prior_terms(state)[0]
+
+    def _misfits(self, line: Linearisation) -> np.ndarray:
+        """Return the length of every residual (N,) in sigmas."""
+        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
+        return np.where(line.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
     def normal_equations(self, state: BundleState, damping: float = 0.0,
                          robust: bool = True) -> ReducedSystem:
@@ -231,6 +235,36 @@ class Bundle:
                 damping, growth = max(damping, 1e-8) * growth, growth * 2
                 if damping > 1e8:
                     break
+        return state
+
+    def settle_points(self, state: BundleState, iterations: int = 5) -> BundleState:
+        """
+        Minimise the robust cost over the points alone, every point by steps of its own.
+
+        Points intersected in closed form may be far off in the image, and a few of them would
+        move the cameras in the joint adjustment.
+        """
+        def point_costs(line):
+            loss = np.nan_to_num(huber_loss(self._misfits(line), HUBER_SIGMAS), nan=np.inf)
+            return self.blocks.sum_over_points(loss)
+
+        damping = np.full(self.blocks.point_count, 1e-3)
+        line = self.linearise(state)
+        cost = point_costs(line)
+        for _ in range(iterations):
+            weight = huber_weights(self._misfits(line), HUBER_SIGMAS) * line.ahead
+            weighted = np.swapaxes(line.point * weight[:, None, None], 1, 2)
+            H = self.blocks.sum_over_points(weighted @ line.point)
+            b = self.blocks.sum_over_points(weighted @ line.residual[..., None])
+            ridge = damping * np.einsum('pii->p', H) + 1e-300
+            step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b)[..., 0]
+            moved = self.apply(state, np.zeros(len(self.free)), step)
+            new_cost = point_costs(self.linearise(moved, jacobians=False))
+            better = new_cost < cost
+            damping *= np.where(better, 0.1, 10.0)
+            state = replace(state, points=np.where(better[:, None], moved.points, state.points))
+            cost = np.minimum(cost, new_cost)
+            line = self.linearise(state)
         return state
 
     def _curved_step(self, state, system, root, factor):

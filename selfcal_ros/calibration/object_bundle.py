@@ -28,7 +28,7 @@ from selfcal_ros.calibration.bundle import Bundle, Evidence, HUBER_SIGMAS
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH
 from selfcal_ros.calibration.state import ASPECT, F, Prior
-from selfcal_ros.geometry.optimise import huber_cost, huber_weights
+from selfcal_ros.geometry.optimise import huber_loss, huber_weights
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Unknowns of a pose: a small turn on the camera's side (rad), then the translation.
@@ -157,7 +157,7 @@ class ObjectBundle:
         if not np.isfinite(distance).all():
             return np.inf
         distance = np.where(ahead, distance, np.maximum(distance, 100.0))
-        return huber_cost(distance, HUBER_SIGMAS) + self._prior_terms(state)[0]
+        return float(huber_loss(distance, HUBER_SIGMAS).sum()) + self._prior_terms(state)[0]
 
     def _prior_terms(self, state: ObjectState):
         """Return cost, gradient and diagonal of the facts, which are measurements."""

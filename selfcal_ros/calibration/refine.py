@@ -152,6 +152,8 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
     before = len(observations.view)
     for k in range(rounds):
         bundle = bundle_of(observations, motion, priors, sigma_px)
+        if k == 0:
+            state = bundle.settle_points(state)
         state = bundle.optimise(state, 12 if k == 0 else 30, 1.0 if k < 2 else 0.05)
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):

@@ -121,6 +121,11 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
     for state, noise in starts(problem, proposals()):
         if noise < best_noise:
             best, best_noise = state, noise
-        if best_noise < GOOD_ENOUGH * problem.noise_px:
+        if best_noise < GOOD_ENOUGH * problem.noise_px and _is_plausible(best, problem.size):
             break
     return best, best_noise
+
+
+def _is_plausible(state: BundleState, size: tuple[int, int]) -> bool:
+    """Whether the principal point is in the image: else a rival may explain it better."""
+    return bool(np.all((state.intrinsics[2:4] > 0) & (state.intrinsics[2:4] < size)))

@@ -248,10 +248,10 @@ def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:
     return np.minimum(1.0, threshold / np.maximum(distance, 1e-300))
 
 
-def huber_cost(distance: np.ndarray, threshold: float) -> float:
-    """Sum of Huber's loss, d² / 2 near zero, for distances in units of sigma."""
-    return float(np.where(distance <= threshold, 0.5 * distance**2,
-                          threshold * (distance - 0.5 * threshold)).sum())
+def huber_loss(distance: np.ndarray, threshold: float) -> np.ndarray:
+    """Huber's loss, d² / 2 near zero, of distances in units of sigma."""
+    return np.where(distance <= threshold, 0.5 * distance**2,
+                    threshold * (distance - 0.5 * threshold))
 
 
 class DampedFactor:

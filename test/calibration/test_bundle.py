@@ -203,3 +203,18 @@ def test_tangent_basis_is_orthonormal():
     np.testing.assert_allclose(np.swapaxes(B, 1, 2) @ B, np.tile(np.eye(3), (50, 1, 1)),
                                atol=1e-12)
     np.testing.assert_allclose(np.einsum('pi,pij->pj', points, B), 0, atol=1e-12)
+
+
+def test_points_settle_without_moving_the_cameras():
+    """From far off, each alone: the cost of the truth is reached again."""
+    bundle, state = problem(0.1, distortion=(-0.1, 0.05, 0, 0))
+    rng = np.random.default_rng(5)
+    points = state.points + 0.05 * rng.standard_normal(state.points.shape)
+    off = replace(state, points=points / np.linalg.norm(points, axis=1, keepdims=True))
+
+    found = bundle.settle_points(off, 10)
+
+    assert bundle.cost(off) > 100 * bundle.cost(state)
+    assert bundle.cost(found) < bundle.cost(state)
+    np.testing.assert_array_equal(found.views, state.views)
+    np.testing.assert_array_equal(found.intrinsics, state.intrinsics)

@@ -19,9 +19,9 @@ from scipy.stats import chi2
 
 from selfcal_ros import calibrate, CameraFacts, NotCalibrated, Tracks
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.synthetic import special_scenes
-from selfcal_ros.synthetic.scenes import sequence_si
+from selfcal_ros.synthetic.scenes import pitched_mount, planar_sequence, sequence_si
 
 KNOWN_ASPECT = CameraFacts(aspect_ratio=1.0, distortion='none')
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
@@ -151,6 +151,26 @@ def test_circular_motion_of_many_views_is_solved_with_square_pixels():
     assert calibrate(sequence.tracks, facts=SQUARE)
 
 
+def test_turning_on_the_spot_does_not_end_beside_the_optimum():
+    """Half a turn, camera 0.3 m off the axis: a valley with other optima beside the right one."""
+    rng = np.random.default_rng(0)
+    camera = Camera([[520, 0, 328], [0, 520, 235], [0, 0, 1]], [-0.12, 0.05, 0, 0], 640, 480)
+    heading = np.radians(np.linspace(0, 180, 24))
+    path = 0.3 * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    points = rng.uniform((-12, -12, -1.2), (15, 12, 2.5), (6000, 3))
+    tracks = planar_sequence(rng, camera, pitched_mount(np.radians(20)), heading, path, points,
+                             0.1, only_inside=True).tracks.with_at_least(3)
+    tracks = tracks.select(tracks.track < 3000)
+
+    result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1, skew=0, distortion='radial2'))
+
+    assert result
+    away = deviations(result, camera)
+    assert np.abs(away).max() < 4
+    assert result.sigma['fx'] < 10
+    assert result.outlier_count < 0.02 * len(tracks)
+
+
 def test_distortion_is_found_and_named():
     sequence = special_scenes.drive(np.random.default_rng(2), 0.1, views=16, tracks=700)
     straight = calibrate(sequence.tracks, facts=SQUARE)
@@ -179,7 +199,6 @@ def test_the_result_does_not_depend_on_the_start():
     sequence = sequence_si(np.random.default_rng(1), 0.2, views=6)
     free = calibrate(sequence.tracks, facts=KNOWN_ASPECT)
     for focal in (500.0, 1500.0):
-        from selfcal_ros import Camera
         start = Camera([[focal, 0, 400], [0, focal, 300], [0, 0, 1]], width=800, height=600)
         other = calibrate(sequence.tracks, facts=KNOWN_ASPECT, start=start)
 
