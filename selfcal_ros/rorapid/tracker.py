@@ -15,13 +15,32 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.rorapid.classic import ClassicCycle
+from selfcal_ros.rorapid.control import ControlModel, Measured
+from selfcal_ros.rorapid.filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.modern import ModernCycle
+from selfcal_ros.rorapid.motion import motion_basis, PlaneLearner
 from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection import Projection
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.rorapid.visibility import VisibleModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
+
+#: Uncertainty of a first guess: share of the distance, and radians.
+_START_SHARE, _START_RAD = 0.02, 0.05
+#: Unknown first velocity: diameters of the object, and radians, per second.
+_START_SPEED, _START_TURN = 2.0, 1.0
+#: Share of the velocity that is lost with each frame in which nothing is seen.
+_DAMPING = 0.3
+#: Longest time that a prediction reaches over, seconds.
+_LONGEST_S = 0.5
 
 
 class RorapidTracker:
@@ -40,21 +59,242 @@ class RorapidTracker:
 
     def __init__(self, model, camera: Camera, options: TrackerOptions | None = None, rng=None):
         """Prepare the model for this camera."""
-        raise NotImplementedError
+        self.model, self.camera = model, camera
+        self.options = options = TrackerOptions() if options is None else options
+        self._rng = np.random.default_rng(0) if rng is None else rng
+        self._visible = VisibleModel(model, options.control_points_per_line,
+                                     options.control_points_per_conic)
+        self._plane = PlaneLearner()
+        self._axis = options.plane_axis
+        self._build(options.camera_model)
+        self._filter = None
+        self._state = TrackerState.LOST
+        self._stamp_ns = None
 
-    def start(self, rotation, translation, covariance=None) -> None:
-        """Take a guess of the pose; the state becomes INITIALISING."""
-        raise NotImplementedError
-
-    def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
-        """Find the object in the next image, (H, W) or (H, W, 3) uint8."""
-        raise NotImplementedError
-
-    def reset(self) -> None:
-        """Forget pose and texture; a new start is needed."""
-        raise NotImplementedError
+    def _build(self, camera_model: str) -> None:
+        """Make the parts that depend on the camera model and on the motion model."""
+        options = self.options
+        self._camera_model = camera_model
+        self._projection = Projection(self.camera, camera_model)
+        motion = options.motion
+        if motion == 'planar' and self._axis is None:
+            motion = 'general'                # until the plane is learned
+        self._motion = motion
+        self._basis = motion_basis(motion, self._projection.size, self._axis)
+        size = (self.camera.width or 1 << 30, self.camera.height or 1 << 30)
+        self._control = ControlModel(self._visible, self._projection, size)
+        cycle = ModernCycle if options.method == 'modern' else ClassicCycle
+        self._cycle = cycle(self._control, self._basis, options, self._rng)
 
     @property
     def state(self) -> TrackerState:
-        """State after the last image."""
-        raise NotImplementedError
+        """State after the last image; LOST before any start."""
+        return self._state
+
+    def reset(self) -> None:
+        """Forget pose, texture and plane; a new start is needed."""
+        self._cycle.reset()
+        self._plane.reset()
+        self._filter = None
+        self._state = TrackerState.LOST
+        self._stamp_ns = None
+
+    def start(self, rotation, translation, covariance=None) -> None:
+        """
+        Take a guess of the pose; the state becomes INITIALISING.
+
+        Parameters
+        ----------
+        rotation : array_like, shape (3, 3)
+        translation : array_like, shape (3,)
+            Metres, object before the camera.
+        covariance : array_like, shape (6, 6), optional
+            Of the guess, (tx ty tz rx ry rz).
+
+        Raises
+        ------
+        ArgumentError
+            If it is no pose, or the object is behind the camera.
+
+        """
+        rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+        if rotation.shape != (3, 3) or translation.shape != (3,) or not (
+                np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise ArgumentError('A start pose is a 3x3 rotation and three finite metres.')
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
+            raise ArgumentError('The rotation of the start pose is not a rotation matrix.')
+        U, _, Vt = np.linalg.svd(rotation)
+        rotation = U @ Vt
+        centred = translation + rotation @ self._control.centre
+        if not centred[2] > 0:
+            raise ArgumentError('The start pose puts the object behind the camera (z is not '
+                                'positive).')
+        if covariance is None:
+            spread = np.diag([_START_RAD**2] * 3 + [(_START_SHARE * centred[2])**2] * 3)
+        else:
+            spread = np.asarray(covariance, float)
+            if spread.shape != (6, 6) or not np.isfinite(spread).all():
+                raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
+            carry = _recentring(rotation @ self._control.centre)
+            swap = np.r_[3:6, 0:3]
+            spread = np.linalg.inv(carry) @ spread[np.ix_(swap, swap)] @ np.linalg.inv(carry).T
+            spread = spread + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+        state = self._projection.from_pose(rotation, centred)
+        self._start_filter(state, spread)
+        self._state = TrackerState.INITIALISING
+        self._misses, self._stamp_ns = 0, None
+
+    def _start_filter(self, state, spread) -> None:
+        """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
+        options, size = self.options, self._projection.size
+        full = np.zeros((size, size))
+        turn, speed = np.zeros(size), np.zeros(size)
+        diameter = self.model.diameter_m
+        if size == 8:
+            scale = 1 / state.translation[2]
+            full[:6, :6] = np.eye(6) * (_START_RAD * scale)**2
+            full[6:, 6:] = np.eye(2) * (_START_SHARE)**2
+            speed[:6], speed[6:] = _START_TURN * scale, _START_SPEED * diameter * scale
+            turn[:6] = options.acceleration_rad_s2 * scale
+            turn[6:] = options.acceleration_m_s2 * scale
+        else:
+            full[:6, :6] = spread
+            speed[:6] = [_START_TURN] * 3 + [_START_SPEED * diameter] * 3
+            turn[:6] = [options.acceleration_rad_s2] * 3 + [options.acceleration_m_s2] * 3
+            if size == 7:
+                full[6, 6] = 0.15**2
+                speed[6], turn[6] = options.zoom_rate_s, options.zoom_rate_s
+        B = self._basis
+        self._filter = ConstantVelocityFilter(
+            self._projection, B, state, B.T @ full @ B,
+            np.sqrt(np.einsum('im,i->m', B**2, speed**2)),
+            np.sqrt(np.einsum('im,i->m', B**2, turn**2)))
+
+    def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
+        """
+        Find the object in the next image.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W) or (H, W, 3), uint8
+            Grey or BGR.
+        stamp_ns : int, optional
+            Time of the image; without it images come at `frame_rate_hz`.
+
+        Returns
+        -------
+        TrackedFrame
+
+        Raises
+        ------
+        ArgumentError
+            If there was no `start`.
+        InputError
+            If the image is not of the camera's size or type.
+
+        """
+        if self._filter is None:
+            raise ArgumentError('The tracker needs a start pose before the first image.')
+        image = self._grey(image)
+        seconds = self._elapsed(stamp_ns)
+        lost = self._state is TrackerState.LOST
+        first = self._state is TrackerState.INITIALISING
+        if not (first or lost):
+            self._filter.predict(seconds, _DAMPING if self._misses else 0.0)
+        predicted, spread = self._filter.state, self._filter.spread
+        measured = self._cycle.measure(image, predicted, spread)
+        if first:
+            for _ in range(3):
+                measured = self._cycle.measure(image, measured.state, spread)
+        return self._judge(image, measured, predicted, stamp_ns)
+
+    def _grey(self, image):
+        """Check an image and make it grey."""
+        image = np.asarray(image)
+        if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
+                image.ndim == 3 and image.shape[2] != 3) or not image.size:
+            raise InputError('The tracker takes grey or BGR images of 8 bits, not '
+                             f'{image.dtype} of shape {image.shape}.')
+        height, width = image.shape[:2]
+        camera = self.camera
+        if camera.width and camera.height and (width, height) != (camera.width, camera.height):
+            raise InputError(f'The image is {width}x{height} pixels, the camera '
+                             f'{camera.width}x{camera.height}; they do not belong together.')
+        self._control.image_size = (width, height)
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return np.ascontiguousarray(image)
+
+    def _elapsed(self, stamp_ns):
+        """Seconds since the last image."""
+        before, self._stamp_ns = self._stamp_ns, stamp_ns
+        if stamp_ns is None or before is None or stamp_ns <= before:
+            return 1 / self.options.frame_rate_hz
+        return min((stamp_ns - before) * 1e-9, _LONGEST_S)
+
+    def _judge(self, image, measured: Measured, predicted, stamp_ns) -> TrackedFrame:
+        """Accept or refuse a measurement, and say what the state is."""
+        options = self.options
+        lost = self._state is TrackerState.LOST
+        accepted = measured.determined and measured.share >= (
+            options.tracking_share if lost else options.lost_share)
+        innovation = float('nan')
+        if accepted:
+            self._misses = 0
+            if measured.with_prior:
+                innovation = self._filter.innovation_share(measured.state, measured.covariance)
+                self._filter.absorb(measured.state, measured.covariance)
+            else:
+                innovation = self._filter.innovation_share(measured.state, measured.covariance)
+                self._filter.update(measured.state, measured.covariance)
+            tracking = measured.share >= options.tracking_share
+            self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
+            if options.method == 'modern':
+                self._cycle.remember(measured, tracking)
+            reason = '' if tracking else (
+                f'Only {100 * measured.share:.0f} % of what should be visible is found.')
+        else:
+            self._misses += 1
+            if lost or self._misses >= options.frames_to_lost:
+                self._state = TrackerState.LOST
+                self._filter.velocity[:] = 0
+            elif self._state is not TrackerState.INITIALISING:
+                self._state = TrackerState.DEGRADED
+            reason = measured.reason or (
+                f'Only {100 * measured.share:.0f} % of what should be visible is found where '
+                'the object was expected.')
+        return self._frame(measured, accepted, reason, innovation, stamp_ns)
+
+    def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
+        """Put the result into the object's own frame."""
+        state = self._filter.state
+        arm = state.rotation @ self._control.centre
+        B = self._basis
+        full = B @ self._filter.spread @ B.T
+        carry = _recentring(arm)
+        pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
+        swap = np.r_[3:6, 0:3]
+        view = measured.view if accepted and measured.with_prior else self._control.again(
+            measured.view, state)
+        edge = measured.edge_px
+        found = measured.found & accepted
+        rms = float(np.sqrt(np.mean(edge[found]**2))) if found.any() else float('nan')
+        focal = float(self.camera.K[0, 0] * state.zoom)
+        sigma = focal * float(np.sqrt(full[6, 6])) if len(full) == 7 else 0.0
+        return TrackedFrame(
+            self._state, reason, state.rotation, state.translation - arm, pose[np.ix_(swap, swap)],
+            focal, sigma, self._camera_model, view.projected.pixels, view.normal, edge, found,
+            np.isfinite(edge) & ~found, ~view.searched, view.primitive, measured.texture_px, rms,
+            measured.share, innovation, stamp_ns)
+
+
+def _recentring(arm: np.ndarray) -> np.ndarray:
+    """
+    Carry (theta, Delta) at the object's middle to its own origin, (6, 6).
+
+    The middle moves by Delta and the origin lies at -arm from it: it moves by
+    Delta - theta x arm.
+    """
+    carry = np.eye(6)
+    carry[3:, :3] = cross_matrix(arm)
+    return carry

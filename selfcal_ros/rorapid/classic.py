@@ -1,0 +1,174 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The thesis's own cycles: RAPiD (algorithm 7.1) and RoRAPiD (7.2), one correction a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.control import ControlModel, ControlView, Measured
+from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection import ObjectState
+from selfcal_ros.rorapid.robust import (case_deletion, ransac_conics, ransac_lines, robust_sigma,
+                                        stability)
+
+#: Edgels are not known better than this, pixels.
+_LEAST_SIGMA_PX = 0.3
+#: RAPiD has no adaptive range; it searches so far between the two bounds.
+_FIXED_SHARE = 0.5
+
+
+class ClassicCycle:
+    """
+    One measurement per image by the thesis's algorithms.
+
+    Parameters
+    ----------
+    control : ControlModel
+    basis : ndarray, shape (size, m)
+        Of the motion model.
+    options : TrackerOptions
+    rng : numpy.random.Generator
+
+    """
+
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
+        """Start with full weights and the widest search."""
+        self.control, self.basis, self.options, self.rng = control, basis, options, rng
+        self.robust = options.method == 'rorapid'
+        primitives = len(control.is_conic)
+        self._weight = np.ones(control.size)
+        self._reach = np.full(primitives, float(options.search_most_px))
+        self._least = np.where(control.is_conic, options.least_per_conic, options.least_per_line)
+        # place of each control point in its primitive
+        counts = np.where(control.is_conic, options.control_points_per_conic,
+                          options.control_points_per_line)
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        self._primitive = np.repeat(np.arange(primitives), counts)
+        self._place = np.arange(control.size) - first[self._primitive]
+        self._most = int(counts.max())
+
+    def reset(self) -> None:
+        """Forget weights and ranges."""
+        self._weight[:] = 1
+        self._reach[:] = self.options.search_most_px
+
+    def measure(self, image: np.ndarray, predicted: ObjectState, spread=None) -> Measured:
+        """Search from the predicted state and correct it once."""
+        options, control = self.options, self.control
+        view = control.view(predicted)
+        low, high = options.search_least_px, options.search_most_px
+        reach = self._reach if self.robust else np.full_like(
+            self._reach, low + _FIXED_SHARE * (high - low))
+        at = np.flatnonzero(view.searched)
+        offset = np.full(len(view.ids), np.nan)
+        if len(at):
+            most = int(np.ceil(reach[view.primitive[at]].max()))
+            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], most,
+                                      lanes=1)
+            offset[at] = find_edgels(profiles, 1, options.least_contrast).offset[:, 0]
+            offset[np.abs(offset) > reach[view.primitive]] = np.nan
+        found = np.isfinite(offset)
+        if self.robust:
+            found = self._support(view, offset, found)
+            weight = self._weight[view.ids]
+        else:
+            weight = np.ones(len(offset))
+        rows = control.projection.rows(predicted, view.projected, view.normal) @ self.basis
+        if self.robust:
+            found = self._without_wrong(view, rows, offset, weight, found)
+        result = self._solve(predicted, view, rows, offset, weight, found)
+        if self.robust:
+            self._remember(view, offset, found)
+        return result
+
+    def _support(self, view: ControlView, offset, found):
+        """RANSAC within each primitive; primitives with too few edgels are not found."""
+        xy = view.projected.pixels + np.where(found, offset, 0.0)[:, None] * view.normal
+        primitives = np.unique(view.primitive)
+        row = np.searchsorted(primitives, view.primitive)
+        place = self._place[view.ids]
+        padded = np.zeros((len(primitives), self._most, 2))
+        valid = np.zeros((len(primitives), self._most), bool)
+        padded[row, place], valid[row, place] = xy, found
+        support = np.zeros_like(valid)
+        conic = self.control.is_conic[primitives]
+        support[~conic] = ransac_lines(padded[~conic], valid[~conic], self.options.support_px,
+                                       self.rng)
+        support[conic] = ransac_conics(padded[conic], valid[conic], self.options.support_px,
+                                       self.rng)
+        support[support.sum(axis=1) < self._least[primitives]] = False
+        return support[row, place]
+
+    def _without_wrong(self, view, rows, offset, weight, found):
+        """Case deletion over the primitives."""
+        primitives = len(self._least)
+        m = rows.shape[1]
+        w = np.where(found, weight, 0.0)
+        length = np.where(found, offset, 0.0)
+        owner = view.primitive
+        matrices = np.zeros((primitives, m, m))
+        np.add.at(matrices, owner, (w[:, None] * rows)[:, :, None] * rows[:, None])
+        vectors = np.zeros((primitives, m))
+        np.add.at(vectors, owner, (w * length)[:, None] * rows)
+        squares = np.bincount(owner, w * length**2, primitives)
+        counts = np.bincount(owner, w, primitives)
+        damping = 1e-6 * np.diag(np.diagonal(matrices.sum(axis=0)) + 1e-12)
+        least = int(np.ceil(m / 2))
+        alive = case_deletion(matrices, vectors, squares, counts, 2 * self.options.support_px,
+                              least, damping)
+        return found & alive[owner]
+
+    def _solve(self, predicted, view, rows, offset, weight, found):
+        """Return the weighted pose correction (7.12)."""
+        w = np.where(found, weight, 0.0)
+        length = np.where(found, offset, 0.0)
+        H = (rows * w[:, None]).T @ rows
+        g = rows.T @ (w * length)
+        scale = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
+        determined = found.sum() >= rows.shape[1] and \
+            np.linalg.eigvalsh(H / np.outer(scale, scale))[0] > 1e-6
+        searched = max(int(view.searched.sum()), 1)
+        share = float(found.sum() / searched)
+        if not determined:
+            return Measured(predicted, np.eye(len(g)), False, view, offset, found,
+                            np.zeros((0, 2)), share, False,
+                            'The edges found do not determine the pose.')
+        q = np.linalg.solve(H, g)
+        control = self.control
+        state = control.projection.moved(predicted, self.basis @ q)
+        after = control.again(view, state)
+        residual = offset - rows @ q
+        sigma = robust_sigma(residual[found], _LEAST_SIGMA_PX)
+        # weights are confidence, not precision: the spread is that of the weighted mean
+        inverse = np.linalg.inv(H)
+        covariance = sigma**2 * inverse @ ((rows * (w * w)[:, None]).T @ rows) @ inverse
+        return Measured(state, covariance, False, after, residual, found, np.zeros((0, 2)), share,
+                        True)
+
+    def _remember(self, view, offset, found):
+        """Stability weights, and the search range of each primitive (8 to 24 px)."""
+        seen = view.ids[view.searched]
+        self._weight[seen] = stability(found[view.searched], self._weight[seen])
+        low, high = self.options.search_least_px, self.options.search_most_px
+        count = np.bincount(view.primitive, found, len(self._reach))
+        largest = np.zeros(len(self._reach))
+        np.maximum.at(largest, view.primitive, np.where(found, np.abs(offset), 0.0))
+        there = np.bincount(view.primitive, view.searched, len(self._reach)) > 0
+        ok = count >= self._least
+        wider = np.minimum(self._reach * 1.5, high)
+        nearer = np.where(largest < 0.4 * self._reach, np.maximum(self._reach * 0.8, low),
+                          self._reach)
+        self._reach = np.where(there, np.where(ok, nearer, wider), self._reach)

@@ -1,0 +1,154 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Control points in a state: where they are in the image, and what is remembered of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.rorapid.projection import ObjectState, ProjectedPoints, Projection
+
+#: Control points must be so far inside the image to be searched, pixels.
+_BORDER_PX = 3.0
+
+
+@dataclass(frozen=True)
+class ControlView:
+    """
+    Attributes of the control points that a state shows.
+
+    Attributes
+    ----------
+    points : ndarray, shape (C, 3)
+        Object frame, centred.
+    tangents : ndarray, shape (C, 3)
+    primitive, ids : ndarray of int, shape (C,)
+        Of the model; the same in all views.
+    searched : ndarray of bool, shape (C,)
+        Neither hidden by the object itself nor outside of the image.
+    contour : ndarray of bool, shape (C,)
+        The background is seen on one side.
+    projected : ProjectedPoints
+    normal : ndarray, shape (C, 2)
+        Unit normal in the image.
+
+    """
+
+    points: np.ndarray
+    tangents: np.ndarray
+    primitive: np.ndarray
+    ids: np.ndarray
+    searched: np.ndarray
+    contour: np.ndarray
+    projected: ProjectedPoints
+    normal: np.ndarray
+
+
+class ControlModel:
+    """
+    The primitives of a model, seen by one camera.
+
+    Parameters
+    ----------
+    visible_model : VisibleModel
+    projection : Projection
+    image_size : (int, int)
+        Width and height.
+
+    """
+
+    def __init__(self, visible_model, projection: Projection, image_size):
+        """Centre the model."""
+        self.visible_model, self.projection = visible_model, projection
+        self.centre = np.asarray(visible_model.model.centre, float)
+        self.image_size = image_size
+        self._step = 1e-3 * visible_model.model.diameter_m
+        conic = np.array([kind == 'conic' for kind in visible_model.kind], bool)
+        self.is_conic = conic
+        self.size = visible_model.size
+
+    def view(self, state: ObjectState) -> ControlView:
+        """Return the control points that a state shows."""
+        # hidden parts are those of the full perspective view, whatever the camera model
+        seen = self.visible_model.control_points(
+            state.rotation, state.translation - state.rotation @ self.centre)
+        points = seen.object_points - self.centre
+        return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
+                           seen.contour, state)
+
+    def again(self, view: ControlView, state: ObjectState) -> ControlView:
+        """Return the same control points in a state nearby."""
+        return self._place(view.points, view.tangents, view.primitive, view.ids, view.searched,
+                           view.contour, state)
+
+    def _place(self, points, tangents, primitive, ids, visible, contour, state):
+        both = self.projection.project(state, np.concatenate(
+            [points, points + self._step * tangents]))
+        n = len(points)
+        along = both.pixels[n:] - both.pixels[:n]
+        length = np.sqrt(along[:, 0]**2 + along[:, 1]**2)
+        normal = np.empty((n, 2))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            normal[:, 0], normal[:, 1] = -along[:, 1] / length, along[:, 0] / length
+        pixels = both.pixels[:n]
+        width, height = self.image_size
+        x, y = pixels[:, 0], pixels[:, 1]
+        searched = (visible & (x > _BORDER_PX) & (y > _BORDER_PX) & (x < width - 1 - _BORDER_PX)
+                    & (y < height - 1 - _BORDER_PX) & (length > 1e-3))
+        normal[~(length > 1e-12)] = 0
+        projected = ProjectedPoints(pixels, both.xy[:n], both.turned[:n],
+                                    both.inverse_depth[:n])
+        return ControlView(points, tangents, primitive, ids, searched, contour, projected,
+                           normal)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """
+    Attributes of one measurement of the state.
+
+    Attributes
+    ----------
+    state : ObjectState
+    covariance : ndarray, shape (m, m)
+        Of the correction p of that state; of the posterior if `with_prior`, else of the
+        measurement alone.
+    with_prior : bool
+    view : ControlView
+        Control points at `state`.
+    edge_px : ndarray, shape (C,)
+        Distance of each control point to its edgel along the normal, NaN without one.
+    found : ndarray of bool, shape (C,)
+    texture_px : ndarray, shape (T, 2)
+    share : float
+        Share of what should be seen and is confirmed.
+    determined : bool
+        Whether the measurement determines all of the correction.
+    reason : str
+        Why not, or why the share is low; one sentence.
+
+    """
+
+    state: ObjectState
+    covariance: np.ndarray
+    with_prior: bool
+    view: ControlView
+    edge_px: np.ndarray
+    found: np.ndarray
+    texture_px: np.ndarray
+    share: float
+    determined: bool
+    reason: str = ''

@@ -1,0 +1,263 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Our cycle: texture first, then edges with several candidates, all in one robust estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.control import ControlModel, Measured
+from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection import ObjectState
+from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
+from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory
+
+#: Standard deviations that edges and texture have at the least, pixels.
+_EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.3, 0.3
+#: A corner of the texture agrees with a pose within this distance, pixels.
+_AGREE_PX = 2.5
+#: An edgel agrees within this, and Tukey's limit in sigmas.
+_FOUND_PX, _TUKEY = 1.75, 4.5
+#: So many corners must agree before they lead the edges.
+_LEAST_TEXTURE = 8
+#: An edge of the wrong polarity seems so much further away, pixels.
+_WRONG_SIGN_PX = 3.0
+
+
+class ModernCycle:
+    """
+    One measurement per image by our method.
+
+    Parameters
+    ----------
+    control : ControlModel
+    basis : ndarray, shape (size, m)
+    options : TrackerOptions
+    rng : numpy.random.Generator
+
+    """
+
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
+        """Start without memory."""
+        self.control, self.basis, self.options, self.rng = control, basis, options, rng
+        self.projection = control.projection
+        model = control.visible_model.model
+        faces = [model.vertices[list(face.indices)] - control.centre for face in model.faces]
+        corners = model.vertices[model.triangles] - control.centre
+        self.texture = TextureMemory(faces, corners, self.projection, options.texture_points)
+        self._use_texture = options.texture and options.camera_model != 'affine'
+        self._contrast = np.zeros(control.size)
+        self._outline = np.asarray(model.extent, float) - control.centre
+
+    def reset(self) -> None:
+        """Forget what the object looks like."""
+        self._contrast[:] = 0
+        self.texture.forget()
+
+    def measure(self, image: np.ndarray, predicted: ObjectState, spread: np.ndarray) -> Measured:
+        """
+        Find the object near a predicted state.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        predicted : ObjectState
+        spread : ndarray, shape (m, m)
+            Covariance of the prediction.
+
+        Returns
+        -------
+        Measured
+
+        """
+        prior = np.linalg.inv(spread)
+        state = predicted
+        outline = self.projection.project(predicted, self._outline).pixels
+        region = region_of_interest(image, outline, 40.0)
+        matches, agree = None, np.zeros(0, bool)
+        if region is not None and self._use_texture and self.texture.known:
+            matches = self.texture.follow(region, predicted)
+            if matches is not None:
+                state, agree = self._by_texture(matches, predicted, prior)
+        led = int(agree.sum()) >= _LEAST_TEXTURE
+        view = self.control.view(state)
+        if led:
+            reach = int(np.ceil(self.options.search_least_px))
+        else:
+            reach = self._reach(state, view, spread)
+        result = None
+        for turn in range(self.options.rounds):
+            if turn:
+                view = self.control.again(view, state)
+                reach = min(reach, int(np.ceil(self.options.search_least_px)))
+            result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
+                                    first=turn == 0 and not led)
+            state = result[0]
+        return self._conclude(region, state, result, matches, agree)
+
+    def _reach(self, state, view, spread):
+        """Search range from the spread of the prediction."""
+        rows = self.projection.rows(state, view.projected, view.normal) @ self.basis
+        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
+        options = self.options
+        return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
+
+    def _by_texture(self, matches, predicted, prior):
+        """Pose from the corners of the texture: RANSAC, then an M-estimator."""
+        good = np.flatnonzero(matches.followed)
+        agree = np.zeros(len(matches.followed), bool)
+        if len(good) < _LEAST_TEXTURE:
+            return predicted, agree
+        points, pixels = matches.object_points[good], matches.pixels[good]
+        rows, residual = self._corner_rows(predicted, points, pixels)
+        best = self._sample(rows, residual, prior)
+        if best is None:
+            return predicted, agree
+        state, m = predicted, self.basis.shape[1]
+        q = best
+        state = self.projection.moved(predicted, self.basis @ q)
+        for _ in range(3):
+            rows, residual = self._corner_rows(state, points, pixels)
+            distance = np.sqrt((residual**2).sum(axis=0))
+            sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
+            w = tukey_weight(distance, min(_TUKEY * sigma, 6.0))
+            both = rows.reshape(-1, m)
+            wide = np.concatenate([w, w])
+            H = (both * wide[:, None]).T @ both / sigma**2
+            g = both.T @ (wide * residual.ravel()) / sigma**2
+            back = self.basis.T @ self.projection.difference(state, predicted)
+            q = np.linalg.solve(H + prior, g - prior @ back)
+            state = self.projection.moved(state, self.basis @ q)
+        _, residual = self._corner_rows(state, points, pixels)
+        near = (residual**2).sum(axis=0) < _AGREE_PX**2
+        if near.sum() < _LEAST_TEXTURE:
+            return predicted, agree
+        agree[good[near]] = True
+        return state, agree
+
+    def _corner_rows(self, state, points, pixels):
+        """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
+        seen = self.projection.project(state, points)
+        n = len(points)
+        x_way, y_way = np.zeros((n, 2)), np.zeros((n, 2))
+        x_way[:, 0], y_way[:, 1] = 1, 1
+        rows = np.stack([self.projection.rows(state, seen, x_way) @ self.basis,
+                         self.projection.rows(state, seen, y_way) @ self.basis])
+        return rows, (pixels - seen.pixels).T
+
+    def _sample(self, rows, residual, prior, samples=48):
+        """Correction (m,) with most agreement out of many from three corners each."""
+        n, m = rows.shape[1], rows.shape[2]
+        pick = self.rng.integers(0, n, (samples, 3))
+        J = rows[:, pick].transpose(1, 0, 2, 3).reshape(samples, 6, m)
+        r = residual[:, pick].transpose(1, 0, 2).reshape(samples, 6)
+        H = np.einsum('ski,skj->sij', J, J) + 0.25 * prior
+        q = np.linalg.solve(H, np.einsum('ski,sk->si', J, r)[..., None])[..., 0]
+        q = np.concatenate([q, np.zeros((1, m))])
+        error = residual.ravel()[:, None] - rows.reshape(-1, m) @ q.T
+        square = error[:n]**2 + error[n:]**2
+        score = np.maximum(1 - square / 16.0, 0.0).sum(axis=0)
+        best = int(score.argmax())
+        return q[best] if score[best] > 3 else None
+
+    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, first):
+        """Search the edges and solve for the state, corners included."""
+        options = self.options
+        at = np.flatnonzero(view.searched)
+        m = self.basis.shape[1]
+        rows = self.projection.rows(state, view.projected, view.normal)[at] @ self.basis
+        wanted = self._contrast[view.ids[at]]
+        if len(at):
+            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
+            edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
+            offset, contrast = edgels.offset, edgels.contrast
+        else:
+            offset = contrast = np.zeros((0, options.candidates))
+        missing = ~np.isfinite(offset)
+        offset = np.where(missing, 1e6, offset)
+        handicap = np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, 0.0)
+        corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
+        if agree.any():
+            corner_H, corner_g = self._corner_terms(state, matches, agree)
+        back = self.basis.T @ self.projection.difference(state, predicted)
+        q = np.zeros(m)
+        limits = self._limits(reach, first)
+        line = np.arange(len(at))
+        for limit in limits:
+            along = rows @ q
+            distance = np.abs(offset - along[:, None]) + handicap
+            best = distance.argmin(axis=1) if len(at) else line
+            chosen = offset[line, best]
+            residual = chosen - along
+            near = distance[line, best] < limit
+            if limit == limits[-1]:
+                sigma = robust_sigma(residual[near & (np.abs(residual) < 3)], _EDGE_SIGMA_PX)
+                limit = min(_TUKEY * sigma, limit)
+            else:
+                sigma = max(limit / 3, 0.5)
+            w = tukey_weight(distance[line, best], limit) / sigma**2
+            H = (rows * w[:, None]).T @ rows
+            g = rows.T @ (w * np.where(near, chosen, 0.0))
+            information = H + corner_H + prior
+            q = np.linalg.solve(information, g + corner_g - prior @ back)
+        after = self.projection.moved(state, self.basis @ q)
+        residual = np.where(near, chosen - rows @ q, np.nan)
+        return (after, np.linalg.inv(information), view, at, residual,
+                contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
+
+    def _limits(self, reach, first):
+        """Tukey limits of the steps, from wide to narrow."""
+        narrow = 3.0
+        wide = max(float(reach), narrow) if first else 4.0
+        steps = self.options.steps
+        return np.geomspace(wide, narrow, steps) if steps > 1 else np.array([narrow])
+
+    def _corner_terms(self, state, matches, agree):
+        """Normal equations of the agreeing corners about a state."""
+        rows, residual = self._corner_rows(state, matches.object_points[agree],
+                                           matches.pixels[agree])
+        distance = np.sqrt((residual**2).sum(axis=0))
+        sigma = robust_sigma(distance / 1.5, _TEXTURE_SIGMA_PX)
+        w = tukey_weight(distance, _TUKEY * max(sigma, 0.5)) / sigma**2
+        both = rows.reshape(-1, rows.shape[2])
+        wide = np.concatenate([w, w])
+        return (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())
+
+    def _conclude(self, region, state, result, matches, agree):
+        """Count what confirms the state, and remember what it looks like."""
+        _, covariance, view, at, residual, contrast, information = result
+        after = self.control.again(view, state)
+        edge_px = np.full(len(view.ids), np.nan)
+        edge_px[at] = residual
+        found = np.abs(edge_px) < _FOUND_PX
+        edges = found[at].mean() if len(at) else 0.0
+        corners = agree.mean() if len(agree) >= _LEAST_TEXTURE else None
+        share = float(edges) if corners is None else float(
+            max(corners, 0.5 * (corners + edges)) if corners > 0.15 else 0.4 * edges)
+        scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
+        texture_px = matches.pixels[agree] if matches is not None else np.zeros((0, 2))
+        self._latest = (region, at, found, contrast, view)
+        return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
+                        determined)
+
+    def remember(self, measured: Measured, confirmed: bool) -> None:
+        """Take over contrasts and pictures of a state that was accepted."""
+        region, at, found, contrast, view = self._latest
+        ids, ok = view.ids[at], found[at]
+        old = self._contrast[ids[ok]]
+        self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
+        if region is not None and self._use_texture:
+            self.texture.learn(region, measured.state, confirmed)

@@ -1,0 +1,431 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The texture of the model's faces, as it was seen, and where it is in the next image.
+
+Each plane face keeps its picture, rectified. For the next image the visible faces are drawn at
+the predicted pose and their corners are followed from this drawing into the image (pyramidal
+Lucas-Kanade). The drawing is of the pose, not of the last frame: nothing drifts, and an object
+that comes out from behind something is known again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from selfcal_ros.rorapid.projection import ObjectState, Projection
+
+#: Texels along the longer side of a face, and the share by which its picture is wider.
+TEXELS, MARGIN = 96, 0.08
+#: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
+_LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
+#: The region of interest is halved until its longer side is shorter than this, pixels.
+_MOST_ROI_PX = 320
+#: Window of Lucas-Kanade, pixels, and its levels.
+_WINDOW, _LEVELS = 11, 3
+
+
+@dataclass
+class _Face:
+    """One plane face: its frame, its picture and the corners in it."""
+
+    origin: np.ndarray          # object frame, of texel (0, 0)
+    axes: np.ndarray            # (3, 2): object vector of one texel step in x and y
+    normal: np.ndarray
+    corners: np.ndarray         # (n, 3) object frame
+    mask: np.ndarray            # where the texture can be trusted to be the face's
+    whole: bool                 # the polygon fills its rectangle
+    picture: np.ndarray | None = None
+    points: np.ndarray | None = None        # (m, 3), object frame
+    texels: np.ndarray | None = None        # (m, 2)
+    seen: int = 0
+    quality: float = 0.0
+
+
+@dataclass(frozen=True)
+class TextureMatches:
+    """
+    Attributes of the texture's corners followed into an image.
+
+    Attributes
+    ----------
+    object_points : ndarray, shape (N, 3)
+    pixels : ndarray, shape (N, 2)
+        Where they were found; meaningless where not `followed`.
+    followed : ndarray of bool, shape (N,)
+
+    """
+
+    object_points: np.ndarray
+    pixels: np.ndarray
+    followed: np.ndarray
+
+
+@dataclass(frozen=True)
+class Region:
+    """
+    Attributes of the part of the image around the object, at the scale of work.
+
+    Attributes
+    ----------
+    image : ndarray, shape (h, w), uint8
+    corner : ndarray, shape (2,)
+        Pixel of the whole image at the centre of its first pixel.
+    scale : float
+        Pixels of the region per pixel of the image: 1, 1/2, 1/4 ...
+
+    """
+
+    image: np.ndarray
+    corner: np.ndarray
+    scale: float
+
+    def inside(self, pixels: np.ndarray) -> np.ndarray:
+        """Map pixels of the image to pixels of the region."""
+        return (pixels - self.corner) * self.scale
+
+    def outside(self, pixels: np.ndarray) -> np.ndarray:
+        """Map pixels of the region to pixels of the image."""
+        return pixels / self.scale + self.corner
+
+
+def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float):
+    """
+    Cut the part of an image around given pixels, reduced while it is large.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W), uint8
+    pixels : ndarray, shape (N, 2)
+    margin_px : float
+
+    Returns
+    -------
+    Region or None
+        None where it lies outside of the image.
+
+    """
+    height, width = image.shape
+    low = np.floor(np.clip(pixels.min(axis=0) - margin_px, 0, (width, height))).astype(int)
+    high = np.ceil(np.clip(pixels.max(axis=0) + margin_px, 0, (width, height))).astype(int)
+    if (high - low).min() < 24:
+        return None
+    part, scale = image[low[1]:high[1], low[0]:high[0]], 1.0
+    corner = low.astype(float)
+    while max(part.shape) * scale > _MOST_ROI_PX:
+        scale *= 0.5
+    if scale < 1:
+        step = int(round(1 / scale))
+        rows, columns = (part.shape[0] // step) * step, (part.shape[1] // step) * step
+        part = cv2.resize(part[:rows, :columns], (columns // step, rows // step),
+                          interpolation=cv2.INTER_AREA)
+        corner = corner + (step - 1) / 2
+    return Region(np.ascontiguousarray(part), corner, scale)
+
+
+class TextureMemory:
+    """
+    Pictures of the faces of one model.
+
+    Parameters
+    ----------
+    face_corners : sequence of ndarray, shape (n, 3)
+        Corners of each opaque face, object frame (the tracker's, centred).
+    triangles : ndarray, shape (T, 3, 3)
+        All opaque triangles, for what hides what.
+    projection : Projection
+    most_points : int
+        Corners to follow at a time.
+
+    """
+
+    def __init__(self, face_corners, triangles: np.ndarray, projection: Projection,
+                 most_points: int = 48):
+        """Lay a frame into each face."""
+        self.projection, self.most_points = projection, int(most_points)
+        self._triangles = np.asarray(triangles, float).reshape(-1, 3, 3)
+        self._faces = [_lay_frame(np.asarray(corners, float)) for corners in face_corners]
+        self._pixel = projection.camera.K
+        self._view = None
+        self._visible = np.zeros(len(self._faces), bool)
+        self._turn = 0
+        if self._faces:
+            self._origins = np.array([f.corners.mean(axis=0) for f in self._faces])
+            self._normals = np.array([f.normal for f in self._faces])
+
+    @property
+    def known(self) -> bool:
+        """Whether any face has a picture."""
+        return any(face.picture is not None for face in self._faces)
+
+    def forget(self) -> None:
+        """Drop all pictures."""
+        for face in self._faces:
+            face.picture = face.points = face.texels = None
+            face.seen, face.quality = 0, 0.0
+
+    def _see(self, state: ObjectState) -> np.ndarray:
+        """Which faces are turned to the camera and not behind others, (F,) bool."""
+        if not self._faces:
+            return self._visible
+        centre = -state.rotation.T @ state.translation
+        ray = centre - self._origins
+        cosine = np.abs(np.einsum('fi,fi->f', ray, self._normals)) / np.linalg.norm(ray, axis=1)
+        view = centre / np.linalg.norm(centre)
+        if self._view is None or view @ self._view < 0.9994:
+            self._view = view
+            self._open = np.array([_seen_share(f, k, centre, self._triangles) > 0.6
+                                   for k, f in enumerate(self._faces)])
+        self._visible = self._open & (cosine > _LEAST_COSINE)
+        return self._visible
+
+    def _homography(self, face: _Face, state: ObjectState, region: Region) -> np.ndarray:
+        """Map texels (x, y, 1) of a face to pixels of a region (undistorted camera)."""
+        plane = np.column_stack([state.rotation @ face.axes,
+                                 state.rotation @ face.origin + state.translation])
+        if self.projection.model in ('weak', 'affine'):
+            plane = plane.copy()
+            plane[2] = (0, 0, max(state.translation[2], 1e-6))
+        pixel = self._pixel.copy()
+        pixel[:2, :2] *= state.zoom
+        pixel[:2, 2] -= region.corner
+        pixel[:2] *= region.scale
+        return pixel @ plane
+
+    def follow(self, region: Region, state: ObjectState, levels: int = _LEVELS):
+        """
+        Follow the corners of all visible known faces into an image.
+
+        Parameters
+        ----------
+        region : Region
+        state : ObjectState
+            Predicted.
+        levels : int
+            Of the pyramid; each doubles the range.
+
+        Returns
+        -------
+        TextureMatches or None
+            None where no known face is visible.
+
+        """
+        visible = self._see(state)
+        faces = [f for f, seen in zip(self._faces, visible) if seen and f.picture is not None]
+        if not faces:
+            return None
+        drawing, points, und = self._draw(faces, state, region)
+        if drawing is None:
+            return None
+        start = region.inside(self.projection.project(state, points).pixels)
+        height, width = region.image.shape
+        inside = ((und > 6) & (und < (width - 7, height - 7))).all(axis=1)
+        if inside.sum() < 4:
+            return None
+        points, und, start = points[inside], und[inside], start[inside]
+        if len(points) > self.most_points:
+            pick = np.linspace(0, len(points) - 1, self.most_points).astype(int)
+            points, und, start = points[pick], und[pick], start[pick]
+        found, status, error = cv2.calcOpticalFlowPyrLK(
+            drawing, region.image, und.astype(np.float32)[:, None],
+            start.astype(np.float32)[:, None].copy(), winSize=(_WINDOW, _WINDOW),
+            maxLevel=levels, criteria=(3, 12, 0.02), flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+        found = found[:, 0].astype(float)
+        good = (status[:, 0] > 0) & (error[:, 0] < 20) & ((found > 2)
+                                                          & (found < (width - 3, height - 3))
+                                                          ).all(axis=1)
+        return TextureMatches(points, region.outside(found), good)
+
+    def _draw(self, faces, state, region):
+        """Draw faces; return the drawing and their corners, object frame and pixels."""
+        height, width = region.image.shape
+        # elsewhere the image itself: what is not the object shall not pull at its corners
+        drawing = region.image.copy()
+        points, pixels = [], []
+        for face in faces:
+            H = self._homography(face, state, region)
+            frame = np.array([[0, 0, 1], [face.picture.shape[1], 0, 1],
+                              [0, face.picture.shape[0], 1],
+                              [face.picture.shape[1], face.picture.shape[0], 1.0]]) @ H.T
+            if frame[:, 2].min() <= 0:
+                continue
+            if face.whole:
+                cv2.warpPerspective(face.picture, H, (width, height), dst=drawing,
+                                    flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
+            else:
+                drawn = cv2.warpPerspective(face.picture, H, (width, height))
+                mask = cv2.warpPerspective(face.mask, H, (width, height),
+                                           flags=cv2.INTER_NEAREST)
+                cv2.copyTo(drawn, mask, drawing)
+            if len(face.texels):
+                at = np.column_stack([face.texels, np.ones(len(face.texels))]) @ H.T
+                points.append(face.points)
+                pixels.append(at[:, :2] / at[:, 2:])
+        if not points:
+            return None, None, None
+        return drawing, np.concatenate(points), np.concatenate(pixels)
+
+    def learn(self, region: Region, state: ObjectState, confirmed: bool) -> None:
+        """
+        Take the picture of visible faces: new ones at once, known ones little by little.
+
+        Parameters
+        ----------
+        region : Region
+        state : ObjectState
+            The pose as measured in this image.
+        confirmed : bool
+            Whether new faces may be learned: their surroundings are well tracked.
+
+        """
+        visible = self._see(state)
+        self._turn += 1
+        faces = [(k, f) for k, f in enumerate(self._faces) if visible[k]]
+        for order, (k, face) in enumerate(faces):
+            # one known face a frame, in turn; the unknown and the young at once
+            young = face.picture is None or face.seen < 3
+            if young and not confirmed:
+                continue
+            if not young and self._turn % len(faces) != order:
+                continue
+            H = self._homography(face, state, region)
+            size = face.mask.shape[::-1]
+            corners = np.array([[0, 0, 1], [size[0], 0, 1], [size[0], size[1], 1],
+                                [0, size[1], 1.0]]) @ H.T
+            if corners[:, 2].min() <= 0:
+                continue
+            corners = (corners[:, :2] / corners[:, 2:]).astype(np.float32)
+            limit = np.array(region.image.shape[::-1])
+            area = cv2.contourArea(corners)
+            if area < _LEAST_AREA_PX * region.scale**2 or (corners < -2).any() or (
+                    corners > limit + 2).any():
+                continue
+            picture = cv2.warpPerspective(region.image, self._undistorting(face, H, state, region),
+                                          size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                                          borderMode=cv2.BORDER_REPLICATE)
+            self._take(face, picture, area)
+
+    def _undistorting(self, face, H, state, region):
+        """Homography of the face into the real image: through its distorted corners."""
+        if not self.projection._distorted:
+            return H
+        w, h = face.mask.shape[1], face.mask.shape[0]
+        texels = np.array([[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]], float)
+        points = face.origin + texels @ face.axes.T
+        pixels = region.inside(self.projection.project(state, points).pixels)
+        return cv2.getPerspectiveTransform(texels.astype(np.float32), pixels.astype(np.float32))
+
+    def _take(self, face: _Face, picture: np.ndarray, area: float) -> None:
+        """Blend a picture into the face's memory, or start anew."""
+        if face.picture is None or face.seen < 3 or area > 1.7 * face.quality:
+            if face.picture is None or face.seen < 3 or _alike(face, picture):
+                face.picture, face.quality = picture, area
+                face.seen += 1
+                self._choose(face)
+            return
+        # texels that changed a lot are something before the object: they stay as they were
+        change = cv2.absdiff(picture, face.picture)
+        same = cv2.compare(change, 30, cv2.CMP_LT)
+        if cv2.countNonZero(same) < 0.5 * same.size:
+            return
+        blended = cv2.addWeighted(face.picture, 0.9, picture, 0.1, 0.5)
+        cv2.copyTo(blended, same, face.picture)
+        face.seen += 1
+
+    def _choose(self, face: _Face) -> None:
+        """Choose the corners of a face that can be followed."""
+        corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, 0.03, 6,
+                                          mask=face.mask, blockSize=5)
+        face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
+        face.points = face.origin + face.texels @ face.axes.T
+
+
+def _alike(face: _Face, picture: np.ndarray) -> bool:
+    """Whether a new picture shows the same as the old one."""
+    old, new = face.picture.astype(np.float32), picture.astype(np.float32)
+    old, new = old - old.mean(), new - new.mean()
+    norm = np.sqrt((old**2).sum() * (new**2).sum())
+    return norm > 0 and float((old * new).sum() / norm) > 0.8
+
+
+def _lay_frame(corners: np.ndarray) -> _Face:
+    """Lay a rectangle of texels around a plane face."""
+    centre = corners.mean(axis=0)
+    following = np.roll(corners, -1, axis=0)
+    normal = np.cross(corners - centre, following - centre).sum(axis=0)
+    normal /= np.linalg.norm(normal)
+    # along the longest side
+    side = following - corners
+    u = side[np.argmax(np.linalg.norm(side, axis=1))]
+    u = u / np.linalg.norm(u)
+    v = np.cross(normal, u)
+    flat = (corners - centre) @ np.column_stack([u, v])
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    extent = high - low
+    step = (1 + 2 * MARGIN) * extent.max() / TEXELS
+    low, high = low - MARGIN * extent.max(), high + MARGIN * extent.max()
+    width, height = np.maximum(np.ceil((high - low) / step).astype(int), 16)
+    polygon = (flat - low) / step
+    mask = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(mask, [np.round(polygon).astype(np.int32)], 255)
+    whole = len(corners) == 4 and cv2.contourArea(polygon.astype(np.float32)) > (
+        0.97 * np.prod(extent) / step**2)
+    inner = cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=0)
+    return _Face(centre + u * low[0] + v * low[1], np.column_stack([u, v]) * step, normal,
+                 corners, inner, whole)
+
+
+def _seen_share(face: _Face, index: int, camera: np.ndarray, triangles: np.ndarray) -> float:
+    """Share of sample points of a face that no triangle hides from the camera."""
+    rows, columns = np.nonzero(face.mask)
+    if not len(rows):
+        return 0.0
+    pick = np.linspace(0, len(rows) - 1, 25).astype(int)
+    points = face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
+    return float(1 - hidden_points(points, camera, triangles).mean())
+
+
+def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """
+    Which points are behind a triangle, seen from the camera (Moeller and Trumbore's test).
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+    camera : ndarray, shape (3,)
+    triangles : ndarray, shape (T, 3, 3)
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+
+    """
+    if not len(triangles):
+        return np.zeros(len(points), bool)
+    ray = points - camera
+    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(ray[:, None], two)
+    scale = np.einsum('nti,ti->nt', across, one)
+    scale = np.where(np.abs(scale) < 1e-18, np.nan, scale)
+    start = camera - triangles[:, 0]
+    a = np.einsum('nti,ti->nt', across, start) / scale
+    side = np.cross(start, one)
+    b = ray @ side.T / scale
+    depth = np.einsum('ti,ti->t', two, side) / scale
+    with np.errstate(invalid='ignore'):
+        return ((a > -1e-9) & (b > -1e-9) & (a + b < 1 + 1e-9) & (depth > 1e-9)
+                & (depth < 1 - 1e-4)).any(axis=1)
