@@ -98,8 +98,7 @@ def _best_ear(xy, left):
         inside = ((_cross(b - a, corner - a) > -1e-12) & (_cross(c - b, corner - b) > -1e-12)
                   & (_cross(a - c, corner - c) > -1e-12))
         # the ear's own corners, and others in the same places, do not spoil it
-        own = ((corner == a) | (corner == b) | (corner == c)).all(axis=1)
-        own |= _same(corner, a) | _same(corner, b) | _same(corner, c)
+        own = _same(corner, a) | _same(corner, b) | _same(corner, c)
         if not (inside & ~own).any():
             best = int(k)
             break

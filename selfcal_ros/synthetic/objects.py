@@ -1,0 +1,307 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Recordings of a known object that moves before a fixed camera, with its exact pose.
+
+The background is rendered once; each image then renders the window around the object only, with
+the same rays as a whole image would have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.rorapid.wireframe import WireframeModel
+from selfcal_ros.synthetic.object_shapes import cube, SHAPES, SolidObject, spool, step_block
+from selfcal_ros.synthetic.paths import look_at
+from selfcal_ros.synthetic.recordings import default_camera, FIRST_STAMP_NS, Recording
+from selfcal_ros.synthetic.render import quantise, Renderer, Scene
+from selfcal_ros.synthetic.worlds import rectangle, Style
+
+__all__ = ['cube', 'MOTIONS', 'object_poses', 'ObjectRecording', 'SHAPES', 'SolidObject', 'spool',
+           'step_block', 'tracked_object']
+
+MOTIONS = ('general', 'translation', 'planar')
+#: Pixels around the object's outline that are rendered anew.
+_MARGIN_PX = 6
+
+
+@dataclass(frozen=True)
+class ObjectRecording(Recording):
+    """
+    A recording of one object; `cam_from_world` is its pose, object -> camera, exact.
+
+    Parameters
+    ----------
+    model : WireframeModel
+        What the tracker is given.
+    focal_px : ndarray, shape (V,), optional
+        True fx of each image where the lens zooms; fy changes in proportion.
+    supersampling : int
+        Samples along each side of a pixel.
+
+    """
+
+    model: WireframeModel | None = None
+    focal_px: np.ndarray | None = None
+    supersampling: int = 3
+
+    @property
+    def rotations(self) -> np.ndarray:
+        """True rotations object -> camera, (V, 3, 3)."""
+        return self.cam_from_world[:, :, :3]
+
+    @property
+    def translations(self) -> np.ndarray:
+        """True translations object -> camera, (V, 3) metres."""
+        return self.cam_from_world[:, :, 3]
+
+    def camera_at(self, index: int) -> Camera:
+        """Return the true camera of image `index`."""
+        if self.focal_px is None:
+            return self.camera
+        K = self.camera.K.copy()
+        K[:2, :2] *= self.focal_px[index] / K[0, 0]
+        return Camera(K, self.camera.distortion, self.camera.width, self.camera.height)
+
+    def renderer(self, supersampling: int | None = None) -> _WindowRenderer:
+        """Return a renderer of this sequence; keep it, it holds the background."""
+        return _WindowRenderer(self, supersampling or self.supersampling)
+
+    def frame(self, index: int, renderer=None) -> np.ndarray:
+        """Render image `index` as in `Recording.frame`, (height, width) uint8."""
+        grey = (renderer or self.renderer()).intensity_of(index)
+        return quantise(grey, np.random.default_rng([self.seed, index]), self.noise_sigma)
+
+    def truth(self) -> dict:
+        """Return camera, poses, object and recipe as plain values for JSON."""
+        truth = super().truth()
+        truth['object'] = self.model.name
+        truth['cam_from_object'] = truth.pop('cam_from_world')
+        if self.focal_px is not None:
+            truth['focal_px'] = np.round(self.focal_px, 9).tolist()
+        return truth
+
+
+class _WindowRenderer:
+    """Renders images of an `ObjectRecording`; keeps what does not change."""
+
+    def __init__(self, recording, supersampling):
+        self._recording, self._samples = recording, supersampling
+        self._scene = Scene(recording.surfaces)
+        self._static = {}
+
+    def intensity_of(self, index):
+        """Grey levels of image `index` as reals, (height, width)."""
+        recording = self._recording
+        camera, poses = recording.camera_at(index), recording.poses(index)
+        focal = camera.K[0, 0]
+        if focal not in self._static:
+            # of a zoom no background is seen twice
+            self._static = {focal: self._background(camera, poses)}
+        image = self._static[focal].copy()
+        left, top, right, bottom = self._window(camera, poses)
+        if right > left and bottom > top:
+            K = camera.K.copy()
+            K[:2, 2] -= left, top
+            window = Camera(K, camera.distortion, right - left, bottom - top)
+            image[top:bottom, left:right] = Renderer(
+                self._scene, window, self._samples).intensity(poses)
+        return image
+
+    def _background(self, camera, poses):
+        """Render what does not move: the object is put behind the camera."""
+        if poses.ndim == 2:
+            return np.full((camera.height, camera.width), 0.0)
+        away = np.array(poses)
+        away[0, 2, 3] = -10 * max(1.0, self._recording.model.diameter_m)
+        return Renderer(self._scene, camera, self._samples).intensity(away)
+
+    def _window(self, camera, poses):
+        """Pixels (left, top, right, bottom) around the object."""
+        pose = poses[0] if poses.ndim == 3 else poses
+        points = self._recording.model.extent @ pose[:, :3].T + pose[:, 3]
+        if points[:, 2].min() < 0.05 * self._recording.model.diameter_m:
+            return 0, 0, camera.width, camera.height
+        pixels = camera.project(points)
+        low = np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX
+        high = np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1
+        size = [camera.width, camera.height]
+        return (*np.clip(low, 0, size), *np.clip(high, 0, size))
+
+
+def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 520.0,
+                 speed: float = 1.0, rate_hz: float = 30.0) -> np.ndarray:
+    """
+    Poses of an object that moves before a camera which looks down on it.
+
+    Parameters
+    ----------
+    motion : {'general', 'translation', 'planar'}
+        Planar: on the plane z = 0 of the object's first pose, turning about its normal.
+    views : int
+    diameter_m : float
+        Of the object; it appears about 180 px large at 520 px focal length, whatever the lens.
+    focal_px : float
+    speed : float
+        1: up to about 5 px between images at 30 Hz.
+    rate_hz : float
+
+    Returns
+    -------
+    ndarray, shape (V, 3, 4)
+        Object -> camera, metres.
+
+    """
+    if motion not in MOTIONS:
+        raise ArgumentError(f'The motion must be one of {", ".join(MOTIONS)}, not {motion!r}.')
+    distance = 2.9 * diameter_m * focal_px / 520
+    fixed = look_at(distance * np.array([0.55, -0.62, 0.56]), [0, 0, 0])
+    time = speed * np.arange(views) / rate_hz
+    # incommensurable periods: a long recording does not repeat itself
+    wave = np.sin(np.multiply.outer(time, [0.97, 1.31, 0.73, 1.09, 0.83, 0.61]))
+    moved = diameter_m * np.column_stack([0.5 * wave[:, 3], 0.5 * wave[:, 4], 0.35 * wave[:, 5]])
+    turned = np.column_stack([0.45 * wave[:, 0], 0.4 * wave[:, 1],
+                              0.5 * time + 0.3 * wave[:, 2]])
+    if motion == 'translation':
+        turned[:] = 0
+    elif motion == 'planar':
+        moved[:, 2] = turned[:, 0] = turned[:, 1] = 0
+    R = fixed[:, :3] @ rotation_matrix(turned)
+    t = moved @ fixed[:, :3].T + fixed[:, 3]
+    return np.concatenate([R, t[:, :, None]], axis=2)
+
+
+def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general',
+                   size=(640, 480), camera: Camera | None = None, distortion=(),
+                   zoom_px: tuple | None = None, clutter: float = 0.0, background: bool = True,
+                   noise_sigma: float = 1.0, speed: float = 1.0, rate_hz: float = 30.0,
+                   supersampling: int = 3, seed: int = 4) -> ObjectRecording:
+    """
+    Move a known object before a fixed camera.
+
+    Parameters
+    ----------
+    views : int
+        Number of images.
+    shape : {'cube', 'step_block', 'spool'}
+    motion : {'general', 'translation', 'planar'}
+        See `object_poses`.
+    size, camera, distortion, noise_sigma, rate_hz, seed
+        As in `recordings.agv_drive`.
+    zoom_px : (float, float), optional
+        fx of the first and the last image; the object moves away as the lens zooms in. 1500 to
+        6000 px are 12 to 50 mm on pixels of 8 µm.
+    clutter : float
+        Strength, 0 to 1, of markings on the object that its model does not know.
+    background : bool
+        A wall full of shapes; black otherwise.
+    speed : float
+        Of the motion; see `object_poses`.
+    supersampling : int
+        Samples along each side of a pixel.
+
+    Returns
+    -------
+    ObjectRecording
+
+    Raises
+    ------
+    ArgumentError
+        If the shape or the motion is unknown, or there is no view.
+
+    """
+    if shape not in SHAPES:
+        raise ArgumentError(f'The shape must be one of {", ".join(SHAPES)}, not {shape!r}.')
+    if views < 1:
+        raise ArgumentError(f'A recording needs at least one view, not {views!r}.')
+    made = {'function': 'tracked_object', 'views': views, 'shape': shape, 'motion': motion,
+            'zoom_px': zoom_px, 'clutter': clutter, 'noise_sigma': noise_sigma, 'speed': speed,
+            'rate_hz': rate_hz, 'seed': seed}
+    camera = camera or default_camera(size, distortion)
+    thing = SHAPES[shape](rng=np.random.default_rng([seed, 0]), clutter=clutter)
+    focal = None if zoom_px is None else np.geomspace(*zoom_px, views)
+    first = camera.K[0, 0] if focal is None else focal[0]
+    # the first focal length fixes how near the object is: it appears equally large
+    poses = object_poses(motion, views, thing.model.diameter_m,
+                         first * 640 / camera.width, speed, rate_hz)
+    if focal is not None:
+        poses[:, 2, 3] *= (focal / first) ** 0.85
+    surfaces, static = list(thing.surfaces), None
+    if background:
+        static = np.eye(3, 4)
+        depth = 1.6 * (poses[:, 2, 3].max() + thing.model.diameter_m)
+        surfaces.append(_wall(np.random.default_rng([seed, 1]), camera, depth,
+                              first if focal is None else focal.min()))
+    stamps = FIRST_STAMP_NS + np.rint(np.arange(views) * 1e9 / rate_hz).astype(np.int64)
+    return ObjectRecording(f'tracked_{shape}', camera, poses, stamps, surfaces, static,
+                           noise_sigma, seed=seed, made=made, model=thing.model,
+                           focal_px=focal, supersampling=supersampling)
+
+
+def _wall(rng, camera, depth, focal):
+    """Fill the view at a depth with a wall of shapes 4 to 60 pixels large; body 1."""
+    pixel = depth / focal
+    width, height = 1.6 * camera.width * pixel, 1.6 * camera.height * pixel
+    style = Style(texel_m=1.2 * pixel, smallest_m=6 * pixel, largest_m=60 * pixel, cover=0.8,
+                  contrast=45.0)
+    middle = (np.array([camera.width, camera.height]) / 2 - camera.K[:2, 2]) * pixel
+    # seen from the side to which u x v points: towards the camera, against z
+    return rectangle(rng, [middle[0] - width / 2, middle[1] + height / 2, depth],
+                     [width, 0, 0], [0, -height, 0], style, 125.0, body=1)
+
+
+def perturbed(rotation, translation, rng, angle_rad: float, offset_m: float):
+    """
+    Disturb a pose: a guess to start a tracker with.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+    translation : ndarray, shape (3,)
+    rng : numpy.random.Generator
+    angle_rad, offset_m : float
+        How far; the directions are random.
+
+    Returns
+    -------
+    rotation : ndarray, shape (3, 3)
+    translation : ndarray, shape (3,)
+
+    """
+    axis, direction = rng.normal(size=(2, 3))
+    turn = rotation_matrix(angle_rad * axis / np.linalg.norm(axis))
+    return turn @ rotation, translation + offset_m * direction / np.linalg.norm(direction)
+
+
+def pose_errors(rotation, translation, true_rotation, true_translation):
+    """
+    Differences between poses.
+
+    Returns
+    -------
+    angle_rad : ndarray, shape (...,)
+    distance : ndarray, shape (...,)
+        Of the translations, as a share of the true distance.
+
+    """
+    turn = np.asarray(rotation) @ np.swapaxes(true_rotation, -1, -2)
+    angle = np.linalg.norm(rotation_vector(turn), axis=-1)
+    offset = np.linalg.norm(np.asarray(translation) - true_translation, axis=-1)
+    return angle, offset / np.linalg.norm(true_translation, axis=-1)
