@@ -11,34 +11,116 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal convert`: an image folder or a video becomes a bag."""
+"""
+`selfcal convert`: images become a bag; camera files become those of another program.
+
+What INPUT is decides which of the two.
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+import re
 
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
+
+#: Kinds of camera file that can be written.
+KINDS = ('ros', 'opencv', 'kalibr', 'colmap')
+DEFAULT_TOPIC = '/camera/image_raw'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal convert`."""
-    parser.add_argument('input', metavar='INPUT', help='image folder, video or bag')
-    parser.add_argument('output', type=Path, metavar='OUTPUT', help='rosbag2 folder to make')
-    parser.add_argument('--topic', default='/camera/image_raw',
-                        help='topic to write (default /camera/image_raw)')
-    parser.add_argument('--input-topic', help='topic to read from a bag with several')
-    parser.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap')
-    parser.add_argument('--compressed', choices=('jpeg', 'png'),
-                        help='write CompressedImage to TOPIC/compressed')
-    parser.add_argument('--frame-id', default='camera_optical_frame')
-    parser.add_argument('--quiet', action='store_true')
+    parser.add_argument('input', metavar='INPUT',
+                        help='image folder, video or bag; or a camera file: ROS camera_info YAML, '
+                             'OpenCV YAML, XML or JSON, Kalibr camchain, COLMAP cameras.txt or '
+                             'cameras.bin (or their folder), result.json of selfcal')
+    parser.add_argument('output', type=Path, metavar='OUTPUT',
+                        help='rosbag2 folder, or camera file, to make')
+    parser.add_argument('--topic', help=f'topic to write (default {DEFAULT_TOPIC})')
+    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    bag = parser.add_argument_group('images to a bag')
+    bag.add_argument('--input-topic', help='topic to read from a bag with several')
+    bag.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
+                     help='file format of the bag (default mcap)')
+    bag.add_argument('--compressed', choices=('jpeg', 'png'),
+                     help='write CompressedImage to TOPIC/compressed')
+    bag.add_argument('--frame-id', default='camera_optical_frame',
+                     help='for images that do not name their frame (default '
+                          'camera_optical_frame)')
+    file = parser.add_argument_group('camera files')
+    file.add_argument('--to', choices=KINDS,
+                      help='kind to write (default: by the name of OUTPUT; .xml is OpenCV, .txt '
+                           'and .bin are COLMAP, camchain*.yaml is Kalibr, other .yaml is ROS)')
+    file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')
+    file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
+    file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+                      help='image size in pixels, for OpenCV files without it')
+    file.add_argument('--fisheye', action='store_true',
+                      help='the OpenCV file is one of cv2.fisheye, without saying so')
+    file.add_argument('--force', action='store_true', help='replace OUTPUT')
 
 
 def run(args: argparse.Namespace) -> int:
     """Convert; returns the exit status."""
+    from selfcal_ros.report.camera_files.formats import is_camera_file
+    if args.to or args.camera or args.fisheye or is_camera_file(args.input):
+        return _convert_camera(args)
+    return _convert_images(args)
+
+
+def _convert_camera(args: argparse.Namespace) -> int:
+    """Turn one camera file into another."""
+    from selfcal_ros.report.camera_files.formats import (chosen, FORMATS, read_cameras,
+                                                         write_camera)
+    size = tuple(args.image_size) if args.image_size else None
+    if size and min(size) <= 0:
+        raise ArgumentError('The image size must be a positive width and height.')
+    source_kind, cameras = read_cameras(args.input, fisheye=args.fisheye, image_size=size)
+    found = chosen(args.input, cameras, args.camera)
+    kind = args.to or kind_of_name(args.output)
+    if kind == source_kind and not args.to:
+        raise ArgumentError(f'{args.input} and {args.output} are both files of '
+                            f'{FORMATS[kind].title}; say with --to what to make.')
+    if args.output.exists() and not args.force:
+        raise InputError(f'{args.output} exists already; choose another name, or replace it with '
+                         '--force.')
+    name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
+    write_camera(args.output, kind, found.camera, name, args.topic or found.topic)
+    if not args.quiet:
+        print(f'{found.name} of {args.input} written to {args.output} for {FORMATS[kind].title}.')
+        if kind == 'colmap' or source_kind == 'colmap':
+            print('COLMAP counts pixels from the corner of the image: its principal point is half '
+                  'a pixel larger.')
+    return EXIT_DONE
+
+
+def kind_of_name(path: Path) -> str:
+    """
+    Guess the kind of camera file to write from its name.
+
+    Raises
+    ------
+    ArgumentError
+        If the name tells nothing.
+
+    """
+    suffix = path.suffix.lower()
+    if suffix in ('.txt', '.bin'):
+        return 'colmap'
+    if suffix == '.xml':
+        return 'opencv'
+    if suffix in ('.yaml', '.yml'):
+        return 'kalibr' if path.name.startswith('camchain') else 'ros'
+    raise ArgumentError(f'The name {path.name} does not tell what to make; say it with --to '
+                        f'({", ".join(KINDS)}).')
+
+
+def _convert_images(args: argparse.Namespace) -> int:
+    """Turn images into a bag."""
     from selfcal_ros.pipeline.bag_writer import write_image_bag
     from selfcal_ros.pipeline.sources import open_source
     if args.output.suffix and args.output.suffix not in ('.mcap', '.db3'):
@@ -54,8 +136,8 @@ def run(args: argparse.Namespace) -> int:
                 yield frame
                 progress('writing', frame.index + 1, source.count)
 
-        count = write_image_bag(args.output, counted(), args.topic, args.storage, args.compressed,
-                                args.frame_id)
+        count = write_image_bag(args.output, counted(), args.topic or DEFAULT_TOPIC, args.storage,
+                                args.compressed, args.frame_id)
     if not args.quiet:
         print(f'{count} images written to {args.output}.')
     return EXIT_DONE

@@ -107,11 +107,12 @@ def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profil
     environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
     command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
                str(folder), '--rate', str(rate), '--calibrator', calibrator]
+    from selfcal_ros.report.result_json import result_from_dict
     done = subprocess.run(command, env=environment)
     if done.returncode not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
     try:
-        return _result(json.loads((folder / 'result.json').read_text(encoding='utf-8')))
+        return result_from_dict(json.loads((folder / 'result.json').read_text(encoding='utf-8')))
     except (OSError, ValueError, KeyError) as error:
         print(f'The nodes left no usable result ({error}).', file=sys.stderr)
         return None
@@ -136,28 +137,3 @@ def read_truth(bag: Path) -> dict | None:
     K, d = truth['K'], list(truth.get('distortion', ())) + [0.0] * 4
     return {'fx': K[0][0], 'fy': K[1][1], 'cx': K[0][2], 'cy': K[1][2], 'skew': K[0][1],
             'k1': d[0], 'k2': d[1], 'p1': d[2], 'p2': d[3]}
-
-
-def _result(content: dict):
-    """Turn result.json back into a result, as far as it is printed."""
-    import numpy as np
-    from selfcal_ros import Calibration, Camera, CameraFacts, NotCalibrated
-    facts = CameraFacts(**{name: tuple(value) if isinstance(value, list) else value
-                           for name, value in content.get('facts', {}).items()})
-    software = content.get('software', '')
-    if content['status'] != 'calibrated':
-        return NotCalibrated(content['reason'], content['advice'],
-                             content.get('motion', 'unknown'), facts=facts, software=software)
-    c = content['camera']
-    camera = Camera([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]], c['d'],
-                    c['width'], c['height'])
-    covariance = np.array([[np.nan if v is None else v for v in row]
-                           for row in content['covariance']], float)
-    return Calibration(
-        camera=camera, covariance=covariance, status=content['parameters'],
-        held_by=content['held_by'], motion=content['motion'], facts=facts,
-        frames=tuple(content['frames']['used']),
-        reprojection_rms_px=content['reprojection_rms_px'],
-        noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
-        outlier_count=content['outliers'], reconstruction=None, notes=tuple(content['notes']),
-        software=software)

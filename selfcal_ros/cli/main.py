@@ -27,7 +27,7 @@ from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 VERBS = {
     'calibrate': 'calibrate a camera from a recording of its own motion',
     'compare': 'compare two calibration files, in pixels over the image',
-    'convert': 'turn an image folder or a video into a bag',
+    'convert': 'turn images into a bag, or a camera file into that of another program',
     'track': 'follow a known object through a recording',
     'demo': 'replay the recorded drive of this package and calibrate it',
 }

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.files import atomic_write
 
 
@@ -92,6 +92,39 @@ def result_to_json(result: Calibration | NotCalibrated) -> str:
     """Return the result as strict JSON text, without NaN and infinities."""
     return json.dumps(result_to_dict(result), indent=2, allow_nan=False,
                       ensure_ascii=False) + '\n'
+
+
+def result_from_dict(content: dict) -> Calibration | NotCalibrated:
+    """
+    Turn what `result_to_dict` gives back into a result, without its reconstruction.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If the content is of another kind.
+
+    """
+    facts = CameraFacts(**{name: tuple(value) if isinstance(value, list) else value
+                           for name, value in content.get('facts', {}).items()})
+    software = content.get('software', '')
+    if content['status'] != 'calibrated':
+        return NotCalibrated(content['reason'], content['advice'],
+                             content.get('motion', 'unknown'), facts=facts, software=software)
+    c = content['camera']
+    camera = Camera([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]], c['d'],
+                    c['width'], c['height'])
+    covariance = np.array([[np.nan if v is None else v for v in row]
+                           for row in content['covariance']], float)
+    if covariance.shape != (len(PARAMETER_NAMES),) * 2:
+        raise ValueError(f'the covariance has the shape {covariance.shape}')
+    return Calibration(
+        camera=camera, covariance=covariance, status=content['parameters'],
+        held_by=content['held_by'], motion=content['motion'], facts=facts,
+        frames=tuple(content['frames']['used']),
+        reprojection_rms_px=content['reprojection_rms_px'],
+        noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
+        outlier_count=content['outliers'], reconstruction=None, notes=tuple(content['notes']),
+        software=software)
 
 
 def _camera(camera) -> dict:

@@ -241,6 +241,42 @@ def test_an_image_folder_becomes_a_bag(capsys):
     assert 'exists' in capsys.readouterr().err
 
 
+def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
+    camera = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    write_camera_yaml('front.yaml', camera, 'front')
+    for path in ('opencv.xml', 'cameras.txt', 'cameras.bin', 'camchain.yaml'):
+        assert selfcal('convert', 'front.yaml', path) == 0
+    assert selfcal('convert', 'front.yaml', 'opencv.yaml', '--to', 'opencv', '--quiet') == 0
+    said = capsys.readouterr().out
+    assert 'half a pixel' in said
+    assert 'front of front.yaml written to opencv.xml for OpenCV' in said
+    assert '322.5 241.5' in Path('cameras.txt').read_text(encoding='utf-8')
+    for path in ('opencv.xml', 'opencv.yaml', 'cameras.txt', 'cameras.bin', 'camchain.yaml'):
+        # what the reader of camera files advises works
+        assert selfcal('convert', path, 'back.yaml', '--force', '--camera-name', 'front') == 0
+        back, name = read_camera_yaml('back.yaml')
+        assert np.array_equal(back.parameters, camera.parameters) and name == 'front'
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['a.yaml', 'b.yaml'], 'say with --to'), (['a.yaml', 'b.dat'], 'does not tell'),
+    (['a.yaml', 'taken.txt'], '--force'), (['a.yaml', 'b.xml', '--camera', 'cam1'], 'cam1'),
+    (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
+    (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),
+    (['a.yaml', 'no/folder/b.xml'], 'does not exist'),
+    (['k3.yaml', 'camchain.yaml'], 'Kalibr has no model for the plumb_bob')])
+def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments, words):
+    K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]
+    write_camera_yaml('a.yaml', Camera(K, [], 640, 480), 'a')
+    write_camera_yaml('k3.yaml', Camera(K, [0, 0, 0, 0, 0.1], 640, 480), 'a')
+    Path('taken.txt').touch()
+    before = sorted(Path().iterdir())
+    assert selfcal('convert', *arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 1 and words in heard.err
+    assert sorted(Path().iterdir()) == before
+
+
 def test_shared_files_are_found_and_a_missing_one_is_a_sentence():
     assert shared_file('config/fastdds.xml').is_file()
     with pytest.raises(InputError, match='not installed'):

@@ -1,0 +1,212 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which camera file is which, and one entry each for reading and writing any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import json
+from pathlib import Path
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.report.camera_files import kalibr_chain
+from selfcal_ros.report.camera_files.colmap_cameras import (colmap_binary, colmap_text, is_colmap,
+                                                            parse_colmap_binary,
+                                                            parse_colmap_text)
+from selfcal_ros.report.camera_files.kalibr_chain import kalibr_text, parse_kalibr
+from selfcal_ros.report.camera_files.opencv_storage import (is_opencv, OPENCV_MODELS, opencv_text,
+                                                            parse_opencv)
+from selfcal_ros.report.camera_files.stored import StoredCamera
+from selfcal_ros.report.camera_yaml import (camera_from_document, camera_yaml, is_kalibr,
+                                            ROS_MODELS)
+from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.result_json import result_from_dict
+from selfcal_ros.report.yaml_text import decoded, load_yaml, read_bytes
+
+#: File names without suffix that COLMAP reads.
+_COLMAP_NAMES = ('cameras.bin', 'cameras.txt')
+#: Suffixes of files that may hold cameras.
+CAMERA_SUFFIXES = ('.yaml', '.yml', '.xml', '.json', '.txt', '.bin')
+
+
+@dataclass(frozen=True)
+class Format:
+    """
+    A kind of camera file that can be written.
+
+    Attributes
+    ----------
+    title : str
+        Whose it is.
+    holds : callable
+        Tells whether the format has the lens model of a camera, exactly.
+
+    """
+
+    title: str
+    holds: Callable[[LensCamera], bool]
+
+
+FORMATS = {
+    'ros': Format('ROS', lambda camera: camera.model in ROS_MODELS),
+    'opencv': Format('OpenCV', lambda camera: camera.model in OPENCV_MODELS),
+    'kalibr': Format('Kalibr', kalibr_chain.holds),
+    'colmap': Format('COLMAP', lambda camera: True),
+}
+
+
+def is_camera_file(path) -> bool:
+    """Tell by its name whether a file, or the folder of a COLMAP model, may hold a camera."""
+    path = Path(path)
+    if path.is_dir():
+        return any((path / name).is_file() for name in _COLMAP_NAMES)
+    return path.suffix.lower() in CAMERA_SUFFIXES
+
+
+def read_cameras(path, *, fisheye: bool = False,
+                 image_size: tuple[int, int] | None = None) -> tuple[str, list[StoredCamera]]:
+    """
+    Read all cameras of a file of ROS, OpenCV, Kalibr or COLMAP, or of our result.json.
+
+    Parameters
+    ----------
+    path : str or Path
+        The kind is known by the content; a folder must hold COLMAP's cameras.bin or cameras.txt.
+    fisheye : bool
+        The coefficients of an OpenCV file are those of cv2.fisheye.
+    image_size : (int, int), optional
+        For OpenCV files that do not tell.
+
+    Returns
+    -------
+    kind : {'ros', 'opencv', 'kalibr', 'colmap', 'result'}
+    cameras : list of StoredCamera
+
+    Raises
+    ------
+    InputError
+        If there is no camera, or it has no exact counterpart here.
+
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = next((path / name for name in _COLMAP_NAMES if (path / name).is_file()), path)
+    raw, source = read_bytes(path), str(path)
+    if path.suffix.lower() == '.bin':
+        return 'colmap', parse_colmap_binary(raw, source)
+    text = decoded(raw, source)
+    if is_opencv(text):
+        return 'opencv', parse_opencv(text, source, fisheye, image_size)
+    if fisheye:
+        raise InputError(f'{source} is no OpenCV file and says itself what its lens is; leave '
+                         '--fisheye out.')
+    if text.lstrip().startswith('{'):
+        return 'result', [_from_result(text, source)]
+    if is_colmap(text):
+        return 'colmap', parse_colmap_text(text, source)
+    document = load_yaml(text, source)
+    if is_kalibr(document):
+        return 'kalibr', parse_kalibr(document, source)
+    camera, name = camera_from_document(document, source)
+    return 'ros', [StoredCamera(camera, name)]
+
+
+def read_camera(path, which: str | None = None, **options) -> StoredCamera:
+    """
+    Read one camera of a file; see `read_cameras`.
+
+    Parameters
+    ----------
+    path : str or Path
+    which : str, optional
+        Its name, when the file has several: cam1, for example, or the number of a COLMAP camera.
+
+    Raises
+    ------
+    InputError
+        If there is no such camera, or there are several and none is named.
+
+    """
+    return chosen(path, read_cameras(path, **options)[1], which)
+
+
+def chosen(path, cameras: list[StoredCamera], which: str | None = None) -> StoredCamera:
+    """Choose one of the cameras of a file; see `read_camera`."""
+    if which is None and len(cameras) == 1:
+        return cameras[0]
+    names = ', '.join(camera.name for camera in cameras[:12])
+    if which is None:
+        raise InputError(f'{path} holds {len(cameras)} cameras, choose one with --camera: '
+                         f'{names}.')
+    found = [camera for camera in cameras if which in (camera.name,
+                                                       camera.name.removeprefix('camera_'))]
+    if not found:
+        raise InputError(f'{path} has no camera {which}; it has {names}.')
+    return found[0]
+
+
+def write_camera(path, kind: str, camera: LensCamera, name: str = 'camera',
+                 topic: str = '') -> Path:
+    """
+    Write a camera file; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        For OpenCV a suffix .xml makes XML, for COLMAP .bin makes cameras.bin.
+    kind : {'ros', 'opencv', 'kalibr', 'colmap'}
+    camera : LensCamera
+        With its image size.
+    name : str
+        Name inside a file of ROS.
+    topic : str
+        Image topic inside a file of Kalibr.
+
+    Raises
+    ------
+    ArgumentError
+        If the format cannot hold the camera exactly; the sentence says which can.
+    InputError
+        If the file cannot be written.
+
+    """
+    suffix = Path(path).suffix.lower()
+    if not FORMATS[kind].holds(camera):
+        others = [other.title for other in FORMATS.values() if other.holds(camera)]
+        raise ArgumentError(f'{FORMATS[kind].title} has no model for the {camera.model} '
+                            f'distortion of this camera; {" and ".join(others)} have.')
+    if camera.width <= 0 or camera.height <= 0:
+        raise ArgumentError('The image size is not known; give it with --image-size W H.')
+    if kind == 'ros':
+        return atomic_write(path, camera_yaml(camera, name))
+    if kind == 'opencv':
+        return atomic_write(path, opencv_text(camera, xml=suffix == '.xml'))
+    if kind == 'kalibr':
+        return atomic_write(path, kalibr_text(camera, topic=topic))
+    return atomic_write(path, colmap_binary(camera) if suffix == '.bin' else colmap_text(camera))
+
+
+def _from_result(text: str, source: str) -> StoredCamera:
+    """Take the camera out of our result.json."""
+    try:
+        result = result_from_dict(json.loads(text))
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
+        raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
+                         ) from None
+    if not result:
+        raise InputError(f'{source} holds no camera. {result}')
+    return StoredCamera(LensCamera.of(result.camera), 'camera', covariance=result.covariance,
+                        status=dict(result.status))

@@ -1,0 +1,74 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A camera as a file holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.lens import LensCamera
+
+
+@dataclass(frozen=True)
+class StoredCamera:
+    """
+    One camera of a file.
+
+    Attributes
+    ----------
+    camera : LensCamera
+        Pixel (0, 0) is the centre of the top-left pixel, whatever the convention of the file.
+    name : str
+        As the file calls it.
+    topic : str
+        Image topic, where the file names it.
+    covariance : ndarray, shape (9, 9), or None
+        Of `PARAMETER_NAMES`, where the file has it.
+    status : dict
+        Per parameter 'estimated', 'held' or 'unobservable', where the file has it.
+
+    """
+
+    camera: LensCamera
+    name: str
+    topic: str = ''
+    covariance: np.ndarray | None = None
+    status: dict = field(default_factory=dict)
+
+
+def lens_camera(source: str, K, model: str, coefficients, size=(0, 0)) -> LensCamera:
+    """Build a camera; what is impossible is an InputError that starts with the source."""
+    try:
+        return LensCamera(K, model, coefficients, *size)
+    except ArgumentError as error:
+        raise InputError(f'{source}: {error}') from None
+
+
+def without_skew(camera: LensCamera, program: str) -> LensCamera:
+    """
+    Return a camera for a program that knows no skew.
+
+    Raises
+    ------
+    ArgumentError
+        If the camera has one.
+
+    """
+    if camera.K[0, 1]:
+        raise ArgumentError(f'{program} knows no skew, and this camera has {camera.K[0, 1]:.4g} '
+                            'px of it; calibrate with --skew 0.')
+    return camera
