@@ -26,7 +26,8 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.conclusion import conclude
-from selfcal_ros.calibration.model_choice import choose_model, Model
+from selfcal_ros.calibration.model_choice import choose_model, first_fit, Model
+from selfcal_ros.calibration.motion import MOST_TILT_RAD, not_planar, out_of_plane_rad
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.problem import observations_of, Problem
@@ -127,11 +128,17 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
                       f'images agree to {problem.noise_px:.2g} px.',
                       'The scene must stand still, and most of what is seen must belong to it.',
                       'general' if problem.motion.keeps_plane else 'unknown')
+    # far out of the plane, against a prior that pulls there: no need to go on
+    if problem.motion.keeps_plane and out_of_plane_rad(start) > 2 * MOST_TILT_RAD:
+        return refuse(*not_planar(out_of_plane_rad(start)), 'general')
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:
         return refuse('The distortion of the best start cannot be undone over the whole image.')
-    model = choose_model(window, medium, state)
+    fit = first_fit(window, medium, state)
+    if problem.motion.keeps_plane and out_of_plane_rad(fit.state) > MOST_TILT_RAD:
+        return refuse(*not_planar(out_of_plane_rad(fit.state)), 'general')
+    model = choose_model(window, fit)
     problem = replace(problem, facts=model.facts)
     state = extended(problem, model)
     if state is None:

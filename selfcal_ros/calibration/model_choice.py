@@ -39,11 +39,15 @@ class Model:
     stretches: tuple[float, np.ndarray]
 
 
-def choose_model(problem: Problem, observations: Observations, state: BundleState) -> Model:
+def first_fit(problem: Problem, observations: Observations, state: BundleState) -> Fit:
+    """Fit a share of the tracks with soft priors, the models still open."""
+    return fit_robustly(observations, state, problem.motion, start_priors(problem),
+                        1.5 * problem.noise_px)
+
+
+def choose_model(problem: Problem, fit: Fit) -> Model:
     """Choose the distortion model, if the facts leave it open, and how planar motion is."""
     facts = problem.facts
-    soft = start_priors(problem)
-    fit = fit_robustly(observations, state, problem.motion, soft, 1.5 * problem.noise_px)
     if facts.distortion == 'auto':
         dependence = dependence_of(fit, problem.size).inflation**2
 

@@ -24,119 +24,25 @@ moments it is maximised, and the threshold bounds the rate at which an unchanged
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
+from selfcal_ros.calibration.camera_change import CameraChange, CHANGES, MonitorSettings
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.state import ASPECT, CX, CY, F
+from selfcal_ros.calibration.state import ASPECT
+from selfcal_ros.calibration.window_scatter import WindowScatter
 from selfcal_ros.calibration.window_score import WindowScore
-from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 
-#: What may change suddenly. The aspect ratio belongs to the sensor; a change of the distortion
-#: shows as one of these.
-CHANGES = (F, CX, CY)
-CHANGE_NAMES = ('focal length', 'cx', 'cy')
 #: What remains of the statistic without its strongest window must be improbable, too: one window
 #: alone, with a moving object in it, proves nothing.
 WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
 #: The newest windows are kept one by one; older ones are merged in pairs, as many of each size.
 SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
-#: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
-REMEMBERED, LEAST_FOR_SCATTER = 60, 8
 #: A score is exact to first order: so much of the step that it tells is its own uncertainty.
 CURVATURE = 0.1
-#: A parameter counts as changed when its change exceeds so many sigmas.
-SAID_SIGMAS = 3.0
-
-
-@dataclass(frozen=True)
-class MonitorSettings:
-    """
-    What counts as a change, and how rarely one may be reported where there is none.
-
-    Parameters
-    ----------
-    keyframes : int
-        In a window; successive windows share one.
-    false_alarm_keyframes : float
-        Mean number of keyframes between false alarms, at least.
-    tolerance_px : float
-        Standard deviation of the displacement, half an image diagonal from the middle, that is
-        no change: no two scenes show a camera exactly alike.
-
-    Raises
-    ------
-    ArgumentError
-        If a value is impossible.
-
-    """
-
-    keyframes: int = 9
-    false_alarm_keyframes: float = 3.6e6
-    tolerance_px: float = 0.25
-
-    def __post_init__(self):
-        """Refuse impossible values."""
-        if not 4 <= self.keyframes <= 100:
-            raise ArgumentError('A window of the monitor has 4 to 100 keyframes, '
-                                f'not {self.keyframes!r}.')
-        if not self.false_alarm_keyframes >= 100:
-            raise ArgumentError('The monitor needs at least 100 keyframes between false alarms, '
-                                f'not {self.false_alarm_keyframes!r}.')
-        if not 0 < self.tolerance_px < 100:
-            raise ArgumentError('The tolerance of the monitor lies between 0 and 100 px, '
-                                f'not {self.tolerance_px!r}.')
-
-
-@dataclass(frozen=True)
-class CameraChange:
-    """
-    A change of the camera; first order, so that a large one is stated roughly.
-
-    Attributes
-    ----------
-    change_px : ndarray, shape (3,)
-        Of focal length (fx), cx and cy, pixels.
-    covariance : ndarray, shape (3, 3)
-    focal_px : float
-        fx in force.
-    since_frame, until_frame : int
-        First keyframe of the windows that differ, and last keyframe of the newest.
-    statistic, threshold : float
-        Twice the logarithm of the likelihood ratio, and what it had to exceed.
-
-    """
-
-    change_px: np.ndarray
-    covariance: np.ndarray
-    focal_px: float
-    since_frame: int
-    until_frame: int
-    statistic: float
-    threshold: float
-
-    @property
-    def sigma_px(self) -> np.ndarray:
-        """Standard deviations of the change, shape (3,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def __str__(self) -> str:
-        """Say what changed and by how much."""
-        percent = 100 / self.focal_px
-        parts = []
-        for name, value, sigma, unit in zip(
-                CHANGE_NAMES, self.change_px * [percent, 1, 1], self.sigma_px * [percent, 1, 1],
-                ('%', 'px', 'px')):
-            if abs(value) > SAID_SIGMAS * sigma:
-                parts.append(f'{name} {value:+.2g} ± {sigma:.1g} {unit}')
-        if not parts:
-            # significant together, not one by one
-            parts = [f'{name} {value:+.2g} ± {sigma:.1g} px' for name, value, sigma in zip(
-                CHANGE_NAMES, self.change_px, self.sigma_px)]
-        return 'the camera has changed: ' + ', '.join(parts)
 
 
 @dataclass
@@ -148,38 +54,11 @@ class _Block:
     windows: int
     first_frame: int
     last_frame: int
+    score: WindowScore | None = None
 
     def merged(self, other: _Block) -> _Block:
         return _Block(self.information + other.information, self.shift + other.shift,
                       self.windows + other.windows, self.first_frame, other.last_frame)
-
-
-@dataclass
-class _Scatter:
-    """What the windows so far say of the errors' size."""
-
-    dependence: list = field(default_factory=list)
-    misfit: list = field(default_factory=list)
-
-    def inflation(self, own: float) -> float:
-        """
-        Variance of a window over that of independent errors.
-
-        Never less than one; a change raises that of its windows only, which the median ignores.
-        """
-        known = float(np.median([*self.dependence, own]))
-        return max(1.0, known)
-
-    def excess(self) -> float:
-        """Scatter of windows about the camera over what their covariances explain."""
-        if len(self.misfit) < LEAST_FOR_SCATTER:
-            return 1.0
-        return max(1.0, float(np.median(self.misfit)) / float(chi2.median(len(CHANGES))))
-
-    def remember(self, dependence: float, misfit: float):
-        for values, value in ((self.dependence, dependence), (self.misfit, misfit)):
-            values.append(value)
-            del values[:-REMEMBERED]
 
 
 class ChangeMonitor:
@@ -226,7 +105,7 @@ class ChangeMonitor:
         self._prior = prior + np.diag(self._along(0.01 * self._tolerance))
         self._old: list[_Block] = []
         self._new: list[_Block] = []
-        self._scatter = _Scatter()
+        self._scatter = WindowScatter(self._tolerance)
         self.change: CameraChange | None = None
         self.windows = self.discarded = 0
         self.statistic, self.threshold = 0.0, self._threshold(1)
@@ -241,6 +120,14 @@ class ChangeMonitor:
         """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
         chance = (self.settings.keyframes - 1) / self.settings.false_alarm_keyframes
         return float(chi2.isf(chance / moments, len(CHANGES)))
+
+    def learn(self, score: WindowScore) -> None:
+        """
+        Take the score of a window of those keyframes that the calibration was made from.
+
+        It is no evidence, but tells how well windows agree with this calibration.
+        """
+        self._remember(score, 0.0)
 
     def add(self, score: WindowScore) -> CameraChange | None:
         """
@@ -258,17 +145,14 @@ class ChangeMonitor:
 
         """
         self.windows += 1
-        inflation = self._scatter.inflation(score.dependence) * self._scatter.excess()
-        information = score.information / inflation
         step = score.at + score.step - self._in_force
+        information = score.information / self._scatter.inflation(score.dependence)
         # every scene has its own small error, however much it tells
         own = np.diag(self._along(self._tolerance
                                   + np.square(CURVATURE * score.step[self._changes])))
         weight = np.linalg.inv(np.eye(len(self.free)) + information @ own)
-        self._new.append(_Block(_symmetric(weight @ information),
-                                weight @ information @ step, 1,
-                                score.frames[0], score.frames[-1]))
-        self._scatter.remember(score.dependence, self._misfit(score, step[self._changes]))
+        self._new.append(_Block(_symmetric(weight @ information), weight @ information @ step, 1,
+                                score.frames[0], score.frames[-1], score))
         self._test()
         if len(self._new) > SINGLE_WINDOWS:
             self._retire()
@@ -356,16 +240,21 @@ class ChangeMonitor:
 
     # ------------------------------------------------------------------ memory
 
-    def _misfit(self, score: WindowScore, step: np.ndarray) -> float:
-        """Squared distance of a window from the camera in force, in its own sigmas."""
-        inflation = self._scatter.inflation(score.dependence)
-        spread = _inverse(score.information) * inflation + self._prior
-        spread = spread[np.ix_(self._changes, self._changes)] + np.diag(self._tolerance)
-        return float(step @ np.linalg.solve(spread, step))
+    def _remember(self, score: WindowScore, prior) -> None:
+        """Learn from a window how large the errors of windows are."""
+        spread = (_inverse(score.information) * self._scatter.inflation(score.dependence)
+                  + prior)[np.ix_(self._changes, self._changes)]
+        step = (score.at + score.step - self._in_force)[self._changes]
+        self._scatter.remember(score.dependence, step, spread)
+        self._tolerance = self._scatter.tolerance()
 
     def _retire(self) -> None:
         """Move the oldest single window to the merged ones, unless it agrees with nothing."""
         block = self._new.pop(0)
+        # not before: after a change, windows scatter about another camera
+        if self.change is None:
+            self._remember(block.score, self._prior)
+            block.score = None
         others = self._old + self._new
         information = np.linalg.inv(self._prior) + sum(b.information for b in others)
         statistic, *_ = self._ratios(information[None], sum(b.shift for b in others)[None],

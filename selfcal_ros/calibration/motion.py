@@ -86,6 +86,18 @@ class PathDescription:
                 'principal point or a simpler distortion model as a fact.')
 
 
+def out_of_plane_rad(state: BundleState) -> float:
+    """Root mean square angle of the views out of the plane of motion."""
+    return float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
+
+
+def not_planar(tilt_rad: float) -> tuple[str, str]:
+    """Reason and advice for views that are tilted so far out of the plane."""
+    return (f'The motion is not planar: views are tilted out of the plane by '
+            f'{np.degrees(tilt_rad):.0f} degrees (root mean square).',
+            'Use a stretch of the recording on even ground, or say that the motion is general.')
+
+
 def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> PathDescription:
     """
     Classify the motion of an optimum of the bundle adjustment.
@@ -108,7 +120,7 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> 
     if keeps_plane:
         # the way round may exceed half a turn
         rotation = max(rotation, float(np.ptp(state.views[:, 0])))
-    tilt = float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
+    tilt = out_of_plane_rad(state)
     axis = state.mount[:, 2]
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
@@ -122,10 +134,7 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> 
                   'Turn the camera by 20 degrees or more about two axes.')
     elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
-        refusal = (f'The motion is not planar: views are tilted out of the plane by '
-                   f'{np.degrees(tilt):.0f} degrees (root mean square).')
-        advice = ('Use a stretch of the recording on even ground, or say that the motion is '
-                  'general.')
+        refusal, advice = not_planar(tilt)
     elif keeps_plane and _is_circular(state):
         motion = 'circular'
         notes.append('The camera circles one axis; the calibration rests on square pixels.')

@@ -154,7 +154,8 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
             state = bundle.settle_points(state)
-        state = bundle.optimise(state, 12 if k == 0 else 30, 1.0 if k < 2 else 0.05)
+        # no finer than the choice of outliers needs
+        state = bundle.optimise(state, *((12, 2e-3 * bundle.cost(state)) if k == 0 else (3, 1.0)))
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):
             break
@@ -174,7 +175,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
         if settled:
             break
     bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescale(state), 30, 0.01)
+    state = bundle.optimise(rescale(state), 30, 0.02)
     return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                before - len(observations.view))
 
@@ -231,7 +232,7 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         state = replace(fit.state, views=fit.state.views[kept], points=fit.state.points[points])
         bundle = bundle_of(replace(rest, view=index), fit.bundle.motion, fit.bundle.priors,
                            fit.bundle.sigma_px)
-        state = bundle.optimise(state, 12, 0.05)
+        state = bundle.optimise(state, 6, 0.1)
         shifts.append(state.intrinsics - fit.state.intrinsics)
         covariances.append(bundle.covariance(state)[:9, :9])
     return np.array(shifts).reshape(-1, 9), np.array(covariances).reshape(-1, 9, 9)

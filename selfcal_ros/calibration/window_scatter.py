@@ -1,0 +1,81 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How large the errors of windows are: dependence within tracks, and differences of scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+#: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
+REMEMBERED, LEAST_FOR_SCATTER = 60, 3
+#: The variances that scenes add may grow to so many times the stated tolerance.
+MOST_TOLERANCE = 1e4
+
+
+class WindowScatter:
+    """
+    How large the errors of windows are, judged by the windows so far.
+
+    Parameters
+    ----------
+    tolerance : ndarray, shape (3,)
+        Variances that every window has in addition to its covariance, at least.
+
+    """
+
+    def __init__(self, tolerance: np.ndarray):
+        self._least, self._dependence, self._seen = tolerance, [], []
+
+    def inflation(self, own: float) -> float:
+        """
+        Variance of a window over that of independent errors, never less than one.
+
+        A change raises that of its windows only, which the median ignores.
+        """
+        return max(1.0, float(np.median([*self._dependence, own])))
+
+    def remember(self, dependence: float, step, covariance) -> None:
+        """Remember a window: its distance from the camera in force, and what that should be."""
+        self._dependence.append(dependence)
+        self._seen.append((step, covariance))
+        del self._dependence[:-REMEMBERED], self._seen[:-REMEMBERED]
+
+    def tolerance(self) -> np.ndarray:
+        """
+        Variances (3,) under which the windows scatter as they do, or the least.
+
+        A lens that is not quite the model differs from scene to scene by more than noise.
+        """
+        count = len(self._seen)
+        if count < LEAST_FOR_SCATTER:
+            return self._least
+        steps, covariances = (np.array(part) for part in zip(*self._seen))
+
+        def middle(factor):
+            spread = covariances + factor * np.diag(self._least)
+            solved = np.linalg.solve(spread, steps[..., None])[..., 0]
+            return float(np.median(np.sum(steps * solved, axis=1)))
+
+        # the median of so few may exceed its expectation by chance
+        if middle(1.0) < chi2.ppf(0.5 + 0.82 / np.sqrt(count), 3):
+            return self._least
+        low, high = 0.0, np.log(MOST_TOLERANCE)
+        for _ in range(20):
+            factor = (low + high) / 2
+            if middle(np.exp(factor)) > chi2.median(3):
+                low = factor
+            else:
+                high = factor
+        return np.exp(high) * self._least
