@@ -131,7 +131,8 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> 
         refusal = (f'The camera did not rotate ({np.degrees(rotation):.2f} degrees in all); '
                    'self-calibration needs rotation.')
         advice = ('Drive curves: turn by 30 degrees or more, left and right.' if keeps_plane else
-                  'Turn the camera by 20 degrees or more about two axes.')
+                  'Turn the camera by 20 degrees or more: about two axes, or, on a vehicle, in '
+                  'curves to the left and to the right.')
     elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
         refusal, advice = not_planar(tilt)
