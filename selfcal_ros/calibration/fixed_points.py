@@ -30,7 +30,7 @@ from selfcal_ros.calibration.pencil import calibrate_from_fixed_points, PencilCa
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.triplets import choose_triplets, dense_tracks
-from selfcal_ros.geometry import planar_pairs
+from selfcal_ros.geometry import planar_batch, planar_pairs
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
@@ -201,10 +201,10 @@ def _horizon_and_point(data, wanted, both, track_count, method, trim_sigma):
     state = tuple(s[kept] for s in state)
     identity = _observation_identity(wanted[kept], [both[k] for k in kept],
                                      data.weight.shape[1], track_count)
-    L, V, own, batch_cost, count = planar_pairs.refine_batch(
-        data, *planar_pairs.batch_start(state))
-    spread, share = planar_pairs.batch_covariance(data, L, V, own, identity)
-    result = planar_pairs.result_in_pixels(data, L, V, own, batch_cost, spread, share, count)
+    L, V, own, batch_cost, count = planar_batch.refine_batch(
+        data, *planar_batch.batch_start(state))
+    spread, share = planar_batch.batch_covariance(data, L, V, own, identity)
+    result = planar_batch.result_in_pixels(data, L, V, own, batch_cost, spread, share, count)
     general = verdicts.noise_px[kept]
     if result.noise_px > 2 * max(np.sqrt(np.mean(general ** 2)), 1e-5):
         return NoEstimate(

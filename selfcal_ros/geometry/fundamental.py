@@ -28,6 +28,7 @@ import numpy as np
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, homogeneous,
                                              normalising_transform, small_rotation)
+from selfcal_ros.geometry.propagation import pair_influence, residual_slopes
 
 #: Below this root mean square, in pixels, a residual is rounding and no longer noise.
 ROUNDING_PX = 1e-7
@@ -96,12 +97,13 @@ class FundamentalEstimate:
     F : ndarray, shape (3, 3)
         In pixels, unit norm.
     covariance : ndarray, shape (9, 9)
-        Of the row-wise entries of F: 2 C / (m - p) H^-1 (thesis C.1), of rank p; m counts
-        matches.
+        Of the row-wise entries of F, of rank p: first order, from the image points (thesis C.1).
     residuals : ndarray, shape (m, 2)
         Distances to the epipolar lines in the second and first image, pixels, signed.
     degrees_of_freedom : int
         p: 7 general, 2 translation, 6 planar.
+    noise_px : float
+        Estimated standard deviation of one image coordinate.
 
     """
 
@@ -109,6 +111,7 @@ class FundamentalEstimate:
     covariance: np.ndarray
     residuals: np.ndarray
     degrees_of_freedom: int
+    noise_px: float
 
     @property
     def rms_px(self) -> float:
@@ -363,21 +366,21 @@ def refine_translation(data: PairMatches):
     return F, cost, hessian, dF
 
 
-def describe(data: PairMatches, F, cost, hessian, dF) -> list[FundamentalEstimate]:
+def describe(data: PairMatches, F, cost, dF) -> list[FundamentalEstimate]:
     """Turn normalised results of n pairs into estimates in pixels."""
     # row-wise entries: vec(T^T F T) = (T^T kron T^T) vec(F)
     carry = np.kron(data.transform.T, data.transform.T)
-    residuals = pair_residuals(data, F)
+    residuals, slope = pair_residuals(data, F, derivative=True)
+    moved = pair_influence(residual_slopes(data, F), slope @ dF[:, None])
     estimates = []
-    for k, (count, p) in enumerate(zip(data.counts, [dF.shape[2]] * len(F))):
+    for k, noise_px in enumerate(moved.noise_px(cost)):
         pixels = carry @ F[k].ravel()
         norm = np.linalg.norm(pixels)
         pixels /= norm
         slope = (np.eye(9) - np.outer(pixels, pixels)) @ carry @ dF[k] / norm
-        spread = np.linalg.pinv(hessian[k], hermitian=True)
-        covariance = cost[k] / max(count - p, 1) * slope @ spread @ slope.T
-        estimates.append(FundamentalEstimate(pixels.reshape(3, 3), covariance,
-                                             residuals[k, data.weight[k] > 0], p))
+        estimates.append(FundamentalEstimate(
+            pixels.reshape(3, 3), noise_px ** 2 * slope @ moved.covariance[k] @ slope.T,
+            residuals[k, data.weight[k] > 0], dF.shape[2], float(noise_px)))
     return estimates
 
 
@@ -402,6 +405,6 @@ def fundamental(xy_a, xy_b, motion: str = 'general'):
         return NoEstimate(f'A fundamental matrix of {motion} motion needs at least {needed} '
                           f'matches; there are {len(xy_a)}.', 'too_few')
     data = PairMatches.from_pixels([(xy_a, xy_b)])
-    if motion == 'translation':
-        return describe(data, *refine_translation(data))[0]
-    return describe(data, *refine_general(data, eight_point(data)))[0]
+    F, cost, _, dF = (refine_translation(data) if motion == 'translation'
+                      else refine_general(data, eight_point(data)))
+    return describe(data, F, cost, dF)[0]

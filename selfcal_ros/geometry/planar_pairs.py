@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Fundamental matrices of planar motion, pair by pair and over all pairs at once (thesis 6.2).
+Fundamental matrices of planar motion, pair by pair (thesis 6.2.1); see also `planar_batch`.
 
 F = cos t [z0]x + sin t (l m^T + m l^T): l the horizon, m the image of the screw axis, z0 a point
-of l. In the batch form all pairs share l, and every m passes through the one vanishing point v.
-The form survives a common change of coordinates of both images, so that the work is done in
+of l. The form survives a common change of coordinates of both images, so that the work is done in
 normalised coordinates; only t then differs from half the angle of rotation.
 """
 
@@ -27,11 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.fundamental import (describe, eight_point, normal_equations,
-                                              pair_residuals, PairMatches, refine_general,
-                                              refine_pairs, ROUNDING_PX)
+from selfcal_ros.geometry.fundamental import (describe, eight_point, pair_residuals, PairMatches,
+                                              refine_general, refine_pairs)
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, line_pair,
-                                             small_rotation, unit, unit_covariance)
+                                             small_rotation, unit)
+from selfcal_ros.geometry.propagation import pair_influence, residual_slopes
 
 
 @dataclass(frozen=True)
@@ -167,212 +166,48 @@ def planar_fundamental(xy_a, xy_b):
         return NoEstimate('A planar fundamental matrix needs at least 8 matches; there are '
                           f'{len(xy_a)}.', 'too_few')
     data = PairMatches.from_pixels([(xy_a, xy_b)])
-    state, cost, hessian = refine_planar(data, refine_general(data, eight_point(data))[0])
+    state, cost, _ = refine_planar(data, refine_general(data, eight_point(data))[0])
     F, dF = _planar_model(state)
-    return describe(data, F, cost, hessian, dF)[0]
+    return describe(data, F, cost, dF)[0]
 
 
-# ---- all pairs: global frames (l, r, s) and (v, p, q), per pair (t, phi, delta)
-
-def _batch_model(L, V, own):
-    """F (n, 3, 3), its derivative by the globals (n, 9, 4) and by its own three (n, 9, 3)."""
-    t, phi, delta = own.T
-    ct, st = np.cos(t)[:, None, None], np.sin(t)[:, None, None]
-    cp, sp, cd, sd = (f(x)[:, None] for x in (phi, delta) for f in (np.cos, np.sin))
-    line, r, s = L.T
-    v, p, q = V.T
-    axis, axis_turned = cp * p + sp * q, cp * q - sp * p
-    centre, centre_turned = cd * r + sd * s, cd * s - sd * r
-    pair, skew = line_pair(line, axis), cross_matrix(centre)
-    n = len(t)
-    common = np.stack([st * line_pair(r, axis) - ct * cross_matrix(cd * line),
-                       st * line_pair(s, axis) - ct * cross_matrix(sd * line),
-                       -st * line_pair(line, cp * v), -st * line_pair(line, sp * v)], axis=1)
-    single = np.stack([ct * pair - st * skew, st * line_pair(line, axis_turned),
-                       ct * cross_matrix(centre_turned)], axis=1)
-    return (ct * skew + st * pair, np.swapaxes(common.reshape(n, 4, 9), 1, 2),
-            np.swapaxes(single.reshape(n, 3, 9), 1, 2))
-
-
-def _turned(frame, change):
-    """Move the frame's first column by change (2,) along the other two."""
-    return frame @ small_rotation(np.array([0.0, -change[1], change[0]]))
-
-
-def _arrow(matrix, gradient, common, single):
-    """Blocks of the normal equations: A (4, 4), B (n, 4, 3), D (n, 3, 3), and both gradients."""
-    turned = np.swapaxes(common, 1, 2)
-    MC, MS = matrix @ common, matrix @ single
-    own = np.swapaxes(single, 1, 2)
-    return ((turned @ MC).sum(axis=0), turned @ MS, own @ MS,
-            (turned @ gradient[..., None])[..., 0].sum(axis=0),
-            (own @ gradient[..., None])[..., 0])
-
-
-def batch_start(state):
+@dataclass(frozen=True)
+class PairLines:
     """
-    Common l and v of pairs that were refined separately, and the parameters of each.
+    Horizon and screw axis of every pair by itself, in normalised coordinates.
 
-    The medoid of the horizons is taken, and the v that minimises sum (m v)^2 with weights that
-    fade out the lines that miss it (C.5).
-    """
-    t, Q, M = state
-    lines, axes = Q[:, :, 0], M[:, :, 0]
-    closeness = np.abs(lines @ lines.T)
-    line = lines[np.argmax(np.median(closeness, axis=1))]
-    weight = np.sin(t) ** 2 + 1e-12
-    for _ in range(5):
-        v = np.linalg.svd(axes * np.sqrt(weight)[:, None])[2][-1]
-        miss = np.abs(axes @ v)
-        weight = 1 / (miss ** 2 + np.median(miss) ** 2 + 1e-12)
-    L, V = completed_frame(line), completed_frame(v)
-    same = np.sign((lines * line).sum(axis=1))
-    phi = np.arctan2(*((axes * same[:, None]) @ V[:, [2, 1]]).T)
-    delta = np.arctan2(*(Q[:, :, 1] @ L[:, [2, 1]]).T)
-    return L, V, np.column_stack([t, phi, delta])
-
-
-def refine_batch(data: PairMatches, L, V, own, iterations: int = 60):
-    """
-    Minimise (A.2) summed over all pairs by Levenberg-Marquardt (6.6).
-
-    The normal matrix is an arrow - four common parameters, three of each pair - and is solved
-    in time linear in the number of pairs.
-
-    Returns
-    -------
-    L, V : ndarray, shape (3, 3)
-    own : ndarray, shape (n, 3)
-    cost : ndarray, shape (n,)
-    iterations : int
-
-    """
-    F, common, single = _batch_model(L, V, own)
-    cost, gradient, matrix = normal_equations(data, F)
-    damping, floor = 1e-3, data.counts.sum() * ROUNDING_PX ** 2
-    count = 0
-    for count in range(1, iterations + 1):
-        A, B, D, a, d = _arrow(matrix, gradient, common, single)
-        accepted = False
-        while damping < 1e9 and not accepted:
-            step, own_step = _solve_arrow(A, B, D, a, d, damping)
-            trial = _turned(L, step[:2]), _turned(V, step[2:]), own + own_step
-            model = _batch_model(*trial)
-            new = normal_equations(data, model[0])
-            accepted = new[0].sum() < cost.sum()
-            damping *= 0.1 if accepted else 10
-        if not accepted:
-            break
-        gain = cost.sum() - new[0].sum()
-        (L, V, own), (F, common, single), (cost, gradient, matrix) = trial, model, new
-        if gain < 1e-8 * cost.sum() or cost.sum() < floor:
-            break
-    return L, V, own, cost, count
-
-
-def _damped(M, damping):
-    diagonal = np.einsum('...ii->...i', M)
-    least = 1e-12 * diagonal.max(axis=-1, keepdims=True) + 1e-300
-    return M + (damping * np.maximum(diagonal, least))[..., None] * np.eye(M.shape[-1])
-
-
-def _solve_arrow(A, B, D, a, d, damping):
-    D = _damped(D, damping + 1e-14)
-    right = np.linalg.solve(D, np.concatenate([np.swapaxes(B, 1, 2), d[..., None]], axis=2))
-    S = _damped(A, damping) - (B @ right[:, :, :4]).sum(axis=0)
-    step = -np.linalg.solve(S, a - (B @ right[:, :, 4:])[..., 0].sum(axis=0))
-    return step, -right[:, :, 4] - right[:, :, :4] @ step
-
-
-def _image_influence(data: PairMatches, F, common, single):
-    """
-    First-order change of (l, v) with the image coordinates of every match.
-
-    Returns
-    -------
-    influence : ndarray, shape (n, m, 4, 4)
-        Globals by (x_b, y_b, x_a, y_a) in pixels.
-    share : float
-        Expected cost for noise of one pixel.
-
-    """
-    residuals, slope = pair_residuals(data, F, derivative=True)
-    matrix = np.einsum('nmri,nmrj->nij', slope, slope, optimize=True)
-    A, B, D, _, _ = _arrow(matrix, np.zeros((len(F), 9)), common, single)
-    D = _damped(D, 1e-14)
-    back = np.swapaxes(np.linalg.solve(D, np.swapaxes(B, 1, 2)), 1, 2)
-    S = A - (B @ np.swapaxes(back, 1, 2)).sum(axis=0)
-    # gradient of the globals with the pairs' own parameters eliminated
-    reduced = np.swapaxes(common, 1, 2) - back @ np.swapaxes(single, 1, 2)
-    # where v is open along m the pseudo-inverse leaves that direction out
-    by_residual = np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ np.einsum(
-        'ngi,nmri->gnmr', reduced, slope, optimize=True).reshape(4, -1)
-    by_residual = by_residual.reshape(4, *residuals.shape)
-    line_b = data.first @ np.swapaxes(F, 1, 2)
-    line_a = data.second @ F
-    norm_b = np.linalg.norm(line_b[..., :2], axis=-1)
-    norm_a = np.linalg.norm(line_a[..., :2], axis=-1)
-    # at the minimum the residual is small: its numerator alone moves with the points
-    move = np.concatenate([line_b[..., :2], line_a[..., :2]], axis=-1)
-    by_point = np.stack([move / norm_b[..., None], move / norm_a[..., None]], axis=-2)
-    by_point *= data.weight[..., None, None]
-    influence = np.einsum('gnmr,nmrc->nmgc', by_residual, by_point, optimize=True)
-    return influence, float((by_point ** 2).sum())
-
-
-def batch_covariance(data: PairMatches, L, V, own, observation=None):
-    """
-    Covariance of the common parameters per pixel^2 of image noise, and the expected cost.
-
-    First-order propagation from the image points (C.1): two pairs that share a view share that
-    view's noise, which 2 C / (m - p) H^-1 neglects.
-
-    Parameters
+    Attributes
     ----------
-    observation : ndarray of int, shape (n, m, 2), optional
-        Identity of the observations in the second and in the first image; -1 for padding.
-        Without it the matches count as independent.
-
-    Returns
-    -------
-    covariance : ndarray, shape (4, 4)
-    share : float
+    horizons, axes : ndarray, shape (n, 3)
+        l and m, unit norm.
+    horizon_influence, axis_influence : ndarray, shape (n, m, 3, 4)
+        Change per pixel of (x, y) in the second and (x, y) in the first image.
+    noise_px : ndarray, shape (n,)
+        Standard deviation of an image coordinate, estimated from each pair.
 
     """
-    F, common, single = _batch_model(L, V, own)
-    influence, share = _image_influence(data, F, common, single)
-    moved = np.stack([influence[..., :2], influence[..., 2:]], axis=2)
-    used = data.weight > 0
-    rows = moved[used].reshape(-1, 8)
-    if observation is not None:
-        identity = observation[used].ravel()
-        rows = np.column_stack([np.bincount(identity, weights=column) for column in rows.T])
-    rows = rows.reshape(-1, 4, 2)
-    return np.einsum('kgc,khc->gh', rows, rows, optimize=True), share
+
+    horizons: np.ndarray
+    axes: np.ndarray
+    horizon_influence: np.ndarray
+    axis_influence: np.ndarray
+    noise_px: np.ndarray
+
+    @property
+    def covariances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Covariances (n, 3, 3) of horizons and axes."""
+        return tuple(np.einsum('n,nmic,nmjc->nij', self.noise_px ** 2, moved, moved,
+                               optimize=True)
+                     for moved in (self.horizon_influence, self.axis_influence))
 
 
-def hessian_covariance(data: PairMatches, L, V, own, cost):
-    """Covariance 2 C / (m - p) H^-1 of the common parameters (thesis C.1), shape (4, 4)."""
-    F, common, single = _batch_model(L, V, own)
-    _, gradient, matrix = normal_equations(data, F)
-    A, B, D, _, _ = _arrow(matrix, gradient, common, single)
-    S = A - (B @ np.linalg.solve(_damped(D, 1e-14), np.swapaxes(B, 1, 2))).sum(axis=0)
-    spare = max(data.counts.sum() - 4 - 3 * len(F), 1)
-    return cost.sum() / spare * np.linalg.pinv(S, hermitian=True)
-
-
-def result_in_pixels(data: PairMatches, L, V, own, cost, covariance, share,
-                     iterations: int = 0) -> PlanarPairs:
-    """Carry the batch result to pixels; covariance (4, 4) and share are per pixel^2 of noise."""
-    F = _batch_model(L, V, own)[0]
-    spare = 1 - (4 + 3 * len(F)) / max(data.counts.sum(), 1)
-    noise = np.sqrt(cost.sum() / share / max(spare, 1e-3))
-    T = data.transform
-    line, line_cov = unit_covariance(T.T @ L[:, 0], T.T @ L[:, 1:] @ covariance[:2, :2]
-                                     @ L[:, 1:].T @ T * noise ** 2)
-    back = np.linalg.inv(T)
-    point, point_cov = unit_covariance(back @ V[:, 0], back @ V[:, 1:] @ covariance[2:, 2:]
-                                       @ V[:, 1:].T @ back.T * noise ** 2)
-    axes = np.cos(own[:, 1:2]) * V[:, 1] + np.sin(own[:, 1:2]) * V[:, 2]
-    return PlanarPairs(line, point, line_cov, point_cov, data.pixels_F(F), unit(axes @ T),
-                       pair_residuals(data, F), float(noise), iterations)
+def pair_lines(data: PairMatches, state, cost) -> PairLines:
+    """Tell l and m of refined pairs (`refine_planar`), and how they move with the matches."""
+    _, Q, M = state
+    F, dF = _planar_model(state)
+    slope = pair_residuals(data, F, derivative=True)[1]
+    moved = pair_influence(residual_slopes(data, F), slope @ dF[:, None])
+    line_slope = np.stack([-Q[:, :, 2], Q[:, :, 1]], axis=2)
+    lines, axes = (frame[:, None] @ moved.influence[:, :, rows]
+                   for frame, rows in ((line_slope, slice(2, 4)), (M[:, :, 1:], slice(4, 6))))
+    return PairLines(Q[:, :, 0], M[:, :, 0], lines, axes, moved.noise_px(cost))

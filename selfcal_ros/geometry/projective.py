@@ -153,6 +153,40 @@ def canonical_transform(line, point) -> np.ndarray:
     return np.array([[1, -a / b, 0], [0, 1, 0], [0, -c / b, 1]]) @ first
 
 
+def canonical_slopes(line, point) -> np.ndarray:
+    """
+    Derivative of `canonical_transform`.
+
+    Parameters
+    ----------
+    line, point : array_like, shape (3,)
+
+    Returns
+    -------
+    ndarray, shape (3, 3, 6)
+        By the entries of the line, then of the point.
+
+    """
+    line, point = np.asarray(line, float), np.asarray(point, float)
+    norm = np.hypot(line[0], line[1])
+    l1, l2, l3 = line / norm
+    first = np.array([[l2, -l1, 0], [l1, l2, l3], [0, 0, 1]])
+    scaled = np.zeros((3, 6))
+    scaled[:, :3] = (np.eye(3) - np.outer([l1, l2, l3], [l1, l2, 0])) / norm
+    d_first = np.zeros((3, 3, 6))
+    d_first[0, 0], d_first[0, 1] = scaled[1], -scaled[0]
+    d_first[1] = scaled
+    a, b, c = first @ point
+    moved = np.einsum('ijk,j->ik', d_first, point)
+    moved[:, 3:] += first
+    second = np.array([[1, -a / b, 0], [0, 1, 0], [0, -c / b, 1]])
+    d_second = np.zeros((3, 3, 6))
+    d_second[0, 1] = (a / b * moved[1] - moved[0]) / b
+    d_second[2, 1] = (c / b * moved[1] - moved[2]) / b
+    return (np.einsum('ijk,jl->ilk', d_second, first)
+            + np.einsum('ij,jlk->ilk', second, d_first))
+
+
 def unit_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
     """
     Scale a homogeneous vector to unit norm together with its covariance.

@@ -24,7 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.projective import (homogeneous, normalising_transform, unit)
+from selfcal_ros.geometry.projective import (homogeneous, normalising_transform, unit,
+                                             unit_covariance)
+from selfcal_ros.geometry.propagation import null_influence
 
 #: Elements (i, j, k) of the tensor that planar motion leaves in the canonical frame, from 0.
 PLANAR_ELEMENTS = np.array([(i, j, k) for i in (0, 2) for j in (0, 2) for k in (0, 2)]
@@ -42,11 +44,16 @@ class CircularEstimate:
         Root with positive imaginary part; the circular points are (-kappa, 0, 1) and its
         conjugate.
     covariance : ndarray, shape (2, 2)
-        Of the real and imaginary part, to first order from the spread of the linear solution.
+        Of the real and imaginary part, l and v held; first order.
     fourth : float
         The real root, peculiar to the triplet.
     tensor : ndarray, shape (3, 3, 3)
         Reduced tensor in the canonical frame.
+    influence : ndarray, shape (3, m, 2, 2)
+        Change of (real, imaginary) part, the last axis, with the canonical coordinates of
+        every point in every view.
+    noise_px : float
+        Standard deviation of an image coordinate as estimated from this triplet.
 
     """
 
@@ -54,6 +61,31 @@ class CircularEstimate:
     covariance: np.ndarray
     fourth: float
     tensor: np.ndarray
+    influence: np.ndarray
+    noise_px: float
+
+
+@dataclass(frozen=True)
+class ReducedTensor:
+    """
+    The twelve elements that planar motion leaves in the canonical frame.
+
+    Attributes
+    ----------
+    T : ndarray, shape (3, 3, 3)
+        |T| = 1 over `PLANAR_ELEMENTS`.
+    influence : ndarray, shape (3, m, 2, 12)
+        Change of `PLANAR_ELEMENTS` with the coordinates of every point in every view.
+    noise : float
+        Estimated standard deviation of the coordinates, in units of `spreads`.
+    covariance : ndarray, shape (12, 12)
+
+    """
+
+    T: np.ndarray
+    influence: np.ndarray
+    noise: float
+    covariance: np.ndarray
 
 
 def tensor_from_cameras(second, third) -> np.ndarray:
@@ -92,6 +124,53 @@ def point_equations(first, second, third) -> np.ndarray:
     return (x[:, None, :, None, None] * left.reshape(len(x), 4, 1, 3, 3))
 
 
+def equation_slopes(T, first, second, third) -> np.ndarray:
+    """
+    Derivative of the point equations times a tensor by the points.
+
+    Parameters
+    ----------
+    T : ndarray, shape (3, 3, 3)
+    first, second, third : array_like, shape (m, 2)
+
+    Returns
+    -------
+    ndarray, shape (m, 4, 3, 2)
+        Equations by view and coordinate.
+
+    """
+    x, y, z = (homogeneous(np.asarray(xy, float)) for xy in (first, second, third))
+    slices = np.einsum('mi,ijk->mjk', x, T)
+    # equation (a, b): l' = e_a - y_a e_3, l'' = e_b - z_b e_3
+    left = T[:, None, :2] - y[:, :2, None] * T[:, None, 2:]          # (3, m, 2, 3)
+    both = left[..., :2] - left[..., 2:] * z[:, None, :2]            # (3, m, 2, 2)
+    slopes = np.zeros((len(x), 2, 2, 3, 2))
+    slopes[:, :, :, 0, :] = np.moveaxis(both[:2], 0, -1)
+    at_second = -(slices[:, 2, :2] - slices[:, 2, 2:] * z[:, :2])     # (m, b)
+    at_third = -(slices[:, :2, 2] - y[:, :2] * slices[:, 2:, 2])     # (m, a)
+    for a in range(2):
+        slopes[:, a, :, 1, a] = at_second
+        slopes[:, :, a, 2, a] = at_third
+    return slopes.reshape(len(x), 4, 3, 2)
+
+
+def _propagated(rows, values, T, views, spreads):
+    """Influence (3, m, 2, k) of a least squares tensor, its noise, and its covariance."""
+    by_point = equation_slopes(T, *views)
+    if spreads is not None:
+        by_point = np.einsum('mevc,vmcd->mevd', by_point, spreads, optimize=True)
+    count = len(by_point)
+    influence, expected = null_influence(rows, values, by_point.reshape(count, 4, 6))
+    square = float(((rows @ values) ** 2).sum())
+    noise = np.sqrt(square / expected) if expected > 0 else 0.0
+    flat = influence.reshape(-1, influence.shape[-1])
+    covariance = noise ** 2 * flat.T @ flat
+    influence = np.moveaxis(influence.reshape(count, 3, 2, -1), 0, 1)
+    if spreads is not None:
+        influence = np.linalg.solve(np.swapaxes(spreads, 2, 3), influence)
+    return influence, float(noise), covariance
+
+
 def linear_tensor(first, second, third):
     """
     General tensor of a point triplet by linear least squares.
@@ -107,19 +186,42 @@ def linear_tensor(first, second, third):
         In pixels, unit norm.
 
     """
+    found = linear_tensor_estimate(first, second, third)
+    return found if isinstance(found, NoEstimate) else found[0]
+
+
+def linear_tensor_estimate(first, second, third):
+    """
+    General tensor and its covariance; arguments as of `linear_tensor`.
+
+    Returns
+    -------
+    T : ndarray, shape (3, 3, 3)
+        In pixels, unit norm.
+    covariance : ndarray, shape (27, 27)
+        Of its elements in C order, first order.
+    noise_px : float
+        Standard deviation of an image coordinate; 0 where no equation is to spare.
+
+    """
     views = [np.asarray(xy, float) for xy in (first, second, third)]
     if len(views[0]) < 7:
         return NoEstimate('A trifocal tensor needs at least 7 point triplets; there are '
                           f'{len(views[0])}.', 'too_few')
     H = normalising_transform(np.vstack(views))
     views = [xy * H[0, 0] + H[:2, 2] for xy in views]
-    rows = point_equations(*views).reshape(-1, 27)
-    _, s, Vt = np.linalg.svd(rows, full_matrices=False)
+    rows = point_equations(*views).reshape(-1, 4, 27)
+    _, s, Vt = np.linalg.svd(rows.reshape(-1, 27), full_matrices=False)
     if s[-2] < 1e-12 * s[0]:
         return NoEstimate('The point triplets leave more than one trifocal tensor: points in '
                           'one plane, or equal views.', 'ill_conditioned')
-    T = transform_tensor(Vt[-1].reshape(3, 3, 3), np.linalg.inv(H))
-    return T / np.linalg.norm(T)
+    own = Vt[-1].reshape(3, 3, 3)
+    _, noise, covariance = _propagated(rows, Vt[-1], own, views, None)
+    back = np.linalg.inv(H)
+    # the transform of a tensor is linear in it
+    carry = np.einsum('jl,km,ni->ijknlm', back, back, H).reshape(27, 27)
+    T, covariance = unit_covariance(carry @ Vt[-1], carry @ covariance @ carry.T)
+    return T.reshape(3, 3, 3), covariance, noise / H[0, 0]
 
 
 def transfer_point(T, first, second) -> np.ndarray:
@@ -178,15 +280,7 @@ def canonical_scaling(xy) -> np.ndarray:
     return np.array([[1 / spread, 0, -centre / spread], [0, 1 / height, 0], [0, 0, 1]])
 
 
-def _reduced(rows):
-    """Least singular vector of (m, 12) rows, its covariance, and the ratio of singular values."""
-    _, s, Vt = np.linalg.svd(rows, full_matrices=False)
-    variance = s[-1] ** 2 / max(len(rows) // 4 * 3 - 11, 1)
-    spread = (Vt[:-1].T / np.maximum(s[:-1], 1e-300) ** 2) @ Vt[:-1] * variance
-    return Vt[-1], spread, s
-
-
-def reduced_tensor(first, second, third):
+def reduced_tensor(first, second, third, spreads=None):
     """
     Tensor of planar motion in the canonical frame: twelve elements, linearly (B.4).
 
@@ -194,29 +288,32 @@ def reduced_tensor(first, second, third):
     ----------
     first, second, third : array_like, shape (m, 2)
         In the canonical frame; well conditioned, see `canonical_scaling`.
+    spreads : ndarray, shape (3, m, 2, 2), optional
+        Derivative of these coordinates by the noisy ones, as by pixels: noise that is equal
+        there is neither equal nor isotropic here (thesis 6.3.1). Without it the noise counts
+        as equal here.
 
     Returns
     -------
-    T : ndarray, shape (3, 3, 3), or NoEstimate
-    covariance : ndarray, shape (12, 12)
-        Of the elements of `PLANAR_ELEMENTS`, to first order; None with a NoEstimate.
+    ReducedTensor or NoEstimate
 
     """
     if len(first) < 4:
         return NoEstimate('The reduced trifocal tensor needs at least 4 point triplets, 3 and '
-                          f'one to spare; there are {len(first)}.', 'too_few'), None
-    equations = point_equations(first, second, third).reshape(-1, 3, 3, 3)
+                          f'one to spare; there are {len(first)}.', 'too_few')
+    equations = point_equations(first, second, third)
     i, j, k = PLANAR_ELEMENTS.T
-    values, covariance, s = _reduced(equations[:, i, j, k])
+    rows = equations[..., i, j, k]
+    _, s, Vt = np.linalg.svd(rows.reshape(-1, 12), full_matrices=False)
     if not s[-2] > 1e-11 * s[0]:
         return NoEstimate('The point triplets leave more than one reduced tensor: equal views '
-                          'or no rotation.', 'ill_conditioned'), None
+                          'or no rotation.', 'ill_conditioned')
     T = np.zeros((3, 3, 3))
-    T[i, j, k] = values
-    return T, covariance
+    T[i, j, k] = Vt[-1]
+    return ReducedTensor(T, *_propagated(rows, Vt[-1], T, (first, second, third), spreads))
 
 
-def circular_points(first, second, third):
+def circular_points(first, second, third, spreads=None):
     """
     Circular points of one triplet of planar motion (5.25-5.33).
 
@@ -224,6 +321,9 @@ def circular_points(first, second, third):
     ----------
     first, second, third : array_like, shape (m, 2)
         In the canonical frame.
+    spreads : ndarray, shape (3, m, 2, 2), optional
+        Derivative of these coordinates by pixels; without it the noise counts as equal in the
+        canonical frame.
 
     Returns
     -------
@@ -233,11 +333,13 @@ def circular_points(first, second, third):
     """
     scaling = canonical_scaling(np.vstack([first, second, third]))
     scale, shift = np.diag(scaling)[:2], scaling[:2, 2]
-    T, covariance = reduced_tensor(*(np.asarray(xy) * scale + shift
-                                     for xy in (first, second, third)))
-    if not isinstance(T, np.ndarray):
-        return T
-    cubic = circular_cubic(T)
+    if spreads is not None:
+        spreads = scale[:, None] * spreads
+    reduced = reduced_tensor(*(np.asarray(xy) * scale + shift for xy in (first, second, third)),
+                             spreads)
+    if isinstance(reduced, NoEstimate):
+        return reduced
+    cubic = circular_cubic(reduced.T)
     if not abs(cubic[0]) > 1e-14:
         return NoEstimate('The cubic of the fixed lines degenerates.', 'no_triplet')
     roots = np.roots(cubic)
@@ -252,68 +354,14 @@ def circular_points(first, second, third):
     basis[(np.arange(12), *PLANAR_ELEMENTS.T)] = 1
     slope = -circular_cubic(basis) @ kappa ** np.arange(3, -1, -1) / np.polyval(
         np.polyder(cubic), kappa)
-    slope = np.stack([slope.real, slope.imag])
     # the canonical frame's own coordinate: -kappa there is (-kappa - shift) / scale here
-    stretch = 1 / scale[0]
-    own = -(-kappa - shift[0]) * stretch
-    back = np.linalg.inv(scaling)
-    return CircularEstimate(complex(own), slope @ covariance @ slope.T * stretch ** 2,
-                            float((fourth + shift[0]) * stretch), transform_tensor(T, back))
-
-
-def planar_cameras(T) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Cameras that agree with a reduced tensor (B.4); the first is [I | 0].
-
-    Parameters
-    ----------
-    T : array_like, shape (3, 3, 3)
-        In the canonical frame.
-
-    Returns
-    -------
-    second, third : ndarray, shape (3, 4)
-        In the canonical frame. The harmless two-parameter family - the plane at infinity
-        along the planes of motion - is settled by the least norm.
-
-    """
-    T = np.asarray(T, float)
-    second, third = np.zeros((3, 4)), np.zeros((3, 4))
-    second[1, 1] = third[1, 1] = 1
-    third[[0, 2], 3] = T[1, 1, [0, 2]]
-    second[[0, 2], 3] = -T[1, [0, 2], 1]
-    a4, b4 = second[[0, 2], 3], third[[0, 2], 3]
-    # unknown (a^1, a^3, b^1, b^3) of one column: a^j b4^k - a4^j b^k = T^{jk}
-    A = np.concatenate([np.kron(np.eye(2), b4[:, None]), -np.kron(a4[:, None], np.eye(2))],
-                       axis=1)
-    for i in (0, 2):
-        column = np.linalg.lstsq(A, T[i][np.ix_([0, 2], [0, 2])].ravel(), rcond=1e-10)[0]
-        second[[0, 2], i], third[[0, 2], i] = column[:2], column[2:]
-    return second, third
-
-
-def cameras_in_pixels(cameras, H) -> list[np.ndarray]:
-    """
-    Carry canonical cameras back to pixels: P = H^-1 P^, in the frame in which view 1 is [I | 0].
-
-    Parameters
-    ----------
-    cameras : iterable of array_like, shape (3, 4)
-    H : array_like, shape (3, 3)
-        Canonical transform.
-
-    Returns
-    -------
-    list of ndarray, shape (3, 4)
-
-    """
-    back = np.linalg.inv(H)
-    out = []
-    for P in cameras:
-        pixels = back @ np.asarray(P, float)
-        pixels[:, :3] = pixels[:, :3] @ H
-        out.append(pixels / np.linalg.norm(pixels))
-    return out
+    slope = np.stack([slope.real, slope.imag]) / scale[0]
+    own = -(-kappa - shift[0]) / scale[0]
+    influence = (reduced.influence * scale[:, None]) @ slope.T
+    return CircularEstimate(complex(own), slope @ reduced.covariance @ slope.T,
+                            float((fourth + shift[0]) / scale[0]),
+                            transform_tensor(reduced.T, np.linalg.inv(scaling)), influence,
+                            reduced.noise)
 
 
 def circular_image(kappa, H) -> np.ndarray:

@@ -19,7 +19,7 @@ from selfcal_ros.calibration import circular, pencil, triplets, upgrade
 from selfcal_ros.calibration.fixed_points import (calibrate_estimate,
                                                   calibrate_from_fixed_points, fixed_points)
 from selfcal_ros.calibration.result import FixedPoints
-from selfcal_ros.geometry import projective, trifocal
+from selfcal_ros.geometry import projective, tensor_cameras, trifocal
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes
 
@@ -208,7 +208,7 @@ def test_upgrade_of_projective_cameras_is_metric(rng):
     found = fixed_points(sequence.tracks)
     xy = np.moveaxis(sequence.tracks.xy.reshape(50, 3, 2), 1, 0)
     tensor = trifocal.circular_points(*projective.transform_points(found.canonical, xy)).tensor
-    second, _ = trifocal.cameras_in_pixels(trifocal.planar_cameras(tensor), found.canonical)
+    second, _ = tensor_cameras.cameras_in_pixels(tensor_cameras.planar_cameras(tensor), found.canonical)
     to_affine = upgrade.affine_upgrade(upgrade.plane_at_infinity(second, found.fixed))
     camera = calibrate_from_fixed_points(found.fixed, CameraFacts(aspect_ratio=1.1))
     metric = second @ np.linalg.inv(upgrade.metric_upgrade(camera.K) @ to_affine)

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry import fundamental, planar_pairs, projective, ransac
+from selfcal_ros.geometry import fundamental, planar_batch, planar_pairs, projective, ransac
 from selfcal_ros.synthetic import scenes, special_scenes
 
 PAIRS = ((0, 1), (1, 2), (0, 2))
@@ -107,14 +107,14 @@ def test_model_slopes_are_the_numeric_ones(rng):
 def test_batch_slopes_are_the_numeric_ones(rng):
     L, V = (projective.completed_frame(projective.unit(rng.normal(size=3))) for _ in range(2))
     own = rng.normal(size=(4, 3))
-    _, common, single = planar_pairs._batch_model(L, V, own)
+    _, common, single = planar_batch._batch_model(L, V, own)
 
     def moved(d):
-        return planar_pairs._batch_model(planar_pairs._turned(L, d[:2]),
-                                         planar_pairs._turned(V, d[2:]), own)[0].reshape(4, 9)
+        return planar_batch._batch_model(planar_batch._turned(L, d[:2]),
+                                         planar_batch._turned(V, d[2:]), own)[0].reshape(4, 9)
     assert common == pytest.approx(numeric(moved, 4), abs=1e-8)
     expected = numeric(
-        lambda d: planar_pairs._batch_model(L, V, own + d)[0].reshape(4, 9), 3)
+        lambda d: planar_batch._batch_model(L, V, own + d)[0].reshape(4, 9), 3)
     assert single == pytest.approx(expected, abs=1e-8)
 
 
@@ -134,27 +134,27 @@ def batch(sequence):
     data = pairs_of(sequence)
     F = fundamental.refine_general(data, fundamental.eight_point(data))[0]
     state, cost, _ = planar_pairs.refine_planar(data, F)
-    start = planar_pairs.batch_start(state)
-    return (data, *planar_pairs.refine_batch(data, *start), cost)
+    start = planar_batch.batch_start(state)
+    return (data, *planar_batch.refine_batch(data, *start), cost)
 
 
 def test_batch_is_exact_without_noise_and_stationary_with_it(rng):
     sequence = scenes.sequence_si(rng, 0.0)
     data, L, V, own, cost, _, _ = batch(sequence)
-    result = planar_pairs.result_in_pixels(data, L, V, own, cost, np.zeros((4, 4)), 1.0)
+    result = planar_batch.result_in_pixels(data, L, V, own, cost, np.zeros((4, 4)), 1.0)
     assert equal_up_to_sign(result.horizon, sequence.horizon, 1e-9)
     assert equal_up_to_sign(result.vanishing_point, sequence.vanishing_point, 1e-9)
     data, L, V, own, cost, _, separate = batch(scenes.sequence_si(rng, 0.3))
     assert cost.sum() >= separate.sum() * (1 - 1e-6)
 
     def total(d):
-        F = planar_pairs._batch_model(planar_pairs._turned(L, d[:2]),
-                                      planar_pairs._turned(V, d[2:4]),
+        F = planar_batch._batch_model(planar_batch._turned(L, d[:2]),
+                                      planar_batch._turned(V, d[2:4]),
                                       own + d[4:].reshape(3, 3))[0]
         return np.array([fundamental.normal_equations(data, F)[0].sum()])
-    F, common, single = planar_pairs._batch_model(L, V, own)
+    F, common, single = planar_batch._batch_model(L, V, own)
     matrix = fundamental.normal_equations(data, F)[2]
-    blocks = planar_pairs._arrow(matrix, np.zeros((3, 9)), common, single)
+    blocks = planar_batch._arrow(matrix, np.zeros((3, 9)), common, single)
     curvature = np.concatenate([np.diag(blocks[0]), np.einsum('nii->ni', blocks[2]).ravel()])
     gradient = numeric(total, 13)[0]
     # in units in which a step of one costs as much as the whole
@@ -163,17 +163,17 @@ def test_batch_is_exact_without_noise_and_stationary_with_it(rng):
 
 def test_arrow_solution_is_the_dense_one(rng):
     data, L, V, own, _, _, _ = batch(scenes.sequence_si(rng, 0.5))
-    F, common, single = planar_pairs._batch_model(L, V, own)
+    F, common, single = planar_batch._batch_model(L, V, own)
     _, gradient, matrix = fundamental.normal_equations(data, F)
     gradient = gradient + rng.normal(size=gradient.shape)
-    A, B, D, a, d = planar_pairs._arrow(matrix, gradient, common, single)
+    A, B, D, a, d = planar_batch._arrow(matrix, gradient, common, single)
     dense = np.zeros((13, 13))
     dense[:4, :4] = A
     for k in range(3):
         rows = slice(4 + 3 * k, 7 + 3 * k)
         dense[:4, rows], dense[rows, :4], dense[rows, rows] = B[k], B[k].T, D[k]
     expected = -np.linalg.solve(dense, np.concatenate([a, d.ravel()]))
-    step, own_step = planar_pairs._solve_arrow(A, B, D, a, d, 0.0)
+    step, own_step = planar_batch._solve_arrow(A, B, D, a, d, 0.0)
     assert step == pytest.approx(expected[:4], rel=1e-5)
     assert own_step.ravel() == pytest.approx(expected[4:], rel=1e-5)
 

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry import projective, trifocal
+from selfcal_ros.geometry import projective, tensor_cameras, trifocal
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.synthetic import scenes, special_scenes
 
@@ -102,9 +102,9 @@ def test_circular_points_are_exact_from_fifty_and_from_four_points(planar):
 def test_cameras_agree_with_the_tensor_and_with_the_images(planar):
     sequence, views, H = planar
     T = trifocal.circular_points(*views).tensor
-    cameras = trifocal.planar_cameras(T)
+    cameras = tensor_cameras.planar_cameras(T)
     assert same_up_to_scale(trifocal.tensor_from_cameras(*cameras), T)
-    in_pixels = trifocal.cameras_in_pixels(cameras, H)
+    in_pixels = tensor_cameras.cameras_in_pixels(cameras, H)
     assert same_up_to_scale(trifocal.tensor_from_cameras(*in_pixels), true_tensor(sequence))
 
 
