@@ -144,7 +144,7 @@ class ClassicCycle:
         share = float(found.sum() / searched)
         if not determined:
             return Measured(predicted, np.eye(len(g)), False, view, offset, found,
-                            np.zeros((0, 2)), share, False,
+                            np.zeros((0, 2)), share, False, False,
                             'The edges found do not determine the pose.')
         q = np.linalg.solve(H, g)
         control = self.control
@@ -156,7 +156,7 @@ class ClassicCycle:
         inverse = np.linalg.inv(H)
         covariance = sigma**2 * inverse @ ((rows * (w * w)[:, None]).T @ rows) @ inverse
         return Measured(state, covariance, False, after, residual, found, np.zeros((0, 2)), share,
-                        True)
+                        True, share >= self.options.tracking_share)
 
     def _remember(self, view, offset, found):
         """Stability weights, and the search range of each primitive (8 to 24 px)."""

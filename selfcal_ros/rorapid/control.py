@@ -137,6 +137,8 @@ class Measured:
         Share of what should be seen and is confirmed.
     determined : bool
         Whether the measurement determines all of the correction.
+    certain : bool
+        Whether it would do to recognise an object that was lost.
     reason : str
         Why not, or why the share is low; one sentence.
 
@@ -151,4 +153,5 @@ class Measured:
     texture_px: np.ndarray
     share: float
     determined: bool
+    certain: bool = False
     reason: str = ''

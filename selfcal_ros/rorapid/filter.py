@@ -50,8 +50,18 @@ class ConstantVelocityFilter:
         self.velocity = np.zeros(m)
         self.covariance = np.zeros((2 * m, 2 * m))
         self.covariance[:m, :m] = covariance
-        self.covariance[m:, m:] = np.diag(np.square(velocity_sigma))
+        self._velocity = np.square(np.asarray(velocity_sigma, float))
+        self.covariance[m:, m:] = np.diag(self._velocity)
         self._acceleration = np.square(np.asarray(acceleration_sigma, float))
+
+    def restart(self, state: ObjectState, covariance: np.ndarray) -> None:
+        """Begin again at rest at a state with covariance (m, m)."""
+        m = self.basis.shape[1]
+        self.state = state
+        self.velocity = np.zeros(m)
+        self.covariance = np.zeros((2 * m, 2 * m))
+        self.covariance[:m, :m] = covariance
+        self.covariance[m:, m:] = np.diag(self._velocity)
 
     @property
     def spread(self) -> np.ndarray:

@@ -21,6 +21,7 @@ from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState
+from selfcal_ros.rorapid.recovery import ViewMemory
 from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
 from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory
 
@@ -28,10 +29,14 @@ from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory
 _EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.3, 0.3
 #: A corner of the texture agrees with a pose within this distance, pixels.
 _AGREE_PX = 2.5
+#: An object is recognised by so many agreeing corners, if most of those followed agree.
+_CERTAIN = 10
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
 #: So many corners must agree before they lead the edges.
-_LEAST_TEXTURE = 8
+_LEAST_TEXTURE = 5
+#: After a sudden motion the object is sought so far around, pixels.
+_SEEK_PX = 120.0
 #: An edge of the wrong polarity seems so much further away, pixels.
 _WRONG_SIGN_PX = 3.0
 
@@ -60,11 +65,43 @@ class ModernCycle:
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
         self._outline = np.asarray(model.extent, float) - control.centre
+        self._views = ViewMemory(self.projection, self._outline, rng)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
         self._contrast[:] = 0
         self.texture.forget()
+        self._views.forget()
+
+    def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool):
+        """
+        Propose other states, one at a time, the cheapest first.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        state : ObjectState
+            Expected.
+        everywhere : bool
+            Search the whole image, not only around the expected state.
+
+        Yields
+        ------
+        ObjectState
+
+        """
+        if self.options.camera_model == 'affine':
+            return
+        if everywhere:
+            place = np.array([[0, 0], image.shape[::-1]], float)
+            region = region_of_interest(image, place, 0.0)
+        else:
+            outline = self.projection.project(state, self._outline).pixels
+            region = region_of_interest(image, outline, _SEEK_PX)
+        if region is not None:
+            yield from self._views.shifted(region, state)
+        if everywhere:
+            yield from self._views.recognised(image)
 
     def measure(self, image: np.ndarray, predicted: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -243,15 +280,34 @@ class ModernCycle:
         edge_px[at] = residual
         found = np.abs(edge_px) < _FOUND_PX
         edges = found[at].mean() if len(at) else 0.0
-        corners = agree.mean() if len(agree) >= _LEAST_TEXTURE else None
-        share = float(edges) if corners is None else float(
-            max(corners, 0.5 * (corners + edges)) if corners > 0.15 else 0.4 * edges)
+        share, certain = self._confirmation(edges, matches, agree)
         scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
         texture_px = matches.pixels[agree] if matches is not None else np.zeros((0, 2))
         self._latest = (region, at, found, contrast, view)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
-                        determined)
+                        determined, certain=certain)
+
+    def _confirmation(self, edges: float, matches, agree) -> tuple[float, bool]:
+        """
+        Judge from edges and corners how far a pose is confirmed.
+
+        Returns
+        -------
+        share : float
+        certain : bool
+            Whether this would do to recognise a lost object.
+
+        """
+        if matches is None or len(agree) < 2 * _LEAST_TEXTURE:
+            return float(edges), edges >= self.options.tracking_share
+        count, followed = int(agree.sum()), int(matches.followed.sum())
+        if count < _LEAST_TEXTURE or count < 0.4 * followed:
+            # edges alone, where the texture says no
+            return 0.4 * float(edges), False
+        share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
+                    self.options.lost_share)
+        return float(share), count >= _CERTAIN and count >= 0.6 * followed
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
@@ -261,3 +317,5 @@ class ModernCycle:
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:
             self.texture.learn(region, measured.state, confirmed)
+        if region is not None and confirmed:
+            self._views.remember(region, measured.state)

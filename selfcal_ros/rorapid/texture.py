@@ -37,6 +37,10 @@ _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
 _MOST_ROI_PX = 320
 #: Window of Lucas-Kanade, pixels, and its levels.
 _WINDOW, _LEVELS = 11, 3
+#: A corner was followed if its surroundings (9 x 9) correlate better than this.
+_LEAST_CORRELATION = 0.6
+_GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
+    -1, 2).astype(np.float32)
 
 
 @dataclass
@@ -240,15 +244,15 @@ class TextureMemory:
         if len(points) > self.most_points:
             pick = np.linspace(0, len(points) - 1, self.most_points).astype(int)
             points, und, start = points[pick], und[pick], start[pick]
-        found, status, error = cv2.calcOpticalFlowPyrLK(
-            drawing, region.image, und.astype(np.float32)[:, None],
-            start.astype(np.float32)[:, None].copy(), winSize=(_WINDOW, _WINDOW),
-            maxLevel=levels, criteria=(3, 12, 0.02), flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
-        found = found[:, 0].astype(float)
-        good = (status[:, 0] > 0) & (error[:, 0] < 20) & ((found > 2)
-                                                          & (found < (width - 3, height - 3))
-                                                          ).all(axis=1)
-        return TextureMatches(points, region.outside(found), good)
+        und = np.ascontiguousarray(und, np.float32)
+        found, status, _ = cv2.calcOpticalFlowPyrLK(
+            drawing, region.image, und, np.array(start, np.float32, order='C'),
+            winSize=(_WINDOW, _WINDOW), maxLevel=levels, criteria=(3, 12, 0.02),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+        good = (status[:, 0] > 0) & ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
+        found[~good] = 0
+        good &= _correlation(drawing, und, region.image, found) > _LEAST_CORRELATION
+        return TextureMatches(points, region.outside(found.astype(float)), good)
 
     def _draw(self, faces, state, region):
         """Draw faces; return the drawing and their corners, object frame and pixels."""
@@ -352,6 +356,19 @@ class TextureMemory:
                                           mask=face.mask, blockSize=5)
         face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
         face.points = face.origin + face.texels @ face.axes.T
+
+
+def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,
+                 there: np.ndarray) -> np.ndarray:
+    """Normalised correlation of small windows about points of two images, (N,)."""
+    a = cv2.remap(one, here[:, :1] + _GRID[:, 0], here[:, 1:] + _GRID[:, 1], cv2.INTER_LINEAR,
+                  borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    b = cv2.remap(other, there[:, :1] + _GRID[:, 0], there[:, 1:] + _GRID[:, 1],
+                  cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+    a -= a.mean(axis=1, keepdims=True)
+    b -= b.mean(axis=1, keepdims=True)
+    norm = np.einsum('ns,ns->n', a, a) * np.einsum('ns,ns->n', b, b)
+    return np.einsum('ns,ns->n', a, b) / np.sqrt(np.maximum(norm, 1.0))
 
 
 def _alike(face: _Face, picture: np.ndarray) -> bool:

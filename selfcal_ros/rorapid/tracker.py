@@ -37,6 +37,8 @@ __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 _START_SHARE, _START_RAD = 0.02, 0.05
 #: Unknown first velocity: diameters of the object, and radians, per second.
 _START_SPEED, _START_TURN = 2.0, 1.0
+#: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
+_PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 #: Share of the velocity that is lost with each frame in which nothing is seen.
 _DAMPING = 0.3
 #: Longest time that a prediction reaches over, seconds.
@@ -85,6 +87,7 @@ class RorapidTracker:
         self._control = ControlModel(self._visible, self._projection, size)
         cycle = ModernCycle if options.method == 'modern' else ClassicCycle
         self._cycle = cycle(self._control, self._basis, options, self._rng)
+        self._seeks = options.method == 'modern' and options.recovery
 
     @property
     def state(self) -> TrackerState:
@@ -142,7 +145,7 @@ class RorapidTracker:
         state = self._projection.from_pose(rotation, centred)
         self._start_filter(state, spread)
         self._state = TrackerState.INITIALISING
-        self._misses, self._stamp_ns = 0, None
+        self._misses, self._stamp_ns, self._good = 0, None, None
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
@@ -206,7 +209,34 @@ class RorapidTracker:
         if first:
             for _ in range(3):
                 measured = self._cycle.measure(image, measured.state, spread)
-        return self._judge(image, measured, predicted, stamp_ns)
+        elif self._seeks and not measured.certain and (
+                lost or measured.share < self.options.tracking_share):
+            measured = self._seek(image, measured, lost)
+        return self._judge(measured, stamp_ns)
+
+    def _seek(self, image, measured: Measured, lost: bool) -> Measured:
+        """Try other places for the object; return the measurement that is confirmed best."""
+        proposals = self._cycle.proposals(image, self._filter.state, lost)
+        for state in proposals:
+            other = self._cycle.measure(image, state, self._wide(state))
+            if other.determined and (other.certain, other.share) > (
+                    measured.certain, measured.share + 0.05):
+                measured = other
+            if measured.certain:
+                break
+        return measured
+
+    def _wide(self, state) -> np.ndarray:
+        """Covariance (m, m) of a state that is only proposed."""
+        size = self._projection.size
+        sigma = np.full(size, 0.1)
+        if size == 8:
+            sigma /= state.translation[2]
+        else:
+            sigma[:3] = _PROPOSED_RAD
+            sigma[3:6] = _PROPOSED_DIAMETERS * self.model.diameter_m
+            sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
+        return (self._basis.T * sigma**2) @ self._basis
 
     def _grey(self, image):
         """Check an image and make it grey."""
@@ -232,33 +262,36 @@ class RorapidTracker:
             return 1 / self.options.frame_rate_hz
         return min((stamp_ns - before) * 1e-9, _LONGEST_S)
 
-    def _judge(self, image, measured: Measured, predicted, stamp_ns) -> TrackedFrame:
+    def _judge(self, measured: Measured, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
         options = self.options
         lost = self._state is TrackerState.LOST
-        accepted = measured.determined and measured.share >= (
-            options.tracking_share if lost else options.lost_share)
+        accepted = measured.determined and (
+            measured.certain if lost else measured.share >= options.lost_share)
         innovation = float('nan')
         if accepted:
             self._misses = 0
-            if measured.with_prior:
-                innovation = self._filter.innovation_share(measured.state, measured.covariance)
+            innovation = self._filter.innovation_share(measured.state, measured.covariance)
+            if lost:
+                self._filter.restart(measured.state, measured.covariance)
+            elif measured.with_prior:
                 self._filter.absorb(measured.state, measured.covariance)
             else:
-                innovation = self._filter.innovation_share(measured.state, measured.covariance)
                 self._filter.update(measured.state, measured.covariance)
             tracking = measured.share >= options.tracking_share
             self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
+            self._good = measured.state
             if options.method == 'modern':
                 self._cycle.remember(measured, tracking)
             reason = '' if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
         else:
             self._misses += 1
-            if lost or self._misses >= options.frames_to_lost:
+            if not lost and self._misses >= options.frames_to_lost:
                 self._state = TrackerState.LOST
-                self._filter.velocity[:] = 0
-            elif self._state is not TrackerState.INITIALISING:
+                place = self._filter.state if self._good is None else self._good
+                self._filter.restart(place, self._wide(place))
+            elif not lost and self._state is not TrackerState.INITIALISING:
                 self._state = TrackerState.DEGRADED
             reason = measured.reason or (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found where '
