@@ -11,78 +11,157 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal compare`: how far apart two calibrations are, in pixels over the image."""
+"""`selfcal compare`: how far apart two calibrations are, in pixels and in sigmas."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.errors import InputError
-
-#: Points a side of the grid on which two cameras are compared.
-GRID = 25
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal compare`."""
-    parser.add_argument('first', metavar='A.YAML', help='calibration file')
-    parser.add_argument('second', metavar='B.YAML', help='calibration file of the same image size')
+    kinds = ('camera file of ROS, OpenCV, Kalibr or COLMAP, or result.json, whose covariance is '
+             'then used')
+    parser.add_argument('first', metavar='A', help=kinds)
+    parser.add_argument('second', metavar='B', help='the same, of the same image size')
+    for letter in 'ab':
+        parser.add_argument(f'--result-{letter}', type=Path, metavar='RESULT.JSON',
+                            help=f'covariance of {letter.upper()} (default: that of NAME.json or '
+                                 'result.json beside it, if it is of the same camera)')
+        parser.add_argument(f'--camera-{letter}', metavar='NAME',
+                            help=f'which of several cameras in {letter.upper()}')
+    parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
+                        help='image size in pixels, for OpenCV files without it')
+    add_json_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare; returns the exit status."""
-    import numpy as np
-    from selfcal_ros.geometry.camera import PARAMETER_NAMES
-    from selfcal_ros.report.camera_yaml import read_camera_yaml
-    cameras = [read_camera_yaml(path)[0] for path in (args.first, args.second)]
-    sizes = [(camera.width, camera.height) for camera in cameras]
-    if sizes[0] != sizes[1]:
-        raise InputError(f'{args.first} is for {sizes[0][0]}x{sizes[0][1]} pixels, {args.second} '
-                         f'for {sizes[1][0]}x{sizes[1][1]}; compare calibrations of one size.')
-    print(f'{"":>6} {"A":>12} {"B":>12} {"B - A":>12}')
-    for name, a, b in zip(PARAMETER_NAMES, *(camera.parameters for camera in cameras)):
-        print(f'{name:>6} {a:>12.5g} {b:>12.5g} {b - a:>+12.5g}')
-    distance = pixel_difference(*cameras)
-    print(f'Over the image, after the rotation that brings them closest: '
-          f'{np.nanmean(distance):.3f} px on average, {np.nanmax(distance):.3f} px at most.')
+    from selfcal_ros.report.camera_files.formats import read_camera
+    from selfcal_ros.report.comparison import compare_cameras
+    size = tuple(args.image_size) if args.image_size else None
+    a = read_camera(args.first, args.camera_a, image_size=size)
+    b = read_camera(args.second, args.camera_b, image_size=size)
+    covariances = [_covariance(args.first, a, args.result_a),
+                   _covariance(args.second, b, args.result_b)]
+    found = compare_cameras(a.camera, b.camera, *covariances)
+    rows = _rows(a.camera, b.camera, covariances)
+    if args.json:
+        write_json(args.json, _content(args, found, rows))
+    if not is_standard_output(args.json):
+        print(_text(args, found, rows, covariances))
     return EXIT_DONE
 
 
-def pixel_difference(a, b):
-    """
-    Compare where two cameras see the same rays.
+def _covariance(path, stored, named: Path | None):
+    """Return the covariance of a camera: its own, of a named file, or of a file beside it."""
+    from selfcal_ros.report.camera_files.formats import read_camera
+    if stored.covariance is not None and named is None:
+        return stored.covariance
+    path = Path(path)
+    beside = [path.with_suffix('.json'), path.with_name(path.stem + '.result.json'),
+              path.with_name('result.json')]
+    for candidate in [named] if named else beside:
+        if not named and (not candidate.is_file() or candidate == path):
+            continue
+        try:
+            other = read_camera(candidate)
+        except InputError:
+            if named:
+                raise
+            continue
+        if other.covariance is not None and _same(stored.camera, other.camera):
+            return other.covariance
+        if named:
+            raise InputError(f'{named} is not the result that {path} comes from: it has no '
+                             'covariance, or is of another camera.')
+    return None
 
-    A rotation of one camera against the other cannot be told from a shift of its principal point
-    by looking at images, so the best one is taken out first.
 
-    Parameters
-    ----------
-    a, b : Camera
-        Of one image size.
-
-    Returns
-    -------
-    ndarray, shape (GRID, GRID)
-        Pixels; NaN where the distortion cannot be undone.
-
-    """
+def _same(a, b) -> bool:
+    """Tell whether two files hold one camera, up to rounding."""
     import numpy as np
-    from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
-    u, v = np.meshgrid(np.linspace(0, a.width - 1, GRID), np.linspace(0, a.height - 1, GRID))
-    pixels = np.column_stack([u.ravel(), v.ravel()])
-    rays = a.normalised(pixels)
-    good = np.isfinite(rays).all(axis=1)
-    if not good.any():
-        raise InputError('The distortion of the first calibration cannot be undone anywhere in '
-                         'the image.')
-    rays = np.column_stack([rays[good], np.ones(good.sum())])
+    theirs = b.coefficients_as(a.model)
+    return (theirs is not None and (a.width, a.height) == (b.width, b.height)
+            and np.allclose(a.K, b.K, rtol=1e-6, atol=1e-6)
+            and np.allclose(a.coefficients, theirs, rtol=1e-5, atol=1e-8))
 
-    def difference(vector):
-        return b.project(Rotation.from_rotvec(vector).apply(rays)) - pixels[good]
 
-    best = least_squares(lambda vector: difference(vector).ravel(), np.zeros(3), x_scale=0.01)
-    distance = np.full(len(pixels), np.nan)
-    distance[good] = np.linalg.norm(difference(best.x), axis=1)
-    return distance.reshape(GRID, GRID)
+def _rows(a, b, covariances) -> list[dict]:
+    """Compare parameter by parameter, as far as both have the same ones."""
+    import numpy as np
+    from selfcal_ros.geometry.camera import PARAMETER_NAMES
+    from selfcal_ros.geometry.lens import coefficient_names
+    variance = sum((np.diag(C) for C in covariances if C is not None), np.zeros(9))
+    spread = dict(zip(PARAMETER_NAMES, np.sqrt(np.maximum(variance, 0)).tolist()))
+    values = []
+    for camera in (a, b):
+        K = camera.K
+        values.append({'fx': K[0, 0], 'fy': K[1, 1], 'cx': K[0, 2], 'cy': K[1, 2],
+                       'skew': K[0, 1]})
+        plumb = camera.coefficients_as('plumb_bob')
+        both = a.coefficients_as('plumb_bob') is not None and (
+            b.coefficients_as('plumb_bob') is not None)
+        if both or a.model == b.model:
+            model = 'plumb_bob' if both else a.model
+            values[-1].update(zip(coefficient_names(model),
+                                  plumb if both else camera.coefficients))
+    rows = []
+    for name in values[0]:
+        first, second = float(values[0][name]), float(values[1][name])
+        sigma = spread.get(name, 0.0)
+        rows.append({'name': name, 'a': first, 'b': second, 'difference': second - first,
+                     'sigma': sigma or None,
+                     'sigmas': abs(second - first) / sigma if sigma > 0 else None})
+    return rows
+
+
+def _text(args, found, rows, covariances) -> str:
+    """Say it for a person."""
+    import numpy as np
+    lines = [f'A {args.first}', f'B {args.second}', '',
+             f'{"":>6} {"A":>12} {"B":>12} {"B - A":>12} {"sigma":>10} {"sigmas":>7}']
+    for row in rows:
+        if row['name'] not in ('fx', 'fy', 'cx', 'cy') and not row['a'] and not row['b']:
+            continue
+        judged = ('' if row['sigma'] is None else
+                  f' {row["sigma"]:>10.3g} {row["sigmas"]:>7.1f}')
+        lines.append(f'{row["name"]:>6} {row["a"]:>12.6g} {row["b"]:>12.6g} '
+                     f'{row["difference"]:>+12.4g}{judged}')
+    distance = found.distance_px
+    u, v = found.pixels[found.worst]
+    lines += ['', f'Over the image, after a rotation of {np.degrees(found.rotation_rad):.3g} '
+              f'degrees that brings them closest: {np.nanmean(distance):.3f} px on average, '
+              f'{np.nanmax(distance):.3f} px at most, at ({u:.0f}, {v:.0f}).']
+    if found.sigmas is not None:
+        lines.append(f'That is {found.sigmas[found.worst]:.1f} sigmas there, and '
+                     f'{np.nanmedian(found.sigmas):.1f} in the median.')
+    lone = [letter for letter, C in zip('AB', covariances) if C is None]
+    if len(lone) == 1:
+        lines.append(f'{lone[0]} has no covariance and counts as exact.')
+    unseen = float(np.mean(~np.isfinite(distance)))
+    if unseen:
+        lines.append(f'{100 * unseen:.0f} % of the image is seen by one of them only.')
+    return '\n'.join([*lines, found.verdict])
+
+
+def _content(args, found, rows) -> dict:
+    """Say it for a program."""
+    import numpy as np
+    distance = found.distance_px
+    tested = found.sigmas is not None
+    return {
+        'a': str(args.first), 'b': str(args.second),
+        'parameters': {row.pop('name'): row for row in map(dict, rows)},
+        'difference_px': {'mean': float(np.nanmean(distance)), 'max': float(np.nanmax(distance)),
+                          'at': found.pixels[found.worst].tolist()},
+        'rotation_deg': float(np.degrees(found.rotation_rad)),
+        'chi2': found.chi2, 'degrees_of_freedom': found.freedom if tested else None,
+        'p_value': found.p_value,
+        'sigmas_at_most': float(found.sigmas[found.worst]) if tested else None,
+        'agree': found.agree, 'verdict': found.verdict}

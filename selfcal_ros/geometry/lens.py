@@ -27,8 +27,15 @@ from selfcal_ros.geometry.camera import Camera
 #: 'equidistant' (Kannala and Brandt 2006), the field of view w for 'fov' (Devernay and Faugeras
 #: 2001).
 LENS_MODELS = {'plumb_bob': 5, 'rational_polynomial': 8, 'equidistant': 4, 'fov': 1}
+_POLYNOMIAL_NAMES = ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6')
 #: Halvings of an interval of angles down to rounding.
 _BISECTIONS = 60
+
+
+def coefficient_names(model: str) -> tuple[str, ...]:
+    """Return the names of a model's coefficients, in their order."""
+    names = {'equidistant': ('k1', 'k2', 'k3', 'k4'), 'fov': ('w',)}
+    return names.get(model, _POLYNOMIAL_NAMES[:LENS_MODELS[model]])
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,29 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
     rows = max(int(round(columns * camera.height / camera.width)), 2)
     u = np.linspace(0, camera.width - 1, columns)
     v = np.linspace(0, camera.height - 1, rows)
-    xy = camera.normalised(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 2)
+    J = parameter_effect(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2), rotate)
+    C = J @ np.asarray(covariance, float) @ J.transpose(0, 2, 1)
+    return ProjectionUncertainty(u, v, C.reshape(rows, columns, 2, 2))
+
+
+def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) -> np.ndarray:
+    """
+    Differentiate where the rays of pixels are projected to by the camera's parameters.
+
+    Parameters
+    ----------
+    camera : Camera
+    pixels : ndarray, shape (N, 2)
+    rotate : bool
+        Take out of each derivative the small rotation that best undoes it over all pixels.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, 9)
+        By `PARAMETER_NAMES`; NaN where the distortion cannot be undone.
+
+    """
+    xy = camera.normalised(pixels)
     usable = np.isfinite(xy).all(axis=1)
     J = np.full((len(xy), 2, 9), np.nan)
     J[usable] = _parameter_jacobian(camera, xy[usable])
@@ -95,8 +117,7 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
         M = np.einsum('nki,nkj->ij', turn, turn)
         best = np.linalg.solve(M, np.einsum('nki,nkj->ij', turn, J[usable]))
         J[usable] -= turn @ best
-    C = J @ np.asarray(covariance, float) @ J.transpose(0, 2, 1)
-    return ProjectionUncertainty(u, v, C.reshape(rows, columns, 2, 2))
+    return J
 
 
 def _parameter_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:

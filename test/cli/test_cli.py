@@ -24,7 +24,6 @@ import pytest
 
 from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.cli import main as command
-from selfcal_ros.cli.compare import pixel_difference
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
@@ -32,6 +31,7 @@ from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.synthetic.special_scenes import drive, pure_translation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -207,20 +207,44 @@ def test_options_become_facts(arguments, expected):
     assert facts_from(parser.parse_args(arguments)) == expected
 
 
-def test_compare_of_a_camera_with_itself_is_zero_and_with_another_is_not(capsys):
+def test_compare_says_in_pixels_and_words_how_far_apart(capsys):
     a = Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
     b = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
-    assert pixel_difference(a, a).max() < 1e-6
-    # a shift of the principal point looks like a rotation, nearly; 1 % of focal length does not
-    apart = pixel_difference(a, b)
-    assert 1.0 < apart.max() < 5.0
     write_camera_yaml('a.yaml', a, 'a')
     write_camera_yaml('b.yaml', b, 'b')
+    assert selfcal('compare', 'a.yaml', 'a.yaml') == 0
+    assert 'practically the same' in capsys.readouterr().out
     assert selfcal('compare', 'a.yaml', 'b.yaml') == 0
-    assert f'{np.nanmax(apart):.3f} px at most' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    apart = compare_cameras(a, b).distance_px
+    assert f'{np.nanmax(apart):.3f} px at most' in said and 'Without covariances' in said
+    # the same from other programs' files
+    assert selfcal('convert', 'b.yaml', 'b.bin', '--quiet') == 0
+    assert selfcal('compare', 'a.yaml', 'b.bin', '--json', '-') == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content['difference_px']['max'] == pytest.approx(np.nanmax(apart), abs=1e-9)
+    assert content['agree'] is None and content['parameters']['fx']['difference'] == 5
     write_camera_yaml('c.yaml', Camera(a.K, a.distortion, 320, 240), 'c')
     assert selfcal('compare', 'a.yaml', 'c.yaml') == 2
     assert 'one size' in capsys.readouterr().err
+
+
+def test_compare_finds_the_covariance_beside_a_camera_file(driven, capsys):
+    path, truth = driven
+    assert selfcal('calibrate', path, *SIZE, '--json', 'camera.json', '--quiet') == 0
+    write_camera_yaml('truth.yaml', truth, 'truth')
+    assert selfcal('compare', 'camera.yaml', 'truth.yaml') == 0
+    said = capsys.readouterr().out
+    assert 'agree' in said and 'within their uncertainties' in said
+    assert 'B has no covariance and counts as exact.' in said
+    changed = Camera(np.diag([1.02, 1.02, 1]) @ truth.K, truth.distortion, 640, 480)
+    write_camera_yaml('zoomed.yaml', changed, 'zoomed')
+    assert selfcal('compare', 'camera.yaml', 'zoomed.yaml', '--json', 'c.json') == 0
+    content = json.loads(Path('c.json').read_text(encoding='utf-8'))
+    assert content['agree'] is False and 'the camera has changed' in content['verdict']
+    assert content['parameters']['fx']['sigmas'] > 4
+    assert selfcal('compare', 'zoomed.yaml', 'truth.yaml', '--result-a', 'camera.json') == 2
+    assert 'is not the result that zoomed.yaml comes from' in capsys.readouterr().err
 
 
 def test_an_image_folder_becomes_a_bag(capsys):

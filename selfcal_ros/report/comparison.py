@@ -1,0 +1,203 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+How far apart two calibrations are: in pixels over the image, and in sigmas.
+
+A rotation of one camera against the other cannot be told from a shift of its principal point by
+looking at images, so the best one is taken out first (as D. Kogan's mrcal does). What remains is
+tested against the covariances of both, in every direction that these leave free, at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.report.projection_uncertainty import parameter_effect
+
+#: Points a side of the grid on which two cameras are compared.
+GRID = 25
+#: Verdicts: a p-value below the first is a difference, below the second worth a look.
+SURE, DOUBTFUL = 0.001, 0.05
+#: Below the first nobody will notice, below the second few: the noise of a corner, and a pixel.
+SAME_PX, SMALL_PX = 0.1, 1.0
+#: Effects of parameters below this share of the largest are rounding: the root of that of the
+#: covariance.
+_RANK = 1e-6
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """
+    Two calibrations side by side.
+
+    Attributes
+    ----------
+    pixels : ndarray, shape (N, 2)
+        Pixels of the first camera, GRID x GRID of them.
+    difference_px : ndarray, shape (N, 2)
+        Where the second camera sees the same rays, after the best rotation, less `pixels`; NaN
+        where it does not.
+    rotation_rad : float
+        Angle of the rotation that was taken out.
+    chi2, p_value : float or None
+        Of the whole difference against the covariances; None without any.
+    freedom : int
+        Directions in which the covariances leave the cameras free.
+    sigmas : ndarray, shape (N,), or None
+        Length of each difference in standard deviations along its own direction.
+    untested_px : float
+        Largest part of a difference that no free parameter can make: what both calibrations
+        hold, but differently.
+
+    """
+
+    pixels: np.ndarray
+    difference_px: np.ndarray
+    rotation_rad: float
+    chi2: float | None = None
+    p_value: float | None = None
+    freedom: int = 0
+    sigmas: np.ndarray | None = None
+    untested_px: float = 0.0
+
+    @property
+    def distance_px(self) -> np.ndarray:
+        """Length of each difference, shape (N,)."""
+        return np.linalg.norm(self.difference_px, axis=1)
+
+    @property
+    def worst(self) -> int:
+        """Row of the largest difference."""
+        return int(np.nanargmax(self.distance_px))
+
+    @property
+    def agree(self) -> bool | None:
+        """Tell whether the covariances explain the difference; None without any."""
+        if self.p_value is None:
+            return None
+        return bool(self.p_value >= SURE and self.untested_px < SAME_PX)
+
+    @property
+    def verdict(self) -> str:
+        """Say in words what the difference means."""
+        most = float(np.nanmax(self.distance_px))
+        size = ('nobody will notice' if most < SAME_PX else
+                'matters to precise measurements only' if most < SMALL_PX else
+                'matters to whoever measures in these images')
+        if self.p_value is None:
+            words = 'practically the same' if most < SAME_PX else 'different'
+            return (f'The calibrations are {words}: {most:.2g} px at most, which {size}. Without '
+                    'covariances nobody can say whether chance explains that; put result.json '
+                    'beside a camera file, or name it.')
+        chance = f'chi2 {self.chi2:.3g} with {self.freedom} degrees of freedom, '
+        chance += f'p = {self.p_value:.2g}' if self.p_value >= 1e-6 else 'p < 1e-6'
+        if self.p_value < SURE:
+            return (f'The calibrations differ, and their uncertainties do not explain it '
+                    f'({chance}): the camera has changed, or one of them rests on something '
+                    f'wrong. It is {most:.2g} px at most, which {size}.')
+        if not self.agree:
+            return ('The calibrations differ in what both hold as known, by '
+                    f'{self.untested_px:.2g} px: their facts contradict each other. It is '
+                    f'{most:.2g} px at most, which {size}.')
+        if self.p_value < DOUBTFUL:
+            return (f'The calibrations agree barely ({chance}): if nothing has changed, one '
+                    f'comparison in {1 / self.p_value:.0f} looks like this. It is {most:.2g} px '
+                    f'at most, which {size}.')
+        return (f'The calibrations agree within their uncertainties ({chance}): {most:.2g} px at '
+                f'most, which {size}.')
+
+
+def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
+                    covariance_b: np.ndarray | None = None) -> Comparison:
+    """
+    Compare where two cameras see the same rays.
+
+    Parameters
+    ----------
+    a, b : Camera or LensCamera
+        Of one image size.
+    covariance_a, covariance_b : ndarray, shape (9, 9), optional
+        Of `PARAMETER_NAMES`, independent of each other; a camera without one counts as exact.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        If the sizes differ, or no ray is seen by both.
+
+    """
+    a, b = LensCamera.of(a), LensCamera.of(b)
+    if (a.width, a.height) != (b.width, b.height) or min(a.width, a.height) <= 0:
+        raise InputError(f'The first calibration is for {a.width}x{a.height} pixels, the second '
+                         f'for {b.width}x{b.height}; compare calibrations of one size.')
+    pixels = np.stack(np.meshgrid(np.linspace(0, a.width - 1, GRID),
+                                  np.linspace(0, a.height - 1, GRID)), axis=-1).reshape(-1, 2)
+    rays = a.rays(pixels)
+    if not np.isfinite(rays).all(axis=1).any():
+        raise InputError('The distortion of the first calibration cannot be undone anywhere in '
+                         'the image.')
+    good = np.isfinite(b.project(rays)).all(axis=1)
+    if good.sum() < 3:
+        raise InputError('The second calibration sees nothing of what the first one sees.')
+
+    def apart(vector):
+        return b.project(Rotation.from_rotvec(vector).apply(rays[good])) - pixels[good]
+
+    # a ray that leaves the sight of the second camera on the way says nothing
+    best = least_squares(lambda vector: np.nan_to_num(apart(vector)).ravel(), np.zeros(3),
+                         x_scale=0.01, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    difference = np.full(pixels.shape, np.nan)
+    difference[good] = apart(best.x)
+    found = Comparison(pixels, difference, float(np.linalg.norm(best.x)))
+    known = [np.asarray(C, float) for C in (covariance_a, covariance_b) if C is not None]
+    return _tested(found, a, sum(known)) if known else found
+
+
+def _tested(found: Comparison, camera: LensCamera, covariance: np.ndarray) -> Comparison:
+    """Test the difference against its covariance."""
+    if not np.isfinite(covariance).all():
+        raise InputError('A covariance is not finite: its calibration leaves a parameter '
+                         'undetermined, so that nothing can be tested against it.')
+    try:
+        camera = camera.camera()
+    except ArgumentError as error:
+        raise InputError(str(error)) from None
+    effect = parameter_effect(camera, found.pixels)
+    good = np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1)
+    values, vectors = np.linalg.eigh(covariance)
+    root = effect[good] @ (vectors * np.sqrt(np.maximum(values, 0)))
+    U, s, _ = np.linalg.svd(root.reshape(-1, root.shape[2]), full_matrices=False)
+    free = s > _RANK * max(s.max(initial=0), 1e-300)
+    d = found.difference_px[good]
+    shares = U[:, free].T @ d.ravel()
+    statistic = float(np.sum((shares / s[free])**2))
+    rest = (d.ravel() - U[:, free] @ shares).reshape(d.shape)
+    length = np.linalg.norm(d, axis=1, keepdims=True)
+    along = np.divide(d, length, out=np.zeros_like(d), where=length > 0)
+    spread = np.linalg.norm(np.einsum('nk,nkj->nj', along, root), axis=1)
+    sigmas = np.full(len(found.pixels), np.nan)
+    sigmas[good] = np.divide(length[:, 0], spread, out=np.zeros(len(d)), where=spread > 0)
+    return Comparison(found.pixels, found.difference_px, found.rotation_rad, statistic,
+                      float(chi2.sf(statistic, free.sum())), int(free.sum()), sigmas,
+                      float(np.linalg.norm(rest, axis=1).max(initial=0.0)))

@@ -1,0 +1,105 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Comparison of calibrations: pixels after the best rotation, and sigmas that are true."""
+
+import numpy as np
+import pytest
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.report.comparison import compare_cameras
+
+TRUTH = np.array([520, 520, 320, 240, 0, -0.12, 0.05, 0, 0])
+
+
+def spread():
+    """Return a root of a covariance: one focal length, the aspect ratio held."""
+    root = np.zeros((9, 5))
+    root[[0, 1], 0] = 1.0
+    root[2, [0, 1]] = 0.3, 0.8
+    root[3, 2] = 0.8
+    root[5, 3], root[6, 3], root[6, 4] = 0.002, -0.003, 0.003
+    return root
+
+
+def camera(values):
+    return Camera.from_parameters(values, 640, 480)
+
+
+def test_a_camera_with_itself_and_with_a_turned_one_is_zero():
+    a = camera(TRUTH)
+    assert np.nanmax(compare_cameras(a, a).distance_px) < 1e-9
+    # what the principal point does is nearly what a rotation does; 1 % of focal length is not
+    shifted = compare_cameras(a, camera(TRUTH + [0, 0, 2, 1, 0, 0, 0, 0, 0]))
+    assert np.nanmax(shifted.distance_px) < 1.0
+    assert shifted.rotation_rad == pytest.approx(np.hypot(2, 1) / 520, rel=0.2)
+    zoomed = compare_cameras(a, camera(TRUTH * [1.01, 1.01, 1, 1, 1, 1, 1, 1, 1]))
+    assert 1.0 < np.nanmax(zoomed.distance_px) < 5.0
+    assert zoomed.agree is None and 'Without covariances' in zoomed.verdict
+
+
+def test_p_values_are_uniform_when_nothing_has_changed():
+    rng, root = np.random.default_rng(5), spread()
+    C = root @ root.T
+    found = [compare_cameras(camera(TRUTH + root @ rng.standard_normal(5)),
+                             camera(TRUTH + root @ rng.standard_normal(5)), C, C)
+             for _ in range(200)]
+    p = np.array([one.p_value for one in found])
+    assert all(one.freedom == 5 for one in found)
+    for nominal in (0.2, 0.5, 0.8):
+        # three standard deviations of a share of 200
+        assert abs(np.mean(p < nominal) - nominal) < 3 * np.sqrt(nominal * (1 - nominal) / 200)
+    # at one place the difference is that of one direction
+    at = np.array([one.sigmas[0] for one in found])
+    assert 0.5 < np.median(at) < 1.5
+    assert np.mean([one.agree for one in found]) > 0.98
+
+
+def test_a_change_of_five_sigmas_is_seen_and_said():
+    root = spread()
+    moved = compare_cameras(camera(TRUTH), camera(TRUTH + 7 * root[:, 0]), root @ root.T,
+                            root @ root.T)
+    assert moved.agree is False and moved.p_value < 1e-3
+    assert 'the camera has changed' in moved.verdict
+    # a camera without covariance counts as exact, so it is seen better
+    alone = compare_cameras(camera(TRUTH), camera(TRUTH + 7 * root[:, 0]), root @ root.T)
+    assert alone.chi2 == pytest.approx(2 * moved.chi2)
+
+
+def test_facts_that_contradict_each_other_are_no_agreement():
+    root = spread()
+    skewed = compare_cameras(camera(TRUTH), camera(TRUTH + [0, 20, 0, 0, 0, 0, 0, 0, 0]),
+                             100 * root @ root.T, 100 * root @ root.T)
+    assert skewed.agree is False and skewed.untested_px > 1
+    assert 'facts contradict' in skewed.verdict
+
+
+def test_lenses_of_other_models():
+    fisheye = LensCamera(camera(TRUTH).K, 'equidistant', [0.0, 0.0], 640, 480)
+    found = compare_cameras(fisheye, camera(TRUTH * [1, 1, 1, 1, 1, 0, 0, 0, 0]))
+    # in the corner, 44 degrees from the axis, they differ by that angle and its tangent
+    angle = np.hypot(320, 240) / 520
+    assert np.nanmax(found.distance_px) == pytest.approx(520 * (np.tan(angle) - angle), rel=0.01)
+    assert np.nanmax(compare_cameras(fisheye, fisheye).distance_px) < 1e-9
+    with pytest.raises(InputError, match='equidistant is not supported'):
+        compare_cameras(fisheye, fisheye, np.eye(9))
+
+
+def test_what_cannot_be_compared():
+    with pytest.raises(InputError, match='one size'):
+        compare_cameras(camera(TRUTH), Camera.from_parameters(TRUTH, 320, 240))
+    with pytest.raises(InputError, match='not finite'):
+        compare_cameras(camera(TRUTH), camera(TRUTH), np.full((9, 9), np.nan))
+    with pytest.raises(InputError, match='undone anywhere'):
+        compare_cameras(camera(TRUTH + [0, 0, 9e5, 0, 0, -0.9, 0, 0, 0]), camera(TRUTH))
