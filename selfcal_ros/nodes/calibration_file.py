@@ -21,6 +21,7 @@ import re
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 
 
@@ -52,9 +53,15 @@ class CalibrationFile:
         path = output.removeprefix('file://') or f'{home}/camera_info/{camera_name}.yaml'
         self.path = Path(path.replace('${ROS_HOME}', home)).expanduser()
 
-    def write(self, calibration: Calibration) -> Path:
+    def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
         """
         Write the file, whole or not at all; the folder is made where it is missing.
+
+        Parameters
+        ----------
+        calibration : Calibration
+        camera : Camera, optional
+            Of the full sensor, where the images were binned or cropped.
 
         Raises
         ------
@@ -68,7 +75,12 @@ class CalibrationFile:
             raise InputError(f'The folder {self.path.parent} cannot be made: '
                              f'{error.strerror}.') from None
         sigma = calibration.sigma
-        return write_camera_yaml(self.path, calibration.camera, self.camera_name, [
+        comments = [
             f'{calibration.software}: from {len(calibration.frames)} views',
             ', '.join(f'{name} +- {sigma[name]:.3g} px' for name in ('fx', 'fy', 'cx', 'cy'))
-            + ' (one sigma)'])
+            + ' (one sigma)']
+        if camera not in (None, calibration.camera):
+            comments.append('the sigmas are in pixels of the images, which were binned or cropped '
+                            f'to {calibration.camera.width}x{calibration.camera.height}')
+        return write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,
+                                 comments)

@@ -22,10 +22,9 @@ from __future__ import annotations
 
 
 from diagnostic_msgs.msg import DiagnosticArray
-from msg_adapters.camera_info import camera_info_message
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
 from msg_adapters.message_types import rclpy_types
-from msg_adapters.stamps import header_message
+from msg_adapters.stamps import header_message, stamp_ns
 from msg_adapters.tracks import tracks_from_message
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -36,12 +35,14 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
+from selfcal_ros.nodes.driver_window import DriverWindow
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.parameters import CalibratorParameters, declare
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.scene import ScenePublisher
 from selfcal_ros.nodes.session_settings import session_settings
 from selfcal_ros.nodes.silence import SilenceWatch
+from selfcal_ros.nodes.upload import CameraInfoUpload
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.report.result_json import result_to_json
 
@@ -67,11 +68,13 @@ class Calibrator(Node):
         self._worker = EstimationWorker(self._scene.prepare)
         self._types = rclpy_types()
         self._size = (0, 0)
+        self._driver = DriverWindow(self, self._begin_anew)
+        self._upload = CameraInfoUpload(self, self.parameters.set_camera_info_service)
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
-        self._silence = SilenceWatch(self, 'tracks', lambda: [tracks.topic_name],
+        self.tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
+        self._silence = SilenceWatch(self, 'tracks', lambda: [self.tracks.topic_name],
                                      self.parameters.silence_s)
         self.create_service(Trigger, '~/calibrate', self._on_calibrate)
         self.create_service(Trigger, '~/reset', self._on_reset)
@@ -93,9 +96,25 @@ class Calibrator(Node):
                                                   frame.image_size)
                 if reason:
                     self._forgotten(reason)
+        self._publish_camera_info(msg.header)
+
+    def announce(self, header, image_size: tuple[int, int]) -> None:
+        """Publish the CameraInfo of an image whose tracks will follow (`TracksListener`)."""
+        self._silence.heard()
+        self._size = image_size
+        reason = self._session.expect(stamp_ns(header.stamp), image_size)
+        if reason:
+            self._forgotten(reason)
+        self._publish_camera_info(header)
+
+    def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
+        """Take the tracks of the image that was announced (`TracksListener`)."""
+        self._session.add_tracks(stamp_ns(header.stamp), ids, xy, image_size)
+
+    def _publish_camera_info(self, header):
         calibration = self._session.calibration
-        self._camera_info.publish(camera_info_message(
-            calibration.camera if calibration else None, msg.header, self._types, self._size))
+        self._camera_info.publish(self._driver.message(
+            calibration.camera if calibration else None, header, self._size, self._types))
 
     def _estimate(self):
         """Fetch a result that is ready, and start another estimate where that is worthwhile."""
@@ -128,9 +147,19 @@ class Calibrator(Node):
             self._scene.publish(scene)
         if self.parameters.auto_save:
             try:
-                self._file.write(result)
+                self._save(result)
             except SelfcalError as error:
                 self.get_logger().error(str(error), throttle_duration_sec=30.0)
+
+    def _save(self, calibration) -> str:
+        """Write the file and give it to a driver; returns what was done."""
+        camera = self._driver.full_camera(calibration.camera)
+        written = f'written to {self._file.write(calibration, camera)}'
+        return '; '.join(filter(None, (written, self._upload.send(camera))))
+
+    def _begin_anew(self, reason: str):
+        self._session.reset()
+        self._forgotten(reason)
 
     def _forgotten(self, reason: str):
         """Tell everybody that what was known is void."""
@@ -158,8 +187,7 @@ class Calibrator(Node):
         return response
 
     def _on_reset(self, _, response):
-        self._session.reset()
-        self._forgotten('~/reset was called')
+        self._begin_anew('~/reset was called')
         response.success, response.message = True, 'starting anew'
         return response
 
@@ -169,7 +197,7 @@ class Calibrator(Node):
             response.success, response.message = False, 'there is no calibration yet'
             return response
         try:
-            response.message = f'written to {self._file.write(calibration)}'
+            response.message = self._save(calibration)
             response.success = True
         except SelfcalError as error:
             response.success, response.message = False, str(error)

@@ -42,9 +42,12 @@ class Endpoint:
 
 _CALIBRATOR = (
     Endpoint('in', 'tracks', 'sensor_msgs/PointCloud2', 'x, y, id of the points of one image'),
+    Endpoint('in', 'driver/camera_info', 'sensor_msgs/CameraInfo',
+             'optional: that of a driver without a calibration, for its binning and region of '
+             'interest'),
     Endpoint('out', 'camera_info', 'sensor_msgs/CameraInfo',
-             'one for every image, with its stamp and frame; K is zero until there is a '
-             'calibration'),
+             'one for every image, with its stamp and frame, for the full sensor; K is zero until '
+             'there is a calibration'),
     Endpoint('out', '~/result', 'std_msgs/String',
              'the result, as result.json; latched'),
     Endpoint('out', 'structure', 'sensor_msgs/PointCloud2',
@@ -67,6 +70,9 @@ INTERFACES = {
         Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
         Endpoint('out', 'tracks', 'sensor_msgs/PointCloud2',
                  'x, y (pixels) and id of the points of each image, with its stamp and frame'),
+        Endpoint('out', '~/overlay', 'sensor_msgs/Image',
+                 'the tracks drawn over each image, for RViz and Foxglove; only while somebody '
+                 'subscribes'),
     ),
     'planar_calibrator': _CALIBRATOR,
     'affine_calibrator': _CALIBRATOR,

@@ -150,6 +150,9 @@ class CalibratorParameters:
     output: str = parameter('', 'calibration file; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
                             'where camera drivers look')
     auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only')
+    set_camera_info_service: str = parameter(
+        '', 'whenever the file is written, also give the calibration to a driver by this service, '
+        'such as camera/set_camera_info; empty: to none')
     motion: str = _motion('auto')
     aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0)
     aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0)

@@ -27,13 +27,11 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CompressedImage, Image
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameters import BagPlayerParameters, declare
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.pipeline.replay import ImageRecording
 
-#: Name that is published, by the type that the bag holds.
-TOPICS = {'sensor_msgs/msg/Image': ('image', Image),
-          'sensor_msgs/msg/CompressedImage': ('image/compressed', CompressedImage)}
 #: Between images, /clock ticks at least this often.
 CLOCK_PERIOD_S = 0.02
 
@@ -48,7 +46,8 @@ class BagPlayer(Node):
             raise InputError('bag_player needs a bag: --ros-args -p bag:=/path/to/bag')
         self.finished = Future()
         self._recording = ImageRecording(self.parameters.bag, self.parameters.topic or None)
-        name, message = TOPICS[self._recording.message_type]
+        name, message = (('image', Image) if self._recording.message_type.endswith('/Image')
+                         else (compressed_topic(self), CompressedImage))
         self._publisher = self.create_publisher(
             message, name, PER_IMAGE,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())

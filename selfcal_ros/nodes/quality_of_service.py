@@ -18,6 +18,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 #: Images: best effort matches every publisher; late images are worth nothing.
 IMAGES_IN = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Images for people: viewers may ask for reliable ones, and want the newest.
+IMAGES_OUT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: One message an image: tracks, camera_info.
 PER_IMAGE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: Results: whoever comes late gets the last one.

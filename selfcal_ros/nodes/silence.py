@@ -11,20 +11,29 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Says why nothing arrives: the commonest trouble of a ROS user is a wrong topic or QoS."""
+"""A node that hears nothing says so, and says who is there to be heard."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import time
 
 from rclpy.qos import ReliabilityPolicy
 
 from selfcal_ros.nodes.quality_of_service import STEADY
 
+#: Topics that a warning names at most, as those that might be meant.
+MOST_SUGGESTIONS = 5
+
 
 class SilenceWatch:
     """
     Warns once a silence lasts, and again when it comes back.
+
+    The sentence names the topics as they resolve and looks at the publishers at that moment:
+    'no images on /cam/image_raw for 5 s; 1 publisher, best effort (driver)'. Where nobody
+    publishes, it names the topics of the same type that there are; where the type is another,
+    it says so.
 
     Parameters
     ----------
@@ -32,12 +41,13 @@ class SilenceWatch:
     what : str
         Plural of what should arrive, for the warning.
     topics : callable
-        Returns the resolved names of the topics that are subscribed now.
+        Returns the resolved names of the topics that are subscribed now. While there are none,
+        the silence is our own, and nothing is said.
     limit_s : float
 
     """
 
-    def __init__(self, node, what: str, topics, limit_s: float):
+    def __init__(self, node, what: str, topics: Callable, limit_s: float):
         self._node, self._what, self._topics, self._limit_s = node, what, topics, limit_s
         self._last = time.monotonic()
         self._warned = False
@@ -58,21 +68,54 @@ class SilenceWatch:
     def _check(self):
         if self._warned or self.silent_s < self._limit_s:
             return
-        topics = self._topics()
+        topics = sorted(self._topics())
         if not topics:
             self._last = time.monotonic()
             return
         self._warned = True
         self._node.get_logger().warning(
             f'no {self._what} on {" or ".join(topics)} for {self._limit_s:g} s; '
-            f'publishers: {"; ".join(self._publishers(topic) for topic in topics)}')
+            + self._publishers(topics))
 
-    def _publishers(self, topic: str) -> str:
-        """Describe who publishes a topic."""
-        found = self._node.get_publishers_info_by_topic(topic)
+    def _publishers(self, topics: list[str]) -> str:
+        """Describe who publishes what we listen to."""
+        wanted = {one.topic_name: type_name(one.msg_type) for one in self._node.subscriptions}
+        found = {topic: self._node.get_publishers_info_by_topic(topic) for topic in topics}
+        found = {topic: infos for topic, infos in found.items() if infos}
         if not found:
-            return f'none on {topic} (remap the input, or start the publisher)'
-        return f'{len(found)} on {topic} (' + ', '.join(
-            f'{info.node_name}: {info.topic_type}, '
-            + ('best effort' if info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-               else 'reliable') for info in found) + ')'
+            types = {wanted[topic] for topic in topics if topic in wanted}
+            return 'no publisher' + self._suggestion(types)
+        return '; '.join(self._described(infos, wanted.get(topic),
+                                         f' on {topic}' if len(topics) > 1 else '')
+                         for topic, infos in found.items())
+
+    @staticmethod
+    def _described(infos, wanted: str | None, where: str) -> str:
+        """Say how many they are, how they send, and whether they send what we read."""
+        kinds = sorted({'best effort' if info.qos_profile.reliability
+                        == ReliabilityPolicy.BEST_EFFORT else 'reliable' for info in infos})
+        names = ', '.join(sorted({info.node_name for info in infos}))
+        text = (f'{len(infos)} publisher{"s" if len(infos) > 1 else ""}{where}, '
+                f'{" and ".join(kinds)} ({names})')
+        others = sorted({info.topic_type for info in infos} - {wanted})
+        if wanted and others:
+            text += f', of type {" and ".join(others)} where {wanted} is read'
+        return text
+
+    def _suggestion(self, types: set[str]) -> str:
+        """Name the topics that somebody may have meant, or what else to do."""
+        ours = {one.topic_name for one in self._node.publishers}
+        there = [name for name, kinds in self._node.get_topic_names_and_types()
+                 if types & set(kinds) and name not in ours
+                 and self._node.count_publishers(name)]
+        if not there:
+            return ': start what publishes them, or remap the input'
+        more = ', ...' if len(there) > MOST_SUGGESTIONS else ''
+        return (f'; {self._what} may be meant on {", ".join(there[:MOST_SUGGESTIONS])}{more}: '
+                'remap the input')
+
+
+def type_name(message: type) -> str:
+    """Return the name of a message as the graph has it: package/msg/Name."""
+    package, kind = message.__module__.split('.')[:2]
+    return f'{package}/{kind}/{message.__name__}'

@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""feature_tracker: images in, tracks out, one message an image."""
+"""The feature tracker: images in, positions of points with lasting ids out."""
 
 from __future__ import annotations
 
+from typing import Protocol
 
-from msg_adapters.image import ImageDecoder
+from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import stamp_ns
 from msg_adapters.tracks import tracks_message
@@ -26,47 +27,76 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.klt import KltTracker
+from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameters import declare, FeatureTrackerParameters
-from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
+from selfcal_ros.report.tracks_overlay import TracksOverlay
 
-#: Topic and message of each image transport.
-TRANSPORTS = {'raw': ('image', Image), 'compressed': ('image/compressed', CompressedImage)}
+#: Message of each image transport.
+TRANSPORTS = {'raw': Image, 'compressed': CompressedImage}
 #: Smaller images than this hold no features worth following.
 MINIMUM_SIDE_PX = 64
 
 
+class TracksListener(Protocol):
+    """Somebody in this process who takes the tracks without a message in between."""
+
+    def announce(self, header, image_size: tuple[int, int]) -> None:
+        """An image has come; its tracks will follow in some milliseconds."""
+
+    def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
+        """Take the tracks of the image that was announced."""
+
+
 class FeatureTracker(Node):
-    """Follows corners through `image` or `image/compressed` and publishes `tracks`."""
+    """
+    Follows corners through `image` or `image/compressed` and publishes `tracks`.
+
+    Attributes
+    ----------
+    listeners : list of TracksListener
+        They are told before anybody else; see `selfcal_ros.nodes.all`.
+
+    """
 
     def __init__(self):
         super().__init__('feature_tracker')
         self.parameters = declare(self, FeatureTrackerParameters)
+        self.listeners: list[TracksListener] = []
         self._types = rclpy_types()
         self._decoder = ImageDecoder()
         self._tracker = KltTracker(most=self.parameters.max_features)
+        self._drawing = TracksOverlay()
         self._newest_ns = None
+        self._size = None
         self._transport = self.parameters.image_transport
+        self._topics = {'raw': 'image', 'compressed': compressed_topic(self)}
         self._inputs = {}
-        self._tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
+        self.tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
+        self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
         self._silence = SilenceWatch(self, 'images', lambda: [s.topic_name for s in
                                                               self._inputs.values()],
                                      self.parameters.silence_s)
         self._connect()
         self._timer = self.create_timer(0.1, self._connect, clock=STEADY)
+        if not self._inputs:
+            self.get_logger().info(f'images are subscribed to once somebody subscribes to '
+                                   f'{self.tracks.topic_name} (parameter lazy)')
 
     def _connect(self):
         """Subscribe to what is wanted now; lazily, as image_transport does."""
         wanted = set()
-        if not self.parameters.lazy or self._tracks.get_subscription_count():
+        if not self.parameters.lazy or self.listeners or self.tracks.get_subscription_count() \
+                or self._overlay.get_subscription_count():
             wanted = set(TRANSPORTS) if self._transport == 'auto' else {self._transport}
         for name in set(self._inputs) - wanted:
             self.destroy_subscription(self._inputs.pop(name))
         for name in wanted - set(self._inputs):
-            topic, message = TRANSPORTS[name]
             self._inputs[name] = self.create_subscription(
-                message, topic, lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
+                TRANSPORTS[name], self._topics[name],
+                lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _on_image(self, msg, transport: str):
@@ -81,18 +111,35 @@ class FeatureTracker(Node):
         except InputError as error:
             self.get_logger().warning(f'image dropped: {error}', throttle_duration_sec=5.0)
             return
-        if min(gray.shape) < MINIMUM_SIDE_PX:
+        size = (gray.shape[1], gray.shape[0])
+        if min(size) < MINIMUM_SIDE_PX:
             self.get_logger().warning(
-                f'image dropped: {gray.shape[1]}x{gray.shape[0]} pixels are too few; '
+                f'image dropped: {size[0]}x{size[1]} pixels are too few; '
                 f'{MINIMUM_SIDE_PX} a side are needed', throttle_duration_sec=5.0)
             return
-        stamp = stamp_ns(msg.header.stamp)
+        if not self._is_in_order(stamp_ns(msg.header.stamp), size):
+            return
+        for listener in self.listeners:
+            listener.announce(msg.header, size)
+        ids, xy = self._tracker.add(gray)
+        for listener in self.listeners:
+            listener.take(msg.header, size, ids, xy)
+        if not self.listeners or self.tracks.get_subscription_count():
+            self.tracks.publish(tracks_message(ids, xy, size, msg.header, self._types))
+        if self._overlay.get_subscription_count():
+            self._overlay.publish(image_message(self._drawing.draw(gray, ids, xy), msg.header,
+                                                self._types))
+
+    def _is_in_order(self, stamp: int, size: tuple[int, int]) -> bool:
+        """Tell whether an image is newer than the last; begin anew where another stream begins."""
         if self._newest_ns is not None and stamp < self._newest_ns:
             if self._newest_ns - stamp < BACKWARD_JUMP_NS:
-                return
+                return False
             self.get_logger().info('time jumped back; tracking starts anew')
             self._tracker.reset()
-        self._newest_ns = stamp
-        ids, xy = self._tracker.add(gray)
-        self._tracks.publish(tracks_message(ids, xy, (gray.shape[1], gray.shape[0]), msg.header,
-                                            self._types))
+        if self._size not in (None, size):
+            self.get_logger().info(f'images changed size from {self._size[0]}x{self._size[1]} to '
+                                   f'{size[0]}x{size[1]}; tracking starts anew')
+            self._tracker.reset()
+        self._newest_ns, self._size = stamp, size
+        return True

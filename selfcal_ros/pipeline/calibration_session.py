@@ -216,19 +216,9 @@ class CalibrationSession:
             size, or time jumped backward.
 
         """
-        reason = ''
-        image_size = (int(image_size[0]), int(image_size[1]))
-        if self._image_size not in (None, image_size):
-            reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
-                      f'to {image_size[0]}x{image_size[1]}')
-        elif self._newest_ns is not None and stamp_ns < self._newest_ns:
-            if self._newest_ns - stamp_ns < BACKWARD_JUMP_NS:
-                return ''
-            reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
-        if reason:
-            self.reset()
-        self._image_size = image_size
-        self._newest_ns = stamp_ns
+        reason = self.expect(stamp_ns, image_size)
+        if stamp_ns < self._newest_ns:
+            return ''
         self._frames += 1
         ids = np.asarray(ids, dtype=np.int64).ravel()
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
@@ -239,13 +229,47 @@ class CalibrationSession:
         self._newest_points = len(ids)
         if self._selector is None:
             self._selector = KeyframeSelector(self.settings.parallax
-                                              * float(np.hypot(*image_size)))
+                                              * float(np.hypot(*self._image_size)))
         # a nearly empty image (lens covered, motion blur) is no view of anything
         if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
             self._keyframes.append(frame)
             self._new_keyframes += 1
             if len(self._keyframes) > self.settings.max_keyframes:
                 self._thin_out()
+        return reason
+
+    def expect(self, stamp_ns: int, image_size: tuple[int, int]) -> str:
+        """
+        Take note of a frame, whose points will follow with `add_tracks`.
+
+        From here on `calibration` is what holds for this frame.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Acquisition time.
+        image_size : (int, int)
+            Width and height.
+
+        Returns
+        -------
+        str
+            Empty, or why the session was reset: see `add_tracks`.
+
+        """
+        reason = ''
+        image_size = (int(image_size[0]), int(image_size[1]))
+        if self._image_size not in (None, image_size):
+            reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
+                      f'to {image_size[0]}x{image_size[1]}')
+        elif self._newest_ns is not None and stamp_ns < self._newest_ns:
+            if self._newest_ns - stamp_ns < BACKWARD_JUMP_NS:
+                # overtaken on its way
+                return ''
+            reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
+        if reason:
+            self.reset()
+        self._image_size, self._newest_ns = image_size, int(stamp_ns)
         return reason
 
     def _thin_out(self):

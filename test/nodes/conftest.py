@@ -17,12 +17,18 @@ import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import queue
+import subprocess
+import sys
 import tempfile
+import threading
 import time
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+# for what tests of this folder share
+sys.path.insert(0, str(Path(__file__).parent))
 if find_spec('rclpy') is None:
     collect_ignore_glob = ['test_*.py']
 
@@ -116,3 +122,52 @@ def graph(ros_environment):
             node.destroy_node()
         one.executor.shutdown()
     rclpy.try_shutdown()
+
+
+class Process:
+    """A node in a process of its own, and what it has said on standard error so far."""
+
+    def __init__(self, module, *arguments, cwd):
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', f'selfcal_ros.nodes.{module}', *arguments],
+            stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+            cwd=cwd, env=dict(os.environ))
+        self.said = ''
+        self._lines = queue.Queue()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            self._lines.put(line)
+
+    def has_said(self, words):
+        """Tell whether words have been said."""
+        while not self._lines.empty():
+            self.said += self._lines.get()
+        return words in self.said
+
+    def end(self, number):
+        """Send a signal; returns the exit status."""
+        self.process.send_signal(number)
+        status = self.process.wait(15)
+        self._reader.join(5)
+        self.has_said('')
+        return status
+
+
+@pytest.fixture
+def launch(tmp_path):
+    """Start nodes as processes of their own: launch('feature_tracker', '-r', 'image:=a')."""
+    started = []
+
+    def run(module, *arguments, before=()):
+        started.append(Process(module, *before, '--ros-args', *arguments, cwd=tmp_path))
+        return started[-1]
+
+    yield run
+    for one in started:
+        if one.process.poll() is None:
+            one.process.kill()
+        one.process.wait()
+        one.process.stderr.close()
