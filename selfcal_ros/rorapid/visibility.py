@@ -92,6 +92,11 @@ class VisibleModel:
     min_length_px : float
         A line that is shorter in the image is left out, if the focal length is told.
 
+    Raises
+    ------
+    ArgumentError
+        If there were a primitive without control points.
+
     """
 
     def __init__(self, model: WireframeModel, control_points_per_line: int = 6,
@@ -132,6 +137,7 @@ class VisibleModel:
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
         self._ends, self._L = ends, L
+        self._has_min_area = any(face.min_area_px2 > 0 for face in model.faces)
         self._min_length = np.maximum(model.line_min_length_px, min_length_px)
         self._sides = self._contour_sides()
 
@@ -146,15 +152,18 @@ class VisibleModel:
         return np.repeat(worst < tolerance, self._counts[:len(worst)], axis=0)
 
     def _contour_sides(self):
-        """Directions (L, 2, 3) from each line into its faces; the second is the first if one."""
-        sides = np.zeros((self._L, 2, 3))
-        for k, faces in enumerate(self.model.line_faces):
-            if faces:
-                sides[k, 0] = self.model.into_face(k, faces[0])
-                sides[k, 1] = self.model.into_face(k, faces[1]) if len(faces) > 1 else sides[k, 0]
+        """Directions (L, K, 3) from each line into its faces; the first is repeated."""
+        faces = self.model.line_faces
+        sides = np.zeros((self._L, max([2, *map(len, faces)]), 3))
+        for k, around in enumerate(faces):
+            if around:
+                sides[k] = self.model.into_face(k, around[0])
+            for j, face in enumerate(around[1:], start=1):
+                sides[k, j] = self.model.into_face(k, face)
         return sides
 
-    def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None) -> np.ndarray:
+    def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None,
+               triangles=None) -> np.ndarray:
         """
         Tell which points are hidden by the faces.
 
@@ -166,6 +175,8 @@ class VisibleModel:
             Centre of the camera, object frame.
         on_face : ndarray of bool, shape (N, T), optional
             Triangles that are not to be tested, for each point.
+        triangles : ndarray of int, optional
+            Triangles to be tested; all of them by default.
 
         Returns
         -------
@@ -174,7 +185,11 @@ class VisibleModel:
         """
         hidden = np.zeros(len(points), bool)
         rays = points - centre
-        corners = self._corners - centre
+        corners = self._corners
+        if triangles is not None:
+            corners = corners[triangles]
+            on_face = on_face if on_face is None else on_face[:, triangles]
+        corners = corners - centre
         chunk = max(1, _LARGEST // max(1, 3 * len(points)))
         for start in range(0, len(corners), chunk):
             part = corners[start:start + chunk]
@@ -213,7 +228,7 @@ class VisibleModel:
         rotation = np.asarray(rotation, float)
         centre = -np.asarray(translation, float) @ rotation
         points, tangents = self._points, self._tangents
-        hidden = self.hidden(points, centre, self._on_face)
+        hidden = self._hidden_static(centre)
         if self._solids is not None:
             hidden |= self._solids.hidden(points, centre)
             extra, slopes, exist = self._solids.silhouettes(centre)
@@ -225,18 +240,30 @@ class VisibleModel:
         visible = ~hidden & ((points - centre) @ rotation[2] > 0)
         seen = np.add.reduceat(visible, self._first) >= self.min_visible
         if focal_px is not None:
-            seen[:self._L] &= self._long_enough(rotation, translation, focal_px)
+            seen[:self._L] &= self._large_enough(rotation, translation, focal_px)
         keep = np.flatnonzero(seen[self._primitive])
         primitive = self._primitive[keep]
         return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
                              keep, self._contours(centre)[primitive], self.kind, self.names)
 
-    def _long_enough(self, rotation, translation, focal_px):
-        """Which lines are long enough in the image, (L,) bool."""
-        ends = self._ends @ rotation.T + translation
-        depth = np.maximum(ends[..., 2:], 1e-3 * self.model.diameter_m)
-        xy = ends[..., :2] / depth
-        return focal_px * np.hypot(*(xy[:, 1] - xy[:, 0]).T) >= self._min_length
+    def _hidden_static(self, centre):
+        """Which points of lines and conics the faces hide from a camera there, (N,) bool."""
+        return self.hidden(self._points, centre, self._on_face)
+
+    def _large_enough(self, rotation, translation, focal_px):
+        """Which lines are long enough in the image, on a face that is large enough, (L,) bool."""
+        points = self.model.vertices @ rotation.T + translation
+        xy = focal_px * points[:, :2] / np.maximum(points[:, 2:], 1e-3 * self.model.diameter_m)
+        span = xy[self.model.lines[:, 1]] - xy[self.model.lines[:, 0]]
+        enough = np.hypot(*span.T) >= self._min_length
+        if self._has_min_area:
+            a, b, c = np.moveaxis(xy[self.model.triangles], 1, 0)
+            b, c = b - a, c - a
+            area = np.bincount(self.model.triangle_face, 0.5 * np.abs(
+                b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]), len(self.model.faces))
+            large = area >= [face.min_area_px2 for face in self.model.faces]
+            enough &= [not sides or large[list(sides)].any() for sides in self.model.line_faces]
+        return enough
 
     def _contours(self, centre):
         """Whether the faces of each primitive are seen on one side of it only, (P,) bool."""
@@ -244,7 +271,7 @@ class VisibleModel:
         if self._L:
             view = _cross(self._ends[:, 0] - centre, self._ends[:, 1] - centre)
             side = (self._sides * view[:, None]).sum(axis=2)
-            contour[:self._L] = side[:, 0] * side[:, 1] > 0
+            contour[:self._L] = side.min(axis=1) * side.max(axis=1) > 0
         contour[len(self.kind) - 2 * len(self.model.cylinders):] = True
         return contour
 

@@ -244,15 +244,18 @@ class WireframeModel:
     @cached_property
     def line_faces(self) -> tuple:
         """For each line the faces that it bounds: a tuple of none, one, two or more indices."""
-        same = same_place(self.vertices)
+        same = self._same
         borders = {frozenset(pair): sides
                    for pair, sides in _borders(self.vertices, self.faces, same).items()}
         return tuple(tuple(borders.get(frozenset((same[a], same[b])), ())) for a, b in self.lines)
 
     def into_face(self, line: int, face: int) -> np.ndarray:
         """Unit vector (3,) in the plane of a face, from a line that bounds it to its inside."""
-        same = same_place(self.vertices)
-        return _into(self.vertices, self.faces[face], self.lines[line], same)
+        return _into(self.vertices, self.faces[face], self.lines[line], self._same)
+
+    @cached_property
+    def _same(self):
+        return same_place(self.vertices)
 
     @property
     def internal(self) -> np.ndarray:
