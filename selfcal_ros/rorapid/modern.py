@@ -33,6 +33,8 @@ _AGREE_PX = 2.5
 _CERTAIN = 10
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
+#: Levels of the pyramid on which corners are followed: at first, and if that fails.
+_LEVELS = (1, 3)
 #: So many corners must agree before they lead the edges.
 _LEAST_TEXTURE = 5
 #: After a sudden motion the object is sought so far around, pixels.
@@ -125,9 +127,7 @@ class ModernCycle:
         region = region_of_interest(image, outline, 40.0)
         matches, agree = None, np.zeros(0, bool)
         if region is not None and self._use_texture and self.texture.known:
-            matches = self.texture.follow(region, predicted)
-            if matches is not None:
-                state, agree = self._by_texture(matches, predicted, prior)
+            state, matches, agree = self._by_texture(region, predicted, prior)
         led = int(agree.sum()) >= _LEAST_TEXTURE
         view = self.control.view(state)
         if led:
@@ -151,8 +151,26 @@ class ModernCycle:
         options = self.options
         return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
 
-    def _by_texture(self, matches, predicted, prior):
-        """Pose from the corners of the texture: RANSAC, then an M-estimator."""
+    def _by_texture(self, region, predicted, prior):
+        """
+        Follow the texture's corners and find the pose on which most of them agree.
+
+        First from close by, where what is before the object disturbs least; then from further.
+        """
+        best = predicted, None, np.zeros(0, bool)
+        for levels in _LEVELS:
+            matches = self.texture.follow(region, predicted, levels)
+            if matches is None:
+                break
+            state, agree = self._agreement(matches, predicted, prior)
+            if best[1] is None or agree.sum() > best[2].sum():
+                best = state, matches, agree
+            if agree.mean() > 0.4:
+                break
+        return best
+
+    def _agreement(self, matches, predicted, prior):
+        """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
         good = np.flatnonzero(matches.followed)
         agree = np.zeros(len(matches.followed), bool)
         if len(good) < _LEAST_TEXTURE:
@@ -284,7 +302,7 @@ class ModernCycle:
         scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
         texture_px = matches.pixels[agree] if matches is not None else np.zeros((0, 2))
-        self._latest = (region, at, found, contrast, view)
+        self._latest = (region, at, found, contrast, view, matches, agree)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain=certain)
 
@@ -307,15 +325,20 @@ class ModernCycle:
             return 0.4 * float(edges), False
         share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
                     self.options.lost_share)
+        if count < _CERTAIN and edges < 0.3:
+            share *= 0.5
         return float(share), count >= _CERTAIN and count >= 0.6 * followed
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view = self._latest
+        region, at, found, contrast, view, matches, agree = self._latest
         ids, ok = view.ids[at], found[at]
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:
-            self.texture.learn(region, measured.state, confirmed)
+            if measured.certain and matches is not None:
+                self.texture.judge(matches, agree)
+            if measured.certain:
+                self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)

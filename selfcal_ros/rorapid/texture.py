@@ -35,10 +35,12 @@ TEXELS, MARGIN = 96, 0.08
 _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
 #: The region of interest is halved until its longer side is shorter than this, pixels.
 _MOST_ROI_PX = 320
-#: Window of Lucas-Kanade, pixels, and its levels.
-_WINDOW, _LEVELS = 11, 3
+#: Window of Lucas-Kanade, pixels.
+_WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
 _LEAST_CORRELATION = 0.6
+#: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
+_LEAST_SCORE, _DOUBTS = 0.15, 12
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
     -1, 2).astype(np.float32)
 
@@ -56,6 +58,8 @@ class _Face:
     picture: np.ndarray | None = None
     points: np.ndarray | None = None        # (m, 3), object frame
     texels: np.ndarray | None = None        # (m, 2)
+    score: np.ndarray | None = None         # (m,): how often each corner agreed, decaying
+    doubt: np.ndarray | None = None         # how often each texel was something else
     seen: int = 0
     quality: float = 0.0
 
@@ -71,12 +75,16 @@ class TextureMatches:
     pixels : ndarray, shape (N, 2)
         Where they were found; meaningless where not `followed`.
     followed : ndarray of bool, shape (N,)
+    face, corner : ndarray of int, shape (N,)
+        Which corner of which face.
 
     """
 
     object_points: np.ndarray
     pixels: np.ndarray
     followed: np.ndarray
+    face: np.ndarray
+    corner: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -179,7 +187,7 @@ class TextureMemory:
     def forget(self) -> None:
         """Drop all pictures."""
         for face in self._faces:
-            face.picture = face.points = face.texels = None
+            face.picture = face.points = face.texels = face.score = face.doubt = None
             face.seen, face.quality = 0, 0.0
 
     def _see(self, state: ObjectState) -> np.ndarray:
@@ -210,7 +218,7 @@ class TextureMemory:
         pixel[:2] *= region.scale
         return pixel @ plane
 
-    def follow(self, region: Region, state: ObjectState, levels: int = _LEVELS):
+    def follow(self, region: Region, state: ObjectState, levels: int = 3):
         """
         Follow the corners of all visible known faces into an image.
 
@@ -229,21 +237,21 @@ class TextureMemory:
 
         """
         visible = self._see(state)
-        faces = [f for f, seen in zip(self._faces, visible) if seen and f.picture is not None]
-        if not faces:
-            return None
-        drawing, points, und = self._draw(faces, state, region)
-        if drawing is None:
+        faces = [k for k in np.flatnonzero(visible) if self._faces[k].picture is not None]
+        drawing, points, und, owner = self._draw(faces, state, region)
+        if not len(points):
             return None
         start = region.inside(self.projection.project(state, points).pixels)
         height, width = region.image.shape
         inside = ((und > 6) & (und < (width - 7, height - 7))).all(axis=1)
         if inside.sum() < 4:
             return None
-        points, und, start = points[inside], und[inside], start[inside]
-        if len(points) > self.most_points:
-            pick = np.linspace(0, len(points) - 1, self.most_points).astype(int)
-            points, und, start = points[pick], und[pick], start[pick]
+        pick = np.flatnonzero(inside)
+        if len(pick) > self.most_points:
+            # every face has its share, each its best corners first
+            rank = np.argsort(owner[pick, 1], kind='stable')[:self.most_points]
+            pick = pick[rank]
+        points, und, start, owner = points[pick], und[pick], start[pick], owner[pick]
         und = np.ascontiguousarray(und, np.float32)
         found, status, _ = cv2.calcOpticalFlowPyrLK(
             drawing, region.image, und, np.array(start, np.float32, order='C'),
@@ -252,15 +260,17 @@ class TextureMemory:
         good = (status[:, 0] > 0) & ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
         found[~good] = 0
         good &= _correlation(drawing, und, region.image, found) > _LEAST_CORRELATION
-        return TextureMatches(points, region.outside(found.astype(float)), good)
+        return TextureMatches(points, region.outside(found.astype(float)), good,
+                              owner[:, 0], owner[:, 1])
 
     def _draw(self, faces, state, region):
-        """Draw faces; return the drawing and their corners, object frame and pixels."""
+        """Draw faces; return the drawing and their corners: object frame, pixels, which."""
         height, width = region.image.shape
         # elsewhere the image itself: what is not the object shall not pull at its corners
         drawing = region.image.copy()
-        points, pixels = [], []
-        for face in faces:
+        points, pixels, owner = [np.zeros((0, 3))], [np.zeros((0, 2))], [np.zeros((0, 2), int)]
+        for k in faces:
+            face = self._faces[k]
             H = self._homography(face, state, region)
             frame = np.array([[0, 0, 1], [face.picture.shape[1], 0, 1],
                               [0, face.picture.shape[0], 1],
@@ -275,13 +285,23 @@ class TextureMemory:
                 mask = cv2.warpPerspective(face.mask, H, (width, height),
                                            flags=cv2.INTER_NEAREST)
                 cv2.copyTo(drawn, mask, drawing)
-            if len(face.texels):
-                at = np.column_stack([face.texels, np.ones(len(face.texels))]) @ H.T
-                points.append(face.points)
-                pixels.append(at[:, :2] / at[:, 2:])
-        if not points:
-            return None, None, None
-        return drawing, np.concatenate(points), np.concatenate(pixels)
+            good = np.flatnonzero(face.score > _LEAST_SCORE)
+            at = face.texels[good] @ H[:, :2].T + H[:, 2]
+            points.append(face.points[good])
+            pixels.append(at[:, :2] / at[:, 2:])
+            owner.append(np.column_stack([np.full(len(good), k), good]))
+        return drawing, np.concatenate(points), np.concatenate(pixels), np.concatenate(owner)
+
+    def judge(self, matches: TextureMatches, agree: np.ndarray) -> None:
+        """Remember which corners agreed with a pose that is certain."""
+        for k in np.unique(matches.face):
+            face, here = self._faces[k], matches.face == k
+            at = matches.corner[here]
+            at, right = at[at < len(face.score)], agree[here][at < len(face.score)]
+            face.score[at] = 0.93 * face.score[at] + 0.07 * right
+            if (face.score > _LEAST_SCORE).sum() < 0.4 * len(face.score):
+                # most of what was learned there is not on the object
+                self._choose(face)
 
     def learn(self, region: Region, state: ObjectState, confirmed: bool) -> None:
         """
@@ -344,8 +364,12 @@ class TextureMemory:
         # texels that changed a lot are something before the object: they stay as they were
         change = cv2.absdiff(picture, face.picture)
         same = cv2.compare(change, 30, cv2.CMP_LT)
-        if cv2.countNonZero(same) < 0.5 * same.size:
-            return
+        # ... unless they stay changed: then it was there before that something was
+        cv2.add(face.doubt, 1, dst=face.doubt)
+        face.doubt[same > 0] = 0
+        for_good = face.doubt >= _DOUBTS
+        if for_good.any():
+            face.picture[for_good], face.doubt[for_good] = picture[for_good], 0
         blended = cv2.addWeighted(face.picture, 0.9, picture, 0.1, 0.5)
         cv2.copyTo(blended, same, face.picture)
         face.seen += 1
@@ -356,6 +380,8 @@ class TextureMemory:
                                           mask=face.mask, blockSize=5)
         face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
         face.points = face.origin + face.texels @ face.axes.T
+        face.score = np.full(len(face.texels), 0.5)
+        face.doubt = np.zeros(face.picture.shape, np.uint8)
 
 
 def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,

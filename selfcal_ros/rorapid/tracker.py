@@ -282,7 +282,7 @@ class RorapidTracker:
             self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
             self._good = measured.state
             if options.method == 'modern':
-                self._cycle.remember(measured, tracking)
+                self._cycle.remember(measured, tracking or measured.certain)
             reason = '' if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
         else:
