@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks)
+from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks,
+                                           unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
 
@@ -160,11 +161,12 @@ class _Adjustment:
         residual = self.residuals(cameras, points)
         sigma = self.sigma(residual)
         damping = 1e-4
+        unknowns = unknowns_of(self.free)
         for _ in range(iterations):
             sigma = self.sigma(residual)
             cost = self._cost(residual, sigma)
             system = self.system(cameras, points, sigma, damping)
-            factor = DampedFactor(system.matrix, system.diagonal, damping, self.free)
+            factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             if not factor.usable:
                 damping *= 10
                 continue

@@ -23,12 +23,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
-                                           SHARED)
+                                           ROTATION, SHARED)
 from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks,
-                                           ReducedSystem)
+                                           ReducedSystem, unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -101,6 +102,15 @@ class Bundle:
         for index, prior in priors.items():
             free[index] = prior.sigma > 0
         self.free = free
+
+    def unknowns(self) -> csr_array:
+        """Relate all parameters to the independent ones: parallel views share a rotation."""
+        shared = np.arange(len(self.free))
+        if self.motion.parallel:
+            of_view = shared[SHARED:].reshape(-1, PER_VIEW)
+            of_view[np.ix_(self.motion.parallel, ROTATION)] = of_view[self.motion.parallel[0],
+                                                                      ROTATION]
+        return unknowns_of(self.free, shared)
 
     # ------------------------------------------------------------------ model
 
@@ -214,9 +224,10 @@ class Bundle:
         """
         cost = self.cost(state)
         damping, growth = 1e-4, 2.0
+        unknowns = self.unknowns()
         for _ in range(iterations):
             system, root = self._weighted(state, damping)
-            factor = DampedFactor(system.matrix, system.diagonal, damping, self.free)
+            factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             new_cost = np.inf
             if factor.usable:
                 step, point_steps = self._curved_step(state, system, root, factor)
@@ -300,7 +311,7 @@ class Bundle:
         views = self.blocks.view_count
         priors += 2 * views * (0 < self.motion.tilt_sigma_rad < np.inf)
         priors += views * (0 < self.motion.height_sigma < np.inf)
-        unknowns = int(self.free.sum()) - 1 + 3 * self.blocks.point_count
+        unknowns = self.unknowns().shape[1] - 1 + 3 * self.blocks.point_count
         return 2 * len(self.view) + priors - unknowns
 
     def noise_sigma(self, state: BundleState) -> float:
@@ -348,13 +359,13 @@ class Bundle:
         # beyond the threshold ψ' remains only across the residual's direction
         slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
                                  0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
-        index = np.flatnonzero(self.free)
-        H = system.matrix[np.ix_(index, index)]
+        E = self.unknowns()
+        H = E.T @ (E.T @ system.matrix).T
         root = np.sqrt(np.maximum(np.diag(H), 1e-300))
         values, vectors = np.linalg.eigh(H / np.outer(root, root))
         values = np.maximum(values, 1e-13 * values[-1])
-        inverse = np.zeros((len(self.free), len(self.free)))
-        inverse[np.ix_(index, index)] = (vectors / values) @ vectors.T / np.outer(root, root)
+        inverse = (vectors / values) @ vectors.T / np.outer(root, root)
+        inverse = E @ (E @ inverse).T
         # `matrix` carries the weights, whose mean differs from that of ψ'
         influence = system.influence(inverse[:SHARED]) * weight / slope
         measured = 2 * len(self.view) - 3 * self.blocks.point_count

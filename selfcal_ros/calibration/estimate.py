@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.conclusion import conclude
-from selfcal_ros.calibration.model_choice import choose_model, first_fit, Model
+from selfcal_ros.calibration.model_choice import choose_model, first_fit, hold_parallel, Model
 from selfcal_ros.calibration.motion import MOST_TILT_RAD, not_planar, out_of_plane_rad
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
@@ -36,7 +36,8 @@ from selfcal_ros.calibration.refine import (bundle_of, fit_robustly, flatten, NE
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.search import best_start, closed_form, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.start import planar_start
-from selfcal_ros.calibration.state import BundleState, holding, MotionModel, priors_from_facts
+from selfcal_ros.calibration.state import (aligned, BundleState, holding, MotionModel,
+                                           priors_from_facts)
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 
@@ -51,6 +52,9 @@ MOTION_MODELS = {
 #: A start explains the images when it leaves less than so many times the noise of the epipolar
 #: geometry (which has more freedom, and absorbs distortion).
 EXPLAINED = 4.0
+#: Views that are said to be parallel and turn by less than this, but measurably, are those of a
+#: robot that does not repeat its orientation exactly.
+MOST_TURN_RAD = np.radians(1.0)
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 #: Fewer degrees of freedom than this cannot check themselves.
@@ -120,6 +124,9 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
                              problem.facts)
 
     window = problem.window()
+    # the starts do not suppose what the images may contradict
+    parallel = window.motion.parallel
+    window = replace(window, motion=replace(window.motion, parallel=()))
     chain = closed_form(window) if problem.motion.keeps_plane else []
     start, noise_px = best_start(window, [*proposals, *chain])
     if not noise_px < EXPLAINED * problem.noise_px:
@@ -138,15 +145,30 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     fit = first_fit(window, medium, state)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state) > MOST_TILT_RAD:
         return refuse(*not_planar(out_of_plane_rad(fit.state)), 'general')
+    notes = ()
+    if len(parallel) > 1:
+        fit, turned = hold_parallel(fit, parallel, window.size)
+        if turned > MOST_TURN_RAD:
+            return refuse('The frames that were said to be related by translation turned by '
+                          f'{np.degrees(turned):.2g} degrees.', 'Name those that kept their '
+                          'orientation, or leave it to the images to find them.', 'general')
+        if turned:
+            notes = ('The frames that were said to be related by translation turned by up to '
+                     f'{np.degrees(turned):.2g} degrees, which was estimated too.',)
     model = choose_model(window, fit)
-    problem = replace(problem, facts=model.facts)
+    # what the window's motion was found to be, and of all views which are parallel
+    motion = model.fit.bundle.motion
+    if motion.parallel:
+        motion = problem.motion
+    problem = replace(problem, facts=model.facts, motion=motion)
     state = extended(problem, model)
     if state is None:
         return refuse(f'The distortion found ({model.facts.distortion}) cannot be undone over '
                       'the whole image.', 'State a simpler distortion model.')
-    fit = fit_robustly(problem.observations, state, model.fit.bundle.motion,
-                       priors_from_facts(model.facts), model.fit.bundle.sigma_px)
-    return conclude(fit, model, problem, graph)
+    fit = fit_robustly(problem.observations, state, motion, priors_from_facts(model.facts),
+                       model.fit.bundle.sigma_px)
+    result = conclude(fit, model, problem, graph)
+    return replace(result, notes=(*notes, *result.notes)) if result else result
 
 
 def extended(problem: Problem, model: Model) -> BundleState | None:
@@ -155,7 +177,7 @@ def extended(problem: Problem, model: Model) -> BundleState | None:
     if len(found.views) == problem.views:
         return with_all_points(found, problem.observations)
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
-    bundle = bundle_of(few, model.fit.bundle.motion, priors_from_facts(model.facts),
+    bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
                        10 * problem.noise_px)
     starts = [planar_start(problem.pairs, bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
@@ -163,5 +185,6 @@ def extended(problem: Problem, model: Model) -> BundleState | None:
     costs = [np.inf if state is None else bundle.cost(state) for state in starts]
     if not np.isfinite(min(costs)):
         return None
-    state = bundle.optimise(holding(starts[int(np.argmin(costs))], bundle.priors), 15, 1.0)
+    state = aligned(holding(starts[int(np.argmin(costs))], bundle.priors), bundle.motion)
+    state = bundle.optimise(state, 15, 1.0)
     return with_all_points(state, problem.observations)

@@ -152,17 +152,19 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
     gauge = bundle.gauge(state)
     system.matrix[np.ix_(place, place)] += np.mean(system.diagonal[place]) * np.outer(gauge, gauge)
 
-    rest = place[bundle.free]
+    E = bundle.unknowns()
+    matrix = E.T @ (E.T @ system.matrix[np.ix_(place, place)]).T
     field = np.arange(SHARED, SHARED + count)
-    scale = np.sqrt(np.maximum(np.diag(system.matrix)[rest], 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     try:
-        factor = cho_factor(system.matrix[np.ix_(rest, rest)] / np.outer(scale, scale))
+        factor = cho_factor(matrix / np.outer(scale, scale))
     except (LinAlgError, ValueError):
         return None
-    coupling = system.matrix[np.ix_(rest, field)] / scale[:, None]
+    coupling = E.T @ system.matrix[np.ix_(place, field)] / scale[:, None]
+    slope = E.T @ system.gradient[place] / scale
     solved = cho_solve(factor, coupling)
     own = system.matrix[np.ix_(field, field)] - coupling.T @ solved
-    pull = system.gradient[field] - solved.T @ (system.gradient[rest] / scale)
+    pull = system.gradient[field] - solved.T @ slope
     values, vectors = np.linalg.eigh((own + own.T) / 2)
     values = np.maximum(values, 0)
     turned = vectors.T @ pull
@@ -177,17 +179,17 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
 
     step = np.zeros(len(system.matrix))
     step[field] = coefficients
-    step[rest] = -(cho_solve(factor, system.gradient[rest] / scale)
-                   + solved @ coefficients) / scale
+    step[place] = -E @ ((cho_solve(factor, slope) + solved @ coefficients) / scale)
     points = system.point_steps(step)
     chosen = np.flatnonzero(bundle.free[:9])
-    unit = np.zeros((len(rest), len(chosen)))
+    unit = np.zeros((len(scale), len(chosen)))
     unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
     through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
     # rows of the joint covariance of the adjustment's unknowns and the field
     rows = np.zeros((9, len(system.matrix)))
-    rows[np.ix_(chosen, rest)] = ((cho_solve(factor, unit).T
-                                   + (through * posterior) @ (solved @ vectors).T) / scale)
+    rows[np.ix_(chosen, place)] = (E @ ((cho_solve(factor, unit).T
+                                         + (through * posterior) @ (solved @ vectors).T)
+                                        / scale).T).T
     rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
     inner = rows[:, :9]
     found = bundle.apply(state, step[place], points)

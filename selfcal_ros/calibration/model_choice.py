@@ -25,8 +25,10 @@ from selfcal_ros.calibration.problem import Problem, start_priors
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
                                             fit_robustly, leave_out_stretches, Observations,
                                             refit)
-from selfcal_ros.calibration.state import BundleState, parameter_covariance, priors_from_facts
+from selfcal_ros.calibration.state import (aligned, BundleState, parameter_covariance,
+                                           priors_from_facts)
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,31 @@ def choose_model(problem: Problem, fit: Fit) -> Model:
     independent = fit.bundle.covariance(fit.state)[:9, :9]
     return Model(fit, facts, exact,
                  stretch_excess(*leave_out_stretches(fit), independent, known))
+
+
+def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) -> tuple[Fit, float]:
+    """
+    Give views that are stated to be parallel one orientation, unless the images contradict.
+
+    A likelihood ratio test at 4 sigma, as for the plane of motion.
+
+    Returns
+    -------
+    Fit
+        As it was where the images contradict.
+    float
+        Largest angle between such a view and the first of them, radians; zero where the images
+        do not contradict.
+
+    """
+    motion = replace(fit.bundle.motion, parallel=parallel)
+    held = refit(fit, motion, aligned(fit.state, motion))
+    freedom = 3 * (len(parallel) - 1)
+    excess = 2 * (held.cost - fit.cost) / dependence_of(fit, size).inflation**2
+    if excess <= freedom + 4 * np.sqrt(2 * freedom):
+        return held, 0.0
+    R = fit.state.rotations()[list(parallel)]
+    return fit, float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
 
 
 def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:

@@ -72,7 +72,7 @@ class Problem:
         observations = self.observations
         inside = (observations.view >= first) & (observations.view < last)
         within, _ = observations.select(inside)
-        return replace(self, pairs=pairs,
+        return replace(self, pairs=pairs, motion=self.motion.of_views(np.arange(first, last)),
                        observations=replace(within, view=within.view - first))
 
 

@@ -230,8 +230,8 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         if len(kept) < 3:
             continue
         state = replace(fit.state, views=fit.state.views[kept], points=fit.state.points[points])
-        bundle = bundle_of(replace(rest, view=index), fit.bundle.motion, fit.bundle.priors,
-                           fit.bundle.sigma_px)
+        bundle = bundle_of(replace(rest, view=index), fit.bundle.motion.of_views(kept),
+                           fit.bundle.priors, fit.bundle.sigma_px)
         state = bundle.optimise(state, 6, 0.1)
         shifts.append(state.intrinsics - fit.state.intrinsics)
         covariances.append(bundle.covariance(state)[:9, :9])

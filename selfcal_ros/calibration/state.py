@@ -37,6 +37,7 @@ INTRINSIC_NAMES = ('f', 'aspect', 'cx', 'cy', 'skew', 'k1', 'k2', 'p1', 'p2')
 F, ASPECT, CX, CY, SKEW, K1, K2, P1, P2 = range(9)
 SHARED = 11      # nine intrinsics and two of the axis direction
 PER_VIEW = 6     # angle, p1, p2, tilt1, tilt2, height
+ROTATION = (0, 3, 4)
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,19 @@ class MotionModel:
         Standard deviations of the out-of-plane rotation and translation of each view, the latter
         in units of the root mean square distance between successive views. 0: exactly planar;
         infinity: general motion.
+    parallel : tuple of int
+        Views that are stated to share one orientation: related by pure translation.
 
     """
 
     tilt_sigma_rad: float = 0.0
     height_sigma: float = 0.0
+    parallel: tuple[int, ...] = ()
+
+    def of_views(self, views: np.ndarray) -> MotionModel:
+        """Return the model for some of the views, which become 0, 1, 2, ..."""
+        place = {int(view): k for k, view in enumerate(views)}
+        return replace(self, parallel=tuple(place[v] for v in self.parallel if v in place))
 
     @property
     def is_planar(self) -> bool:
@@ -148,6 +157,15 @@ def holding(state: BundleState, priors: dict[int, Prior]) -> BundleState:
         if prior.sigma == 0:
             intrinsics[index] = prior.value
     return replace(state, intrinsics=intrinsics)
+
+
+def aligned(state: BundleState, motion: MotionModel) -> BundleState:
+    """Give the views that are stated to be parallel the orientation of the first of them."""
+    if not motion.parallel:
+        return state
+    views = state.views.copy()
+    views[np.ix_(motion.parallel, ROTATION)] = views[motion.parallel[0], ROTATION]
+    return replace(state, views=views)
 
 
 def rescale(state: BundleState) -> BundleState:

@@ -27,7 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.affine import calibrate_affine
 from selfcal_ros.calibration.conic_calibration import Undetermined
-from selfcal_ros.calibration.estimate import calibrate_from_motion, MOTION_MODELS
+from selfcal_ros.calibration.estimate import calibrate_from_motion, GENERAL
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.translation_groups import (estimate_radial, translation_groups,
@@ -56,7 +56,8 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
 
     """
     frames = tuple(int(f) for f in graph.frames)
-    if translated is None:
+    stated = translated is not None
+    if not stated:
         found = translation_groups(graph.tracks, size)
         if not found.groups:
             return NotCalibrated(found.explain(), 'Move without turning between two or more '
@@ -80,5 +81,8 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
         return NotCalibrated(chain.reason, 'Turn about the axis that is missing.', 'translation',
                              frames, facts, dict(chain.status))
     proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
-    result = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS['general'])
+    motion = GENERAL
+    if stated:
+        motion = replace(motion, parallel=tuple(np.flatnonzero(np.isin(frames, translated))))
+    result = calibrate_from_motion(graph, size, facts, proposals, (motion,))
     return replace(result, notes=(said, *result.notes)) if result else result

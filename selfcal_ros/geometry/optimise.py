@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_array, csr_matrix
 
 #: Points are reduced in groups that share a window of views, so that the cost grows with the
 #: length of the tracks and not with that of the sequence.
@@ -254,18 +254,42 @@ def huber_loss(distance: np.ndarray, threshold: float) -> np.ndarray:
                     threshold * (distance - 0.5 * threshold))
 
 
+def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None) -> csr_array:
+    """
+    Relate all parameters to the independent unknowns among them.
+
+    Parameters
+    ----------
+    free : ndarray of bool, shape (n,)
+        False for parameters that are held.
+    shared : ndarray of int, shape (n,), optional
+        The parameter that each moves with; itself by default.
+
+    Returns
+    -------
+    csr_array, shape (n, k)
+        E of step = E y: a row with a single 1, or none for a held parameter.
+
+    """
+    column = np.arange(len(free)) if shared is None else shared
+    rows = np.flatnonzero(free[column])
+    kept, column = np.unique(column[rows], return_inverse=True)
+    return csr_array((np.ones(len(rows)), (rows, column)), (len(free), len(kept)))
+
+
 class DampedFactor:
     """
-    Cholesky factor of the damped normal equations of the free unknowns.
+    Cholesky factor of the damped normal equations of the unknowns.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, n)
     diagonal : ndarray, shape (n,)
-        Scales the unknowns (pixels, radians, lengths) to one unit.
+        Scales the parameters (pixels, radians, lengths) to one unit.
     damping : float
         Levenberg-Marquardt factor.
-    free : ndarray of bool, shape (n,)
+    unknowns : csr_array, shape (n, k)
+        Of `unknowns_of`.
 
     Attributes
     ----------
@@ -274,13 +298,13 @@ class DampedFactor:
 
     """
 
-    def __init__(self, matrix, diagonal, damping, free):
-        self._index = np.flatnonzero(free)
-        self._size = len(diagonal)
-        scale = np.maximum(diagonal[self._index], 1e-300)
+    def __init__(self, matrix, diagonal, damping, unknowns):
+        self._unknowns = E = unknowns
+        self._members = E.sum(axis=0)
+        scale = np.maximum(E.T @ diagonal, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
         self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
-        H = matrix[np.ix_(self._index, self._index)] / np.outer(self._root, self._root)
+        H = (E.T @ (E.T @ matrix).T) / np.outer(self._root, self._root)
         H[np.diag_indices_from(H)] += damping
         try:
             self._factor = cho_factor(H)
@@ -289,11 +313,10 @@ class DampedFactor:
         self.usable = self._factor is not None
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for the free unknowns; the others do not move. Shapes (n,)."""
-        result = np.zeros(self._size)
-        result[self._index] = cho_solve(self._factor, right[self._index] / self._root) / self._root
-        return result
+        """Solve for a step of all parameters; the held ones do not move. Shapes (n,)."""
+        right = (self._unknowns.T @ right) / self._root
+        return self._unknowns @ (cho_solve(self._factor, right) / self._root)
 
     def length(self, step: np.ndarray) -> float:
         """Length of a step (n,) in the scaled unknowns."""
-        return float(np.linalg.norm(step[self._index] * self._root))
+        return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Translated views: the chain as a start, the frames named or found, refusals."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,35 @@ def test_truth_is_found_from_translated_views(frames):
     error = result.camera.parameters - sequence.camera.parameters
     assert np.abs(error[sigma > 0] / sigma[sigma > 0]).max() < 4
     assert result.sigma['fx'] < 9
+
+
+def test_stated_translation_is_evidence():
+    """Views that are stated to be parallel stay so, and make the calibration more certain."""
+    sequence = arm(np.random.default_rng(3), TURNS[:2])
+    general = calibrate(sequence.tracks, motion='general', facts=FACTS)
+    stated = calibrate(sequence.tracks, motion='translation', facts=FACTS,
+                       translation_frames=(0, 1, 2))
+
+    R = stated.reconstruction.cam_from_world[:3, :, :3]
+    np.testing.assert_allclose(R[1:], R[[0, 0]], atol=1e-12)
+    assert stated.sigma['fx'] < 0.97 * general.sigma['fx']
+    sigma = np.sqrt(np.diag(stated.covariance))
+    error = stated.camera.parameters - sequence.camera.parameters
+    assert np.abs(error[sigma > 0] / sigma[sigma > 0]).max() < 4
+
+
+@pytest.mark.parametrize('turn_deg, calibrated', [(0.3, True), (8.0, False)])
+def test_what_is_said_to_be_translated_is_tested(turn_deg, calibrated):
+    """A robot that repeats its orientation badly is forgiven; a wrong frame is not."""
+    turns = np.vstack([np.radians([[turn_deg, 0, 0]]), TURNS])
+    sequence = arm(np.random.default_rng(3), turns)
+    result = calibrate(sequence.tracks, motion='translation', facts=FACTS,
+                       translation_frames=(0, 1, 2, 3))
+
+    assert bool(result) == calibrated
+    said = ' '.join(result.notes) if result else result.reason
+    found = re.search(r'translation turned by (?:up to )?([\d.]+) degrees', said)
+    assert abs(float(found[1]) / turn_deg - 1) < 0.1
 
 
 def test_translation_alone_says_nothing():
