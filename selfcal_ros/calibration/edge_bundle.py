@@ -26,7 +26,7 @@ from selfcal_ros.calibration.bundle import Evidence, HUBER_SIGMAS
 from selfcal_ros.calibration.object_bundle import INTERNAL, ObjectBundle, ObjectState, POSE
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH
-from selfcal_ros.geometry.optimise import huber_cost, huber_weights
+from selfcal_ros.geometry.optimise import huber_loss, huber_weights
 
 
 class EdgeBundle(ObjectBundle):
@@ -123,7 +123,7 @@ class EdgeBundle(ObjectBundle):
         if not np.isfinite(distance).all():
             return np.inf
         distance = np.where(ahead, distance, np.maximum(distance, 100.0))
-        return huber_cost(distance, HUBER_SIGMAS) + self._prior_terms(state)[0]
+        return float(huber_loss(distance, HUBER_SIGMAS).sum()) + self._prior_terms(state)[0]
 
     def _rows(self, state: ObjectState):
         """Return weighted derivatives and residual side by side, (N, 1, 16)."""

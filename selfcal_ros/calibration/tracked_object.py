@@ -33,7 +33,7 @@ from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.state import ASPECT, CX, CY, F, parameter_covariance, Prior
 from selfcal_ros.calibration.state import priors_from_facts
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.version import __version__
 
@@ -45,7 +45,9 @@ OUTLIER_SIGMAS = 4.0
 #: A view keeps its pose only with so many edgels of so many primitives.
 LEAST_EDGELS, LEAST_PRIMITIVES = 12, 4
 #: Edgels farther than this from the model, rms, do not belong to it (share of the diagonal).
-MISFIT_SHARE = 0.004
+MISFIT_SHARE = 0.00125
+#: Focal lengths beyond these, over the longer side of the image, are those of no lens.
+FOCAL_SHARES = (0.2, 30.0)
 #: Stretches of the sequence that are left out in turn.
 STRETCHES = 6
 #: Two halves of the sequence may differ in focal length by so many sigmas, or by this share.
@@ -181,17 +183,22 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
     if found is None:
         return refuse('The adjustment found no camera that fits the edges.',
                       'Check the model, its unit (metres) and the start pose.')
-    used, bundle, state, chosen, covariance, notes, status = found
+    used, bundle, state, chosen, covariance, inflation, notes, status = found
     if not bundle.sigma_px <= MISFIT_SHARE * float(np.hypot(*size)):
         return refuse(f'The edges lie {bundle.sigma_px:.2g} px from the model: that is more than '
-                      'noise.', 'Check the model and its dimensions, and that the object is rigid.')
+                      'noise.', 'Check the proportions of the model, that the object is rigid, and '
+                      'with `selfcal track --overlay` that its own edges are followed; a better '
+                      'camera to begin with (--camera) helps.')
     missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
+    low, high = FOCAL_SHARES[0] * max(size), FOCAL_SHARES[1] * max(size)
+    if not missing and not low < state.intrinsics[F] < high:
+        missing = ['fx', 'fy']
     if missing:
         return refuse(f'What was seen of the object leaves {", ".join(missing)} open.',
                       'Show the object nearer, in all parts of the image and under other angles, '
                       'or state the principal point (--principal-point, with its sigma) or the '
                       'aspect ratio.', status)
-    zoomed = _zoomed(used, state, chosen)
+    zoomed = _zoomed(used, state, inflation)
     if zoomed:
         return refuse(zoomed, _AGAIN)
     camera = _camera(state, size)
@@ -207,6 +214,33 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
             used.frames, np.array(state.cam_from_object), points,
             np.column_stack([used.points[first_seen], np.ones(len(points))])),
         notes=notes, software=f'selfcal_ros {__version__}', residuals=residuals)
+
+
+def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts):
+    """
+    Adjust camera and poses to edges, without judging them.
+
+    Returns
+    -------
+    (Camera, dict of int to ndarray (3, 4)) or None
+        The camera and the pose of the object in each image that was used; None where there is
+        no solution.
+
+    """
+    views = views.select(np.ones(len(views), bool))
+    if len(views.frames) < 2:
+        return None
+    if facts.distortion == 'auto':
+        facts = replace(facts, distortion='none')
+    fit = _fit(views, _first_state(views, start), facts)
+    if fit is None:
+        return None
+    used, _, state = fit
+    try:
+        camera = _camera(state, views.image_size)
+    except ArgumentError:
+        return None
+    return camera, dict(zip(used.frames.tolist(), state.cam_from_object))
 
 
 def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
@@ -259,7 +293,7 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
 
 
 def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: CameraFacts, size):
-    """Return the covariance of `PARAMETER_NAMES`, notes, and every parameter's status."""
+    """Return covariance, how much wider it is than for independent errors, notes and status."""
     evidence = bundle.evidence(state)
     _, view = np.unique(views.frame, return_inverse=True)
     within = view * (int(views.primitive.max()) + 1) + views.primitive
@@ -278,7 +312,8 @@ def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: Came
     notes = tuple(f'Errors are shared {cause}: sigmas are {wider.ratios[name]:.1f} times those of '
                   'independent errors for it.' for name, cause in causes.items()
                   if wider.ratios.get(name, 1) > 1) + stretch_note(ratio)
-    return covariance, notes, parameter_status(_camera(state, size), covariance, facts)
+    return (covariance, wider.inflation * ratio, notes,
+            parameter_status(_camera(state, size), covariance, facts))
 
 
 def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
@@ -300,7 +335,7 @@ def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
     return stretch_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
 
 
-def _zoomed(views: EdgeViews, state: ObjectState, facts: CameraFacts) -> str:
+def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> str:
     """Say that the focal length has changed between the halves of the sequence, or nothing."""
     frames = views.frames
     if len(frames) < 8:
@@ -319,7 +354,9 @@ def _zoomed(views: EdgeViews, state: ObjectState, facts: CameraFacts) -> str:
         own = bundle.optimise(own, 30, 1e-4)
         found.append((own.intrinsics[F], float(np.sqrt(bundle.ideal_covariance(own)[F, F]))))
     (a, sigma_a), (b, sigma_b) = found
-    if abs(a - b) < max(ZOOM_SIGMAS * np.hypot(sigma_a, sigma_b), ZOOM_SHARE * state.intrinsics[F]):
+    limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
+                ZOOM_SHARE * state.intrinsics[F])
+    if abs(a - b) < limit:
         return ''
     return (f'The focal length changes: {a:.0f} px in the first half of the images, {b:.0f} px in '
             'the second.')

@@ -48,6 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'charuco:COLSxROWS:SQUARE_M:MARKER_M (inner corners), '
                              'tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M (squares), or points.csv '
                              '(columns point,X,Y,Z) for an INPUT of tracks')
+    parser.add_argument('--track', action='store_true',
+                        help='follow an object of known shape (--model, --init) through the '
+                             'images, and calibrate from its edges')
+    from selfcal_ros.cli.track import add_object_arguments
+    add_object_arguments(parser, required=False)
+    parser.add_argument('--camera', type=Path, metavar='CAMERA.YAML',
+                        help='with --track: a rough calibration to begin with (default: focal '
+                             'lengths are tried)')
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for tracks.csv')
     add_fact_arguments(parser)
@@ -73,13 +81,16 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.errors import ArgumentError
-    known = bool(args.object)
+    known = bool(args.object) or args.track
+    _check_track(args)
     if known and args.motion not in ('auto', 'known-object'):
-        raise ArgumentError(f'--object and --motion {args.motion} exclude each other; leave one '
+        option = '--track' if args.track else '--object'
+        raise ArgumentError(f'{option} and --motion {args.motion} exclude each other; leave one '
                             'of them out.')
     if args.motion == 'known-object' and not known:
         raise ArgumentError('--motion known-object needs --object, for example '
-                            'chessboard:9x6:0.025 (inner corners, metres).')
+                            'chessboard:9x6:0.025 (inner corners, metres), or --track with the '
+                            '--model of an object.')
     if known and args.ply:
         raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
                             'object is known.')
@@ -88,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
                             'calibrate.')
     # a known object determines the aspect ratio, and cameras are square to 0.1 % only
-    facts = facts_from(args, FREE if known else 1.0)
+    # the edges of a small object do not
+    facts = facts_from(args, FREE if args.object else 1.0)
     outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
                       ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
@@ -97,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.pipeline.sources import open_source
     size = tuple(args.image_size) if args.image_size else None
     with ProgressBar(not args.quiet) as progress:
-        result, reading = (_from_object if known else _from_motion)(args, facts, size, progress)
+        how = _from_edges if args.track else _from_object if known else _from_motion
+        result, reading = how(args, facts, size, progress)
     why = (motion_text(result, args.motion),) if result and not known else ()
     text = result_text(result, notes=(*why, *reading.notes))
     written = outputs.write(result, text, reading.description, reading.tracks,
@@ -130,3 +143,33 @@ def _from_object(args, facts, size, progress):
                                 max_keyframes=args.max_keyframes, image_size=size,
                                 progress=progress)
     return calibrate_known_object(reading.tracks, target.known, facts=facts), reading
+
+
+def _from_edges(args, facts, _, progress):
+    """Calibrate from the edges of a tracked object; returns the result and the reading."""
+    from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
+    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.rorapid.model import read_model
+    start = read_camera_yaml(args.camera)[0] if args.camera else None
+    return calibrate_tracked_object(args.input, read_model(args.model), facts, init=args.init,
+                                    clicks=args.clicks, start=start, topic=args.topic,
+                                    max_keyframes=args.max_keyframes, seed=args.seed,
+                                    progress=progress)
+
+
+def _check_track(args) -> None:
+    """Refuse options that belong to --track without it, and --track without them."""
+    from selfcal_ros.errors import ArgumentError
+    if not args.track:
+        given = [name for name in ('model', 'init', 'clicks', 'camera') if getattr(args, name)]
+        if given:
+            raise ArgumentError(f'--{given[0]} is for a tracked object; add --track, or leave it '
+                                'out.')
+        return
+    if args.object:
+        raise ArgumentError('--track and --object exclude each other: edges of a --model are '
+                            'followed, points of an --object are found.')
+    if not args.model:
+        raise ArgumentError('--track needs the wireframe of the object: --model object.cao.')
+    if args.image_size:
+        raise ArgumentError('--image-size is for tables of tracks; leave it out.')

@@ -28,7 +28,7 @@ from selfcal_ros.report.files import check_writable
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.wireframe import across_axes
 
-#: BGR, from a palette that colour-blind people can tell apart.
+#: bgr, from a palette that colour-blind people can tell apart.
 FOUND = (115, 158, 0)
 REJECTED = (0, 94, 213)
 MISSING = (0, 159, 230)
@@ -70,9 +70,9 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
 
     """
     drawn = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    thick = max(1, round(min(drawn.shape[:2]) / 320))
+    thick = max(1, round(min(drawn.shape[:2]) / 480))
     if tracked is not None:
-        _draw_points(drawn, tracked, thick)
+        _draw_points(drawn, tracked, thick, 0 if model is None else len(model.lines))
         if model is not None and camera is not None and tracked.state is not TrackerState.LOST \
                 and tracked.camera_model in ('perspective', 'zoom'):
             _draw_axes(drawn, tracked, model, camera, thick)
@@ -80,8 +80,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
     return drawn
 
 
-def _draw_points(drawn, tracked: TrackedFrame, thick: int) -> None:
-    """Draw the primitives through their control points, and the edgels."""
+def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
+    """Draw the primitives through their control points, and the edgels; lines up to their ends."""
     points = tracked.image_px
     if not len(points):
         return
@@ -93,6 +93,12 @@ def _draw_points(drawn, tracked: TrackedFrame, thick: int) -> None:
     worse = np.array([0, 2, 1, 3])[colour]
     worse = np.array([0, 2, 1, 3])[np.maximum(worse[1:], worse[:-1])]
     segments = np.stack([points[:-1], points[1:]], axis=1)
+    # control points lie in the middle of equal shares of a line
+    first = np.append(True, tracked.primitive[1:] != tracked.primitive[:-1])[:-1]
+    last = np.append(tracked.primitive[1:] != tracked.primitive[:-1], True)[1:]
+    step = 0.5 * (segments[:, 1] - segments[:, 0]) * (tracked.primitive[:-1] < lines)[:, None]
+    segments[first, 0] -= step[first]
+    segments[last, 1] += step[last]
     for kind, bgr in ((3, HIDDEN), (2, MISSING), (1, REJECTED), (0, FOUND)):
         chosen = segments[follows & (worse == kind)]
         if tracked.state is TrackerState.LOST:

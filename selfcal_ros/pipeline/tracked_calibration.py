@@ -1,0 +1,380 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Self-calibration from a tracked object: track, measure the edges, adjust, and measure again.
+
+The object is followed once with a supposed camera, and some images are kept. Edges are measured
+in them around the model at the poses of the last adjustment, ever closer, until the camera no
+longer changes; several focal lengths are tried, because a wrong one makes the tracker believe
+wrong edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.tracked_object import (adjust_to_edges, calibrate_from_edges,
+                                                    EdgeViews)
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.pipeline.feature_session import Reading
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.tracking_run import read_start
+from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
+from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.version import __version__
+
+#: Focal lengths to begin with, over the longer side of the image.
+FOCAL_SHARES = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
+#: Images on which they are tried.
+TRIAL_IMAGES = 4
+#: Focal lengths that are tried on the images kept, over the one that tracked them.
+FOCAL_FACTORS = (0.75, 0.85, 0.92, 1.0, 1.09, 1.18, 1.33)
+#: More views add time and little accuracy.
+MOST_VIEWS = 60
+#: Views that the focal lengths are compared on.
+TRIAL_VIEWS = 20
+#: Control points that are measured on each line and each circle of a view.
+LINE_POINTS, CONIC_POINTS = 16, 24
+#: How far from its edge an edgel is looked for, pixels, in each round; the last is repeated.
+REACH_PX = (6, 5, 4, 3)
+#: Rounds at most; they end when the focal length has changed by less than this share.
+ROUNDS, SETTLED = 8, 5e-4
+#: Edges nearer than this to the border are not measured, pixels.
+BORDER_PX = 6
+#: Weakest edge that is measured, grey levels, and candidates on each normal.
+CONTRAST, CANDIDATES = 5.0, 3
+
+
+@dataclass(frozen=True)
+class _View:
+    """One image that is kept."""
+
+    index: int
+    image: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Passage:
+    """What the tracker has given."""
+
+    views: list
+    images: int
+    tracked: int
+    reason: str
+
+
+def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | None, clicks=None,
+                             start: Camera | None = None, topic: str | None = None,
+                             max_keyframes: int | None = None, seed: int = 0,
+                             progress: Callable | None = None,
+                             ) -> tuple[Calibration | NotCalibrated, Reading]:
+    """
+    Calibrate a camera from a recording in which an object of known shape can be followed.
+
+    Parameters
+    ----------
+    path : str or Path
+        Anything that `open_source` knows and that holds images.
+    model : WireframeModel
+    facts : CameraFacts
+    init, clicks
+        Where the object is in the first image; see `read_start`. Clicks need no camera.
+    start : Camera, optional
+        What to begin with; by default focal lengths are tried.
+    topic : str, optional
+        Image topic of a bag.
+    max_keyframes : int, optional
+        Views to use at most.
+    seed : int
+    progress : callable, optional
+        Called as progress(text, done, total).
+
+    Returns
+    -------
+    result : Calibration or NotCalibrated
+    reading : Reading
+        The edgels as tracks, one a control point.
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If an input is wrong.
+
+    """
+    most = MOST_VIEWS if max_keyframes is None else max_keyframes
+    with open_source(path, topic) as source:
+        if source.kind == 'tracks':
+            raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
+        size = source.image_size
+        if start is not None and start.width and (start.width, start.height) != size:
+            raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
+                             f'is for {start.width}x{start.height} pixels.')
+        camera, pose = _begin(source, model, facts, init, clicks, start, seed)
+        passage = _follow(source, model, camera, pose, most, seed, progress)
+        if len(passage.views) < 2:
+            return NotCalibrated(
+                f'The object could not be followed: {passage.reason}'.rstrip('.') + '.',
+                'Check the start pose with `selfcal track --overlay`, and that the object is '
+                'seen sharply.', 'known-object', facts=facts,
+                software=f'selfcal_ros {__version__}'), _reading(source, passage, None)
+        fine = VisibleModel(model, LINE_POINTS, CONIC_POINTS)
+        camera, views = _best_focal(fine, camera, passage.views, facts)
+        result, edges = _rounds(fine, camera, views, facts, progress)
+        return result, _reading(source, passage, edges)
+
+
+def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
+    """Return the camera and the poses that explain the images best, of several focal lengths."""
+    few = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, TRIAL_VIEWS).astype(int))]
+    # the rest is held: a wrong edge must not bend it
+    held = CameraFacts(aspect_ratio=camera.K[1, 1] / camera.K[0, 0], skew=camera.K[0, 1],
+                       principal_point=tuple(camera.K[:2, 2]), distortion='none')
+    best, least = (camera, views), np.inf
+    for factor in FOCAL_FACTORS:
+        trial, moved = _refocused(fine.model, camera, few, factor)
+        for reach in REACH_PX[:2]:
+            edges = _edges(fine, trial, moved, reach)
+            adjusted = None if edges is None else adjust_to_edges(edges, trial, held)
+            if adjusted is None:
+                break
+            trial, poses = adjusted
+            moved = _posed(moved, edges, poses)
+        score = _misfit(fine, trial, moved)
+        if score < least:
+            best, least = (_refocused(fine.model, camera, views,
+                                      trial.K[0, 0] / camera.K[0, 0])), score
+    return best
+
+
+def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
+    """Measure and adjust in turn; returns the result and the edgels that it rests on."""
+    result, edges = None, None
+    for number in range(ROUNDS):
+        if progress:
+            progress('Measuring edges', number, ROUNDS)
+        found = _edges(fine, camera, views, REACH_PX[min(number, len(REACH_PX) - 1)])
+        if found is None:
+            break
+        edges = found
+        # only the last round needs a covariance, but nobody knows which will be the last
+        result = calibrate_from_edges(edges, camera, facts=facts)
+        if not result:
+            adjusted = adjust_to_edges(edges, camera, facts)
+            if adjusted is None:
+                break
+            before, (camera, poses) = camera, adjusted
+        else:
+            before, camera = camera, result.camera
+            poses = dict(zip(result.reconstruction.frames.tolist(),
+                             result.reconstruction.cam_from_world))
+        views = _posed(views, edges, poses)
+        settled = abs(camera.K[0, 0] / before.K[0, 0] - 1) < SETTLED
+        if number >= len(REACH_PX) and settled:
+            break
+    if result is None:
+        result = NotCalibrated('The edges of the object could not be measured.',
+                               'Show it larger and sharper.', 'known-object', facts=facts,
+                               software=f'selfcal_ros {__version__}')
+    return result, edges
+
+
+def _refocused(model, camera: Camera, views: list, factor: float):
+    """Return camera and views at another focal length: the object looks alike, but for depth."""
+    moved = []
+    for view in views:
+        depth = float(view.rotation[2] @ model.centre + view.translation[2])
+        moved.append(replace(view, translation=view.translation
+                             + [0.0, 0.0, (factor - 1) * depth]))
+    return _with_focal(camera, factor * camera.K[0, 0]), moved
+
+
+def _posed(views: list, edges: EdgeViews, poses) -> list:
+    """Return the views at adjusted poses, by frame; those that were left out keep theirs."""
+    return [view if view.index not in poses else replace(
+        view, rotation=poses[view.index][:, :3], translation=poses[view.index][:, 3])
+        for view in views]
+
+
+def _begin(source, model, facts, init, clicks, start, seed):
+    """Return the camera and the pose to begin with."""
+    if not init:
+        raise ArgumentError('--track needs to know where the object is in the first image: '
+                            '--init "tx ty tz rx ry rz", or --init FILE.init with --clicks.')
+    if start is not None:
+        return start, read_start(init, clicks, start)
+    frames = []
+    for frame in source:
+        frames.append(frame)
+        if len(frames) == TRIAL_IMAGES:
+            break
+    best, least, problem = None, np.inf, None
+    for share in FOCAL_SHARES:
+        camera = _guess(source.image_size, share, facts)
+        try:
+            pose = read_start(init, clicks, camera)
+            score = _trial(frames, model, camera, pose, seed)
+        except InputError as error:
+            problem = error
+            continue
+        if score < least:
+            best, least = (camera, pose), score
+    if best is None:
+        raise InputError(str(problem) + ' Or state the camera to begin with (--camera).')
+    return best
+
+
+def _guess(size, share: float, facts: CameraFacts) -> Camera:
+    """Return a camera from facts and a focal length over the longer side."""
+    f = share * max(size)
+    aspect = 1.0 if facts.aspect_ratio is None else facts.aspect_ratio
+    cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    return Camera([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]], (), *size)
+
+
+def _trial(frames, model, camera, pose, seed) -> float:
+    """Return how badly a camera follows the first images; the less, the better."""
+    session = TrackingSession(model, TrackerOptions(camera_model='zoom', recovery=False), camera,
+                              seed)
+    session.start(*pose)
+    score = 0.0
+    for frame in frames:
+        tracked = session.add(frame.image)
+        rms = tracked.rms_px if np.isfinite(tracked.rms_px) else 10.0
+        score = 10 * (1 - tracked.share_found) + rms
+    return score
+
+
+def _with_focal(camera: Camera, focal_px: float) -> Camera:
+    K = camera.K.copy()
+    K[:2, :2] *= focal_px / K[0, 0]
+    return Camera(K, camera.distortion, camera.width, camera.height)
+
+
+def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
+    """Follow the object through all images, and keep some of them."""
+    session = TrackingSession(model, TrackerOptions(), camera, seed)
+    session.start(*pose)
+    step = max(1, (source.count or 2 * most) // (2 * most))
+    views, images, good, reason = [], 0, 0, 'no image could be used'
+    timed = source.clock != 'nominal'
+    for frame in source:
+        try:
+            tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+        except InputError as error:
+            reason = str(error)
+            continue
+        images += 1
+        if progress:
+            progress('Tracking', images, source.count)
+        if tracked.state is not TrackerState.TRACKING:
+            reason = tracked.reason or reason
+            continue
+        if good % step == 0:
+            views.append(_View(frame.index, frame.image, tracked.rotation, tracked.translation))
+        good += 1
+        if len(views) > 4 * most:
+            # a source that does not tell its length: every second will do from here on
+            views, step = views[::2], 2 * step
+    if len(views) > most:
+        views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
+    return _Passage(views, images, good, reason)
+
+
+def _edges(fine: VisibleModel, camera: Camera, views: list, reach: int) -> EdgeViews | None:
+    """Measure the edges of all views around the model; None where there are none."""
+    measured = [(view, found) for view in views
+                if (found := _measure(fine, camera, view, reach)) is not None]
+    if len(measured) < 2:
+        return None
+    frames = np.concatenate([np.full(len(found[0]), view.index) for view, found in measured])
+    columns = [np.concatenate([found[k] for _, found in measured]) for k in range(5)]
+    poses = [np.column_stack([view.rotation, view.translation]) for view, _ in measured]
+    return EdgeViews(frames, *columns, np.array(poses), (camera.width, camera.height))
+
+
+def _measure(fine: VisibleModel, camera: Camera, view: _View, reach: int):
+    """Look for the edges of one image; returns the columns of `EdgeViews`, or None."""
+    laid = _lay_out(fine, camera, view)
+    if laid is None:
+        return None
+    points, index, pixels, normal = laid
+    edgels = find_edgels(sample_normals(view.image, pixels, normal, reach), CANDIDATES, CONTRAST)
+    # the nearest, not the strongest: the poses are those of the last adjustment
+    distance = np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), np.inf)
+    nearest = np.argmin(distance, axis=1)
+    offset = edgels.offset[np.arange(len(pixels)), nearest]
+    found = np.isfinite(offset) & (np.abs(offset) <= reach)
+    if not found.any():
+        return None
+    index = index[found]
+    return (points.ids[index], points.primitive[index], points.object_points[index],
+            points.tangents[index], pixels[found] + normal[found] * offset[found, None])
+
+
+def _lay_out(fine: VisibleModel, camera: Camera, view: _View):
+    """Project the control points: them, which are usable, pixels and normals (or None)."""
+    points = fine.control_points(view.rotation, view.translation)
+    round_ones = np.array([kind == 'silhouette' for kind in points.kind])
+    # where a silhouette lies on the object depends on the pose
+    index = np.flatnonzero(points.visible & ~round_ones[points.primitive])
+    X = points.object_points[index] @ view.rotation.T + view.translation
+    index, X = index[X[:, 2] > 1e-6], X[X[:, 2] > 1e-6]
+    if not len(index):
+        return None
+    along = points.tangents[index] @ view.rotation.T
+    pixels = camera.project(X)
+    run = camera.project(X + 1e-4 * X[:, 2:] * along) - pixels
+    run /= np.maximum(np.linalg.norm(run, axis=1, keepdims=True), 1e-12)
+    size = np.array([camera.width, camera.height])
+    inside = ((pixels > BORDER_PX) & (pixels < size - 1 - BORDER_PX)).all(axis=1)
+    if not inside.any():
+        return None
+    normal = np.column_stack([-run[:, 1], run[:, 0]])
+    return points, index[inside], pixels[inside], normal[inside]
+
+
+def _misfit(fine: VisibleModel, camera: Camera, views: list) -> float:
+    """Mean square distance of the edges from the model, none counting more than 3 px."""
+    total, count = 0.0, 0
+    for view in views:
+        laid = _lay_out(fine, camera, view)
+        if laid is None:
+            continue
+        edgels = find_edgels(sample_normals(view.image, laid[2], laid[3], 4), CANDIDATES, CONTRAST)
+        distance = np.nanmin(np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), 3.0),
+                             axis=1)
+        total += float(np.sum(np.minimum(distance, 3.0)**2))
+        count += len(distance)
+    return total / count if count else np.inf
+
+
+def _reading(source, passage: _Passage, edges: EdgeViews | None) -> Reading:
+    """Return the edgels as tracks, one a control point, for the report."""
+    notes = (f'The object was followed in {passage.tracked} of {passage.images} images; its edges '
+             f'were measured in {len(passage.views)} of them.',)
+    if edges is None:
+        nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
+        return Reading(nothing, source.description, notes)
+    return Reading(Tracks(edges.frame, edges.point, edges.xy, edges.image_size),
+                   source.description, notes)
