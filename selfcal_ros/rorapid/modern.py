@@ -31,10 +31,13 @@ _EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.3, 0.3
 _AGREE_PX = 2.5
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
 _CERTAIN = 10
+#: With so many edges found the texture may be wrong.
+_EDGES_DO = 0.65
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
-#: Levels of the pyramid on which corners are followed: at first, and if that fails.
-_LEVELS = (1, 3)
+#: Levels of the pyramid on which corners are followed, and whether in the image at half scale
+#: (which a blurred image asks for): at first, and if that fails.
+_ATTEMPTS = ((1, False), (3, False), (2, True))
 #: So many corners must agree before they lead the edges.
 _LEAST_TEXTURE = 5
 #: After a sudden motion the object is sought so far around, pixels.
@@ -158,18 +161,20 @@ class ModernCycle:
         First from close by, where what is before the object disturbs least; then from further.
         """
         best = predicted, None, np.zeros(0, bool)
-        for levels in _LEVELS:
-            matches = self.texture.follow(region, predicted, levels)
+        for levels, reduced in _ATTEMPTS:
+            matches = self.texture.follow(region.halved() if reduced else region, predicted,
+                                          levels)
             if matches is None:
                 break
-            state, agree = self._agreement(matches, predicted, prior)
-            if best[1] is None or agree.sum() > best[2].sum():
+            near = _AGREE_PX * (1.5 if reduced else 1.0)
+            state, agree = self._agreement(matches, predicted, prior, near)
+            if best[1] is None or agree @ matches.score > best[2] @ best[1].score:
                 best = state, matches, agree
             if agree.mean() > 0.4:
                 break
         return best
 
-    def _agreement(self, matches, predicted, prior):
+    def _agreement(self, matches, predicted, prior, near_px):
         """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
         good = np.flatnonzero(matches.followed)
         agree = np.zeros(len(matches.followed), bool)
@@ -177,7 +182,8 @@ class ModernCycle:
             return predicted, agree
         points, pixels = matches.object_points[good], matches.pixels[good]
         rows, residual = self._corner_rows(predicted, points, pixels)
-        best = self._sample(rows, residual, prior)
+        score = matches.score[good]
+        best = self._sample(rows, residual, prior, score)
         if best is None:
             return predicted, agree
         state, m = predicted, self.basis.shape[1]
@@ -187,7 +193,7 @@ class ModernCycle:
             rows, residual = self._corner_rows(state, points, pixels)
             distance = np.sqrt((residual**2).sum(axis=0))
             sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
-            w = tukey_weight(distance, min(_TUKEY * sigma, 6.0))
+            w = tukey_weight(distance, min(_TUKEY * sigma, 6.0)) * score
             both = rows.reshape(-1, m)
             wide = np.concatenate([w, w])
             H = (both * wide[:, None]).T @ both / sigma**2
@@ -196,7 +202,7 @@ class ModernCycle:
             q = np.linalg.solve(H + prior, g - prior @ back)
             state = self.projection.moved(state, self.basis @ q)
         _, residual = self._corner_rows(state, points, pixels)
-        near = (residual**2).sum(axis=0) < _AGREE_PX**2
+        near = (residual**2).sum(axis=0) < near_px**2
         if near.sum() < _LEAST_TEXTURE:
             return predicted, agree
         agree[good[near]] = True
@@ -212,7 +218,7 @@ class ModernCycle:
                          self.projection.rows(state, seen, y_way) @ self.basis])
         return rows, (pixels - seen.pixels).T
 
-    def _sample(self, rows, residual, prior, samples=48):
+    def _sample(self, rows, residual, prior, weight, samples=48):
         """Correction (m,) with most agreement out of many from three corners each."""
         n, m = rows.shape[1], rows.shape[2]
         pick = self.rng.integers(0, n, (samples, 3))
@@ -223,9 +229,9 @@ class ModernCycle:
         q = np.concatenate([q, np.zeros((1, m))])
         error = residual.ravel()[:, None] - rows.reshape(-1, m) @ q.T
         square = error[:n]**2 + error[n:]**2
-        score = np.maximum(1 - square / 16.0, 0.0).sum(axis=0)
+        score = weight @ np.maximum(1 - square / 16.0, 0.0)
         best = int(score.argmax())
-        return q[best] if score[best] > 3 else None
+        return q[best] if score[best] > 0.5 else None
 
     def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, first):
         """Search the edges and solve for the state, corners included."""
@@ -286,6 +292,7 @@ class ModernCycle:
         distance = np.sqrt((residual**2).sum(axis=0))
         sigma = robust_sigma(distance / 1.5, _TEXTURE_SIGMA_PX)
         w = tukey_weight(distance, _TUKEY * max(sigma, 0.5)) / sigma**2
+        w *= np.minimum(2 * matches.score[agree], 1.0)
         both = rows.reshape(-1, rows.shape[2])
         wide = np.concatenate([w, w])
         return (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())
@@ -322,7 +329,7 @@ class ModernCycle:
         count, followed = int(agree.sum()), int(matches.followed.sum())
         if count < _LEAST_TEXTURE or count < 0.4 * followed:
             # edges alone, where the texture says no
-            return 0.4 * float(edges), False
+            return (0.75 if edges > _EDGES_DO else 0.4) * float(edges), False
         share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
                     self.options.lost_share)
         if count < _CERTAIN and edges < 0.3:
@@ -338,7 +345,7 @@ class ModernCycle:
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)
-            if measured.certain:
+            if measured.certain or found[at].mean() > _EDGES_DO:
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)

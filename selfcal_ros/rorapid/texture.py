@@ -40,7 +40,9 @@ _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
 _LEAST_CORRELATION = 0.6
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
-_LEAST_SCORE, _DOUBTS = 0.15, 12
+_LEAST_SCORE, _DOUBTS = 0.12, 12
+#: Score of a new corner beside a face that was seen often enough.
+_UNPROVEN, _PROVEN = 0.2, 8
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
     -1, 2).astype(np.float32)
 
@@ -77,6 +79,8 @@ class TextureMatches:
     followed : ndarray of bool, shape (N,)
     face, corner : ndarray of int, shape (N,)
         Which corner of which face.
+    score : ndarray, shape (N,)
+        How far each corner has proved itself, 0 to 1.
 
     """
 
@@ -85,6 +89,7 @@ class TextureMatches:
     followed: np.ndarray
     face: np.ndarray
     corner: np.ndarray
+    score: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,13 @@ class Region:
     image: np.ndarray
     corner: np.ndarray
     scale: float
+
+    def halved(self) -> Region:
+        """Return the same part at half the scale."""
+        rows, columns = (side // 2 for side in self.image.shape)
+        part = cv2.resize(self.image[:2 * rows, :2 * columns], (columns, rows),
+                          interpolation=cv2.INTER_AREA)
+        return Region(part, self.corner + 0.5 / self.scale, 0.5 * self.scale)
 
     def inside(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels of the image to pixels of the region."""
@@ -261,7 +273,7 @@ class TextureMemory:
         found[~good] = 0
         good &= _correlation(drawing, und, region.image, found) > _LEAST_CORRELATION
         return TextureMatches(points, region.outside(found.astype(float)), good,
-                              owner[:, 0], owner[:, 1])
+                              owner[:, 0], owner[:, 1], self._scores(owner))
 
     def _draw(self, faces, state, region):
         """Draw faces; return the drawing and their corners: object frame, pixels, which."""
@@ -291,6 +303,14 @@ class TextureMemory:
             pixels.append(at[:, :2] / at[:, 2:])
             owner.append(np.column_stack([np.full(len(good), k), good]))
         return drawing, np.concatenate(points), np.concatenate(pixels), np.concatenate(owner)
+
+    def _scores(self, owner):
+        """Scores of corners (face, corner)."""
+        scores = np.empty(len(owner))
+        for k in np.unique(owner[:, 0]):
+            here = owner[:, 0] == k
+            scores[here] = self._faces[k].score[owner[here, 1]]
+        return scores
 
     def judge(self, matches: TextureMatches, agree: np.ndarray) -> None:
         """Remember which corners agreed with a pose that is certain."""
@@ -380,7 +400,10 @@ class TextureMemory:
                                           mask=face.mask, blockSize=5)
         face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
         face.points = face.origin + face.texels @ face.axes.T
-        face.score = np.full(len(face.texels), 0.5)
+        # what is learned while other faces are known must prove itself: it may be something
+        # that happens to be before the object
+        others = any(f is not face and f.seen > _PROVEN for f in self._faces)
+        face.score = np.full(len(face.texels), _UNPROVEN if others else 0.5)
         face.doubt = np.zeros(face.picture.shape, np.uint8)
 
 
