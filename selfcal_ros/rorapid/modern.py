@@ -162,13 +162,16 @@ class ModernCycle:
         """
         best = predicted, None, np.zeros(0, bool)
         for levels, reduced in _ATTEMPTS:
+            if reduced and best[1].followed.mean() < 0.5:
+                break                 # not blurred but hidden
             matches = self.texture.follow(region.halved() if reduced else region, predicted,
                                           levels)
             if matches is None:
                 break
             near = _AGREE_PX * (1.5 if reduced else 1.0)
             state, agree = self._agreement(matches, predicted, prior, near)
-            if best[1] is None or agree @ matches.score > best[2] @ best[1].score:
+            gain = 1.5 if reduced else 1.0
+            if best[1] is None or agree @ matches.score > gain * (best[2] @ best[1].score):
                 best = state, matches, agree
             if agree.mean() > 0.4:
                 break
