@@ -29,10 +29,16 @@ from msg_adapters.image import compressed_image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
 
+import numpy as np
+
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
-from selfcal_ros.synthetic import recordings
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.report.files import atomic_write
+from selfcal_ros.rorapid.model import write_model
+from selfcal_ros.synthetic import objects, recordings
 
 TOPIC = '/camera/image_raw/compressed'
 FRAME_ID = 'camera_optical_frame'
@@ -50,13 +56,25 @@ def arm_move() -> recordings.Recording:
     return recordings.arm_move(24, distortion=recordings.REALISTIC_DISTORTION, rate_hz=2.0)
 
 
+def tracked_object() -> recordings.Recording:
+    """Turn and move a step block before a camera that stands still: 75 images at 15 Hz."""
+    return objects.tracked_object(75, 'step_block', size=(480, 360), rate_hz=15.0,
+                                  distortion=recordings.REALISTIC_DISTORTION)
+
+
 #: Name of the bag's folder to what makes it.
-RECIPES = {'agv_drive': agv_drive, 'arm_move': arm_move}
+RECIPES = {'agv_drive': agv_drive, 'arm_move': arm_move, 'tracked_object': tracked_object}
+#: Where it is not JPEG_QUALITY.
+QUALITIES = {'tracked_object': 70}
+#: How far the start pose of a tracker is from the truth: radians, and share of the distance.
+START_ANGLE_RAD, START_SHARE = 0.04, 0.01
 
 
 def write(name: str, output) -> Path:
     """
     Write the bag ``<output>/<name>`` and ``<output>/<name>.truth.json``, replacing both.
+
+    Of an object that is to be tracked, also its model, the camera and a rough start pose.
 
     Parameters
     ----------
@@ -81,13 +99,30 @@ def write(name: str, output) -> Path:
             connection = writer.add_connection(TOPIC, _KIND, typestore=store)
             for image, stamp_ns in recording.frames():
                 header = header_message(stamp_ns, FRAME_ID, types)
-                message = compressed_image_message(image, header, types, 'jpeg', JPEG_QUALITY)
+                message = compressed_image_message(image, header, types, 'jpeg',
+                                                   QUALITIES.get(name, JPEG_QUALITY))
                 writer.write(connection, stamp_ns, store.serialize_cdr(message, _KIND))
         if (output / name).exists():
             shutil.rmtree(output / name)
         os.replace(bag, output / name)
     recordings.write_truth(recording, output / f'{name}.truth.json')
+    if getattr(recording, 'model', None) is not None:
+        _write_object(recording, output / name)
     return output / name
+
+
+def _write_object(recording, bag: Path) -> None:
+    """Write what a tracker needs beside a bag: model, camera and start pose."""
+    write_model(recording.model, bag.with_name(bag.name + '.model.yaml'))
+    write_camera_yaml(bag.with_name(bag.name + '.camera.yaml'), recording.camera, bag.name,
+                      ['the true camera of the recording'])
+    distance = np.linalg.norm(recording.translations[0])
+    R, t = objects.perturbed(recording.rotations[0], recording.translations[0],
+                             np.random.default_rng(0), START_ANGLE_RAD, START_SHARE * distance)
+    numbers = ' '.join(f'{value:.6f}' for value in (*t, *rotation_vector(R)))
+    atomic_write(bag.with_name(bag.name + '.pos'),
+                 '# tx ty tz rx ry rz, object in the optical frame, as a person would guess it\n'
+                 f'{numbers}\n')
 
 
 def main(arguments=None) -> None:
