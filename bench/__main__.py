@@ -38,6 +38,7 @@ BENCHES = {
     'affine_tables': 'thesis tables 4.1 and 4.2, rotations that leave parameters open',
     'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
     'speed': 'time of the estimate, of the command, and their growth',
+    'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
 }
 

@@ -30,6 +30,7 @@ from selfcal_ros import Calibration, Camera, CameraFacts, Tracks
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.geometry.triangulation import triangulate
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, SessionSettings
+from selfcal_ros.pipeline.monitoring import Monitoring
 from selfcal_ros.synthetic.recordings import agv_drive
 
 #: Images of the rendered drive; about every third becomes a keyframe.
@@ -182,3 +183,52 @@ def recalibrated(drive: MeasuredDrive, rng: np.random.Generator) -> Calibration:
     error = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(9))
     return replace(drive.calibration, camera=Camera.from_parameters(
         drive.camera.parameters + error, drive.camera.width, drive.camera.height))
+
+
+def end_to_end(focal: float, shift, images: int = 160, changed_at: int = 70):
+    """
+    From images to the alarm, as in the node, with a camera that changes on the way.
+
+    Parameters
+    ----------
+    focal : float
+        Factor of the focal length.
+    shift : (float, float)
+        Of the principal point, pixels.
+    images, changed_at : int
+        Of the rendered drive; the first that the changed camera takes.
+
+    Returns
+    -------
+    delay : int
+        Keyframes from the change to the alarm.
+    left : int
+        Keyframes after the change.
+    change : str
+        What the monitor says at the end; empty without an alarm.
+
+    """
+    before = agv_drive(images)
+    after = replace(before, camera=displaced(before.camera, focal, shift))
+    size = before.camera.width, before.camera.height
+    tracker, renderers = KltTracker(most=400), [before.renderer(), after.renderer()]
+    settings = SessionSettings(motion='planar', facts=FACTS, max_keyframes=400)
+    session, change, delay, after_count = CalibrationSession(settings), None, 0, 0
+    for index in range(images):
+        late = index >= changed_at
+        image = (after if late else before).frame(index, renderers[late])
+        session.add_tracks(int(before.stamps_ns[index]), *tracker.add(image), size)
+        if index == changed_at - 1:
+            request = session.request()
+            monitoring = Monitoring()
+            monitoring.watch(request.run(), request.tracks)
+            monitoring.work_off()
+            known = session.keyframes[-1].index
+        elif late and session.keyframes[-1].index > known:
+            known = session.keyframes[-1].index
+            after_count += 1
+            monitoring.add_keyframe(session.keyframes[-1], size)
+            monitoring.work_off()
+            if change is None and monitoring.change is not None:
+                change, delay = monitoring.change, after_count
+    return delay, after_count, str(monitoring.change) if change else ''

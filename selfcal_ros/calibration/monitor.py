@@ -76,6 +76,8 @@ class ChangeMonitor:
     calibration : Calibration
     free : ndarray of int, shape (k,)
         Indices into `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+    in_force : ndarray, shape (k,)
+        These parameters of the camera in force.
     camera : Camera
         That the next window is to be scored against: the one in force, or after an alarm the one
         that there seems to be, since a score is exact to first order only.
@@ -94,7 +96,7 @@ class ChangeMonitor:
         fx, fy, *rest = self.camera.parameters
         covariance = _intrinsic_covariance(calibration)
         self.free = np.flatnonzero((np.diag(covariance) > 0) | np.isin(np.arange(9), CHANGES))
-        self._in_force = np.array([fx, fy / fx, *rest])[self.free]
+        self.in_force = np.array([fx, fy / fx, *rest])[self.free]
         self._changes = np.searchsorted(self.free, CHANGES)
         size = np.hypot(self.camera.width, self.camera.height)
         focal = self.camera.K[0, 0]
@@ -145,7 +147,7 @@ class ChangeMonitor:
 
         """
         self.windows += 1
-        step = score.at + score.step - self._in_force
+        step = score.at + score.step - self.in_force
         information = score.information / self._scatter.inflation(score.dependence)
         # every scene has its own small error, however much it tells
         own = np.diag(self._along(self._tolerance
@@ -215,7 +217,7 @@ class ChangeMonitor:
             before[best:best + 1], (after_shift[-1] - after_shift[best])[None],
             after[best - 1:best], after_shift[best - 1:best])
         self.change = CameraChange(
-            change[0], covariance[0], float(self._in_force[0]), blocks[-1 - best].first_frame,
+            change[0], covariance[0], float(self.in_force[0]), blocks[-1 - best].first_frame,
             blocks[-1].last_frame, self.statistic, self.threshold)
         self.camera = self._changed(change[0])
 
@@ -244,7 +246,7 @@ class ChangeMonitor:
         """Learn from a window how large the errors of windows are."""
         spread = (_inverse(score.information) * self._scatter.inflation(score.dependence)
                   + prior)[np.ix_(self._changes, self._changes)]
-        step = (score.at + score.step - self._in_force)[self._changes]
+        step = (score.at + score.step - self.in_force)[self._changes]
         self._scatter.remember(score.dependence, step, spread)
         self._tolerance = self._scatter.tolerance()
 

@@ -1,0 +1,203 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Keyframes in, a verdict on the calibration in force out; what the calibrator node drives."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.camera_change import CameraChange, MonitorSettings
+from selfcal_ros.calibration.monitor import ChangeMonitor
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.window_score import window_score, WindowScore
+from selfcal_ros.features.selection import drop_static
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.calibration_session import Keyframe
+
+#: Windows that wait for their turn; where the machine is slower than the camera, the rest go.
+MOST_WAITING = 40
+
+
+@dataclass(frozen=True)
+class ScoreRequest:
+    """A window to score, independent of what the monitoring does meanwhile."""
+
+    tracks: Tracks
+    camera: Camera
+    free: np.ndarray
+    generation: int
+    reference: bool
+
+    def run(self) -> WindowScore | str:
+        """Score it; takes tenths of a second, for a worker thread."""
+        tracks, _ = drop_static(self.tracks)
+        return window_score(tracks, self.camera, self.free, np.random.default_rng(0))
+
+
+@dataclass(frozen=True)
+class MonitoringSnapshot:
+    """
+    State of the monitoring, for diagnostics.
+
+    Attributes
+    ----------
+    windows, skipped : int
+        Windows that were judged, and that said nothing.
+    why_skipped : str
+        Of the last such window.
+    statistic, threshold : float
+        Of the newest test; 0 before the first.
+    change : CameraChange or None
+
+    """
+
+    windows: int = 0
+    skipped: int = 0
+    why_skipped: str = ''
+    statistic: float = 0.0
+    threshold: float = 0.0
+    change: CameraChange | None = None
+
+
+class Monitoring:
+    """
+    Gathers keyframes to windows, and holds the verdict of a `ChangeMonitor` on them.
+
+    It does no work of its own: `next_request` hands out what is to be computed, in whatever
+    thread the caller likes, and `accept` takes the result. Windows that were asked for under
+    another calibration are dropped.
+
+    Parameters
+    ----------
+    settings : MonitorSettings, optional
+
+    """
+
+    def __init__(self, settings: MonitorSettings = MonitorSettings()):
+        self.settings = settings
+        self._generation = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Watch nothing."""
+        self._generation += 1
+        self._monitor: ChangeMonitor | None = None
+        self._keyframes: list[Keyframe] = []
+        self._waiting: deque[tuple[Tracks, bool]] = deque()
+        self._skipped, self._why = 0, ''
+
+    def watch(self, calibration: Calibration, tracks: Tracks) -> None:
+        """
+        Watch a calibration from here on.
+
+        Parameters
+        ----------
+        calibration : Calibration
+        tracks : Tracks
+            That it was made from: they tell how well windows agree with it.
+
+        """
+        self.forget()
+        self._monitor = ChangeMonitor(calibration, self.settings)
+        frames = [frame for frame in tracks.frames if frame in set(calibration.frames)]
+        count = self.settings.keyframes
+        for first in range(0, len(frames) - count + 1, count // 2):
+            self._waiting.append((tracks.in_frames(frames[first:first + count]), True))
+
+    @property
+    def change(self) -> CameraChange | None:
+        """The alarm, if there is one."""
+        return self._monitor.change if self._monitor else None
+
+    def add_keyframe(self, keyframe: Keyframe, image_size: tuple[int, int]) -> None:
+        """
+        Take a keyframe, unless it is the newest one; after every so many a window is ready.
+
+        Parameters
+        ----------
+        keyframe : Keyframe
+        image_size : (int, int)
+            Width and height, pixels.
+
+        """
+        frames = self._keyframes
+        if self._monitor is None or (frames and frames[-1].index >= keyframe.index):
+            return
+        frames.append(keyframe)
+        if len(frames) < self.settings.keyframes:
+            return
+        tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
+                        np.concatenate([f.ids for f in frames]),
+                        np.concatenate([f.xy for f in frames]), image_size)
+        self._keyframes = frames[-1:]
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append((tracks, False))
+        else:
+            self._skip('the machine does not keep up')
+
+    def next_request(self) -> ScoreRequest | None:
+        """Return the next window to score; None if there is none."""
+        if not self._waiting:
+            return None
+        tracks, reference = self._waiting.popleft()
+        return ScoreRequest(tracks, self._monitor.camera, self._monitor.free, self._generation,
+                            reference)
+
+    def accept(self, request: ScoreRequest, score) -> CameraChange | None:
+        """
+        Take the result of a request.
+
+        Parameters
+        ----------
+        request : ScoreRequest
+        score : WindowScore or object
+            Anything else is the reason why there is no score.
+
+        Returns
+        -------
+        CameraChange or None
+            The alarm, if it is new.
+
+        """
+        if request.generation != self._generation:
+            return None
+        if not isinstance(score, WindowScore):
+            self._skip(str(score))
+            return None
+        if request.reference:
+            self._monitor.learn(score)
+            return None
+        known = self._monitor.change
+        change = self._monitor.add(score)
+        return change if known is None else None
+
+    def work_off(self) -> None:
+        """Compute all that waits, here and now."""
+        while (request := self.next_request()) is not None:
+            self.accept(request, request.run())
+
+    def snapshot(self) -> MonitoringSnapshot:
+        """Return the state for diagnostics."""
+        if self._monitor is None:
+            return MonitoringSnapshot()
+        return MonitoringSnapshot(self._monitor.windows, self._skipped, self._why,
+                                  self._monitor.statistic, self._monitor.threshold, self.change)
+
+    def _skip(self, why: str) -> None:
+        self._skipped += 1
+        self._why = why
