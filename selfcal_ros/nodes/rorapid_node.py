@@ -32,8 +32,10 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameters import declare, RorapidTrackerParameters
-from selfcal_ros.nodes.quality_of_service import IMAGES_IN, LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import (IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE,
+                                                  STEADY)
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.tracker_node import TRANSPORTS
 from selfcal_ros.nodes.tracking_status import tracking_status
@@ -77,7 +79,7 @@ class RorapidNode(Node):
         self._info_key = self._newest = self._state = None
         self._info_problem = ''
         self._pose = self.create_publisher(PoseWithCovarianceStamped, 'pose', PER_IMAGE)
-        self._overlay = self.create_publisher(Image, 'overlay', PER_IMAGE)
+        self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
         self._markers = self.create_publisher(MarkerArray, '~/markers', PER_IMAGE)
         self._states = self.create_publisher(String, '~/state', LATCHED)
         self._camera_info = (self.create_publisher(CameraInfo, '~/camera_info', PER_IMAGE)
@@ -87,8 +89,9 @@ class RorapidNode(Node):
         self._ready = self.create_guard_condition(self._publish)
         self._worker = TrackingWorker(session, self._ready.trigger)
         wanted = TRANSPORTS if self._transport == 'auto' else {self._transport}
+        topics = {'raw': 'image', 'compressed': compressed_topic(self)}
         self._inputs = {name: self.create_subscription(
-            TRANSPORTS[name][1], TRANSPORTS[name][0],
+            TRANSPORTS[name], topics[name],
             lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
             for name in sorted(wanted, reverse=True)}

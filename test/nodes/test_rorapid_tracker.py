@@ -1,0 +1,257 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""rorapid_tracker: poses with the stamps of the images; bad input is told, and it goes on."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from msg_adapters.camera_info import camera_info_message
+from msg_adapters.image import image_message
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.poses import pose_covariance, pose_matrix, pose_with_covariance_message
+from msg_adapters.stamps import header_message, stamp_ns
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.nodes.interfaces import INTERFACES
+from selfcal_ros.nodes.quality_of_service import LATCHED
+from selfcal_ros.nodes.rorapid_node import RorapidNode
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.rorapid.model import write_model
+from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+VIEWS = 12
+FRAME = 'left_optical_frame'
+OFFSET_NS = 10 ** 9
+
+
+@pytest.fixture(scope='module')
+def recording():
+    """Render a few images of a cube, once."""
+    made = tracked_object(VIEWS, 'cube', size=(320, 240), rate_hz=30.0)
+    return made, [image for image, _ in made.frames()]
+
+
+@pytest.fixture
+def model(recording, tmp_path):
+    return write_model(recording[0].model, tmp_path / 'cube.yaml')
+
+
+class Station:
+    """Feeds a node with images and what else it takes, and hears what it says."""
+
+    def __init__(self, graph, recording):
+        self.graph, (self.recording, self.images) = graph, recording
+        self.types = rclpy_types()
+        probe = graph.probe
+        # before the node: what comes first is not lost
+        self.poses = graph.listen(PoseWithCovarianceStamped, 'pose')
+        self.states = graph.listen(String, 'rorapid_tracker/state', LATCHED)
+        self.diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+        self.image = probe.create_publisher(Image, 'image', 10)
+        self.info = probe.create_publisher(CameraInfo, 'camera_info', 10)
+        self.start = probe.create_publisher(PoseWithCovarianceStamped, 'initialpose', 10)
+
+    def add_node(self):
+        node = self.graph.add(RorapidNode())
+        self.graph.wait_for(lambda: all(p.get_subscription_count() for p in (
+            self.image, self.info, self.start)), what='subscriptions of the node')
+        self.graph.wait_for(lambda: self.graph.probe.count_publishers('pose') > 0)
+        return node
+
+    def header(self, index, frame=FRAME):
+        return header_message(int(self.recording.stamps_ns[index]), frame, self.types)
+
+    def send(self, index, image=None, header=None):
+        picture = self.images[index] if image is None else image
+        self.image.publish(image_message(picture, header or self.header(index), self.types))
+
+    def send_info(self, camera=None):
+        self.info.publish(camera_info_message(camera or self.recording.camera, self.header(0),
+                                              self.types))
+
+    def send_start(self, pose=None, frame=FRAME):
+        if pose is None:
+            R, t = perturbed(self.recording.rotations[0], self.recording.translations[0],
+                             np.random.default_rng(1), 0.03, 0.003)
+            pose = np.column_stack([R, t])
+        self.start.publish(pose_with_covariance_message(
+            pose, np.eye(6), self.header(0, frame), self.types))
+
+    def track(self, indices):
+        """Send images one after the other, each when the pose of the last has come."""
+        for index in indices:
+            known = len(self.poses)
+            self.send(index)
+            self.graph.wait_for(lambda: len(self.poses) > known, what=f'pose of image {index}')
+
+    def last_error(self):
+        """Compare the last pose with the truth at its stamp."""
+        msg = self.poses[-1]
+        index = list(self.recording.stamps_ns).index(stamp_ns(msg.header.stamp))
+        pose = pose_matrix(msg)
+        return pose_errors(pose[:3, :3], pose[:3, 3], self.recording.rotations[index],
+                           self.recording.translations[index])
+
+
+@pytest.fixture
+def station(graph, recording, model):
+    """Start a node that knows the model, and nothing else unless told."""
+    def make(*parameters):
+        words = [word for parameter in (f'model:={model}', *parameters)
+                 for word in ('-p', parameter)]
+        return Station(graph(*words), recording)
+
+    return make
+
+
+def test_poses_are_true_and_carry_the_header_of_their_image(station):
+    station = station()
+    station.add_node()
+    station.send_info()
+    station.send_start()
+    markers = station.graph.listen(MarkerArray, 'rorapid_tracker/markers')
+    overlays = station.graph.listen(Image, 'rorapid_tracker/overlay', QoSProfile(depth=1))
+    station.graph.spin_for(0.3)
+    station.track(range(VIEWS))
+    assert [msg.header for msg in station.poses[-3:]] == [station.header(k) for k in (-3, -2, -1)]
+    angle, share = station.last_error()
+    assert np.rad2deg(angle) < 0.5 and share < 0.01
+    covariance = pose_covariance(station.poses[-1])
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    assert np.sqrt(covariance[:3, :3].trace()) < 0.01
+    station.graph.wait_for(lambda: overlays and markers)
+    assert (overlays[-1].encoding, overlays[-1].width) == ('bgr8', 320)
+    assert markers[-1].markers[0].header.frame_id == FRAME
+    assert station.states[-1].data.startswith('tracking')
+
+
+def test_files_and_parameters_start_it_without_any_message(station, recording, tmp_path):
+    camera = write_camera_yaml(tmp_path / 'camera.yaml', recording[0].camera, 'front')
+    pose = tmp_path / 'start.pos'
+    pose.write_text(' '.join(map(str, [*recording[0].translations[0],
+                                       *rotation_vector(recording[0].rotations[0])])))
+    station = station(f'camera_file:={camera}', f'start_pose:={pose}', 'camera_name:=front')
+    station.add_node()
+    station.track(range(3))
+    assert station.last_error()[1] < 0.01
+    station.graph.wait_for(lambda: any('found' in str(msg) or msg.status[0].message == 'tracking'
+                                       for msg in station.diagnostics), what='diagnostics')
+    status = station.diagnostics[-1].status[0]
+    assert status.hardware_id == 'front'
+
+
+def test_reset_stops_and_start_begins_again(station):
+    station = station()
+    station.add_node()
+    assert not station.graph.call('rorapid_tracker/start').success
+    station.send_info()
+    station.send_start()
+    station.graph.spin_for(0.2)
+    station.track(range(3))
+    assert station.graph.call('rorapid_tracker/reset').success
+    count = len(station.poses)
+    station.send(3)
+    station.graph.spin_for(0.3)
+    assert len(station.poses) == count
+    assert station.graph.call('rorapid_tracker/start').success
+    station.track(range(3))
+    assert station.last_error()[1] < 0.01
+
+
+def test_bad_input_is_told_in_a_sentence_and_the_node_goes_on(station):
+    station = station()
+    node = station.add_node()
+    said = []
+    node.get_logger().warning = lambda text, **_: said.append(text)
+    node.get_logger = lambda logger=node.get_logger(): logger
+
+    def hear(words, action):
+        before = len(station.poses)
+        said.clear()
+        action()
+        station.graph.wait_for(lambda: any(words in text for text in said), 5.0, words)
+        assert len(station.poses) == before
+
+    size = station.recording.camera
+    hear('no calibration of the camera yet', lambda: station.send(0))
+    half = Camera(size.K, size.distortion, 160, 120)
+    station.send_info(half)
+    station.graph.spin_for(0.2)
+    hear('no start pose yet', lambda: station.send(0))
+
+    def broken():
+        msg = pose_with_covariance_message(np.eye(3, 4), np.eye(6), station.header(0),
+                                           station.types)
+        msg.pose.pose.position.x = float('nan')
+        station.start.publish(msg)
+
+    hear('not finite', broken)
+    hear('behind the camera', lambda: station.send_start(np.column_stack([np.eye(3), [0, 0, -1]])))
+    hear('frame', lambda: station.send_start(frame='map'))
+    station.send_start()
+    station.graph.spin_for(0.2)
+    hear('calibration for 160x120', lambda: station.send(0))
+    station.send_info()
+    station.graph.spin_for(0.2)
+    hear('1x1', lambda: station.send(0, np.zeros((1, 1), np.uint8)))
+    station.track(range(4))
+    hear('older', lambda: station.send(1))
+    black = np.zeros_like(station.images[0])
+    for k in range(4, 9):
+        station.send(k, black)
+        station.graph.spin_for(0.05)
+    station.graph.wait_for(lambda: station.states and station.states[-1].data.startswith('lost'))
+    uncalibrated = CameraInfo(width=320, height=240)
+    hear('not calibrated', lambda: station.info.publish(uncalibrated))
+    # and it goes on
+    station.graph.call('rorapid_tracker/start')
+    jump = int(station.recording.stamps_ns[-1]) + OFFSET_NS
+    for k in range(3):
+        station.send(k, header=header_message(jump + k * 33_333_333, FRAME, station.types))
+        station.graph.spin_for(0.1)
+    station.graph.wait_for(lambda: station.states[-1].data.startswith('tracking'))
+
+
+@pytest.mark.parametrize('parameters, error, words', [
+    ([], ArgumentError, 'needs the wireframe'),
+    (['model:=/nowhere.cao'], InputError, 'nowhere.cao'),
+    (['model:=MODEL', 'start_pose:=1 2 3'], ArgumentError, 'six finite numbers'),
+    (['model:=MODEL', 'start_pose:=0 0 nan 0 0 0'], ArgumentError, 'six finite numbers'),
+    (['model:=MODEL', 'start_pose:=0 0 -1 0 0 0'], InputError, 'behind the camera'),
+    (['model:=MODEL', 'camera_file:=/nowhere.yaml'], InputError, 'nowhere.yaml'),
+    (['model:=MODEL', 'motion:=sideways'], ArgumentError, 'motion'),
+    (['model:=MODEL', 'plane_axis:=1 2'], ArgumentError, 'plane_axis'),
+    (['model:=BROKEN'], InputError, 'point')])
+def test_a_node_that_cannot_work_says_why(graph, model, tmp_path, parameters, error, words):
+    broken = tmp_path / 'broken.cao'
+    broken.write_text('V1\n3\n0 0 0\n1 0 0\n0 1 0\n0\n0\n1\n3 0 1 7\n0\n0\n', encoding='utf-8')
+    words_given = [word.replace('MODEL', str(model)).replace('BROKEN', str(broken))
+                   for parameter in parameters for word in ('-p', parameter)]
+    graph(*words_given)
+    with pytest.raises(error, match=words):
+        RorapidNode()
+
+
+def test_interface_is_what_is_written(graph, model):
+    from test_interfaces import has, written
+    node = graph('-p', f'model:={model}', '-p', 'camera_model:=zoom').add(RorapidNode())
+    expected = {end for end in written('rorapid_tracker') if end[1] != '/tf'}
+    assert has(node) == expected
+    assert any(end.name == '/tf' for end in INTERFACES['rorapid_tracker'])
