@@ -39,6 +39,8 @@ _MOST_ROI_PX = 320
 _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
 _LEAST_CORRELATION = 0.6
+#: Share of a face that must lie inside the image to be learned.
+_LEAST_SEEN = 0.25
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
 _LEAST_SCORE, _DOUBTS = 0.12, 12
 #: Score of a new corner beside a face that was seen often enough.
@@ -58,6 +60,8 @@ class _Face:
     mask: np.ndarray            # where the texture can be trusted to be the face's
     whole: bool                 # the polygon fills its rectangle
     picture: np.ndarray | None = None
+    known: np.ndarray | None = None         # which texels were seen, 255 or 0
+    all_known: bool = False
     points: np.ndarray | None = None        # (m, 3), object frame
     texels: np.ndarray | None = None        # (m, 2)
     score: np.ndarray | None = None         # (m,): how often each corner agreed, decaying
@@ -200,6 +204,7 @@ class TextureMemory:
         """Drop all pictures."""
         for face in self._faces:
             face.picture = face.points = face.texels = face.score = face.doubt = None
+            face.known, face.all_known = None, False
             face.seen, face.quality = 0, 0.0
 
     def _see(self, state: ObjectState) -> np.ndarray:
@@ -289,12 +294,12 @@ class TextureMemory:
                               [face.picture.shape[1], face.picture.shape[0], 1.0]]) @ H.T
             if frame[:, 2].min() <= 0:
                 continue
-            if face.whole:
+            if face.whole and face.all_known:
                 cv2.warpPerspective(face.picture, H, (width, height), dst=drawing,
                                     flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
             else:
                 drawn = cv2.warpPerspective(face.picture, H, (width, height))
-                mask = cv2.warpPerspective(face.mask, H, (width, height),
+                mask = cv2.warpPerspective(face.mask & face.known, H, (width, height),
                                            flags=cv2.INTER_NEAREST)
                 cv2.copyTo(drawn, mask, drawing)
             good = np.flatnonzero(face.score > _LEAST_SCORE)
@@ -355,13 +360,19 @@ class TextureMemory:
             corners = (corners[:, :2] / corners[:, 2:]).astype(np.float32)
             limit = np.array(region.image.shape[::-1])
             area = cv2.contourArea(corners)
-            if area < _LEAST_AREA_PX * region.scale**2 or (corners < -2).any() or (
-                    corners > limit + 2).any():
+            if area < _LEAST_AREA_PX * region.scale**2:
                 continue
-            picture = cv2.warpPerspective(region.image, self._undistorting(face, H, state, region),
-                                          size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            H = self._undistorting(face, H, state, region)
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            picture = cv2.warpPerspective(region.image, H, size, flags=flags,
                                           borderMode=cv2.BORDER_REPLICATE)
-            self._take(face, picture, area)
+            seen = None
+            if (corners < -2).any() or (corners > limit + 2).any():
+                seen = cv2.warpPerspective(np.full_like(region.image, 255), H, size, flags=flags)
+                seen = cv2.compare(seen, 254, cv2.CMP_GT)
+                if cv2.countNonZero(seen) < _LEAST_SEEN * seen.size:
+                    continue
+            self._take(face, picture, area, seen)
 
     def _undistorting(self, face, H, state, region):
         """Homography of the face into the real image: through its distorted corners."""
@@ -373,20 +384,35 @@ class TextureMemory:
         pixels = region.inside(self.projection.project(state, points).pixels)
         return cv2.getPerspectiveTransform(texels.astype(np.float32), pixels.astype(np.float32))
 
-    def _take(self, face: _Face, picture: np.ndarray, area: float) -> None:
-        """Blend a picture into the face's memory, or start anew."""
+    def _take(self, face: _Face, picture: np.ndarray, area: float, seen) -> None:
+        """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
         if face.picture is None or face.seen < 3 or area > 1.7 * face.quality:
             if face.picture is None or face.seen < 3 or _alike(face, picture):
                 face.picture, face.quality = picture, area
+                face.known = np.full_like(picture, 255) if seen is None else seen
+                face.all_known = seen is None
                 face.seen += 1
                 self._choose(face)
             return
+        if not face.all_known:
+            fresh = cv2.bitwise_not(face.known)
+            if seen is not None:
+                fresh &= seen
+            if cv2.countNonZero(fresh) > 0.05 * fresh.size:
+                cv2.copyTo(picture, fresh, face.picture)
+                face.known |= fresh
+                face.all_known = seen is None
+                self._choose(face)
         # texels that changed a lot are something before the object: they stay as they were
         change = cv2.absdiff(picture, face.picture)
         same = cv2.compare(change, 30, cv2.CMP_LT)
+        if seen is not None:
+            same &= seen
         # ... unless they stay changed: then it was there before that something was
         cv2.add(face.doubt, 1, dst=face.doubt)
         face.doubt[same > 0] = 0
+        if seen is not None:
+            face.doubt[seen == 0] = 0
         for_good = face.doubt >= _DOUBTS
         if for_good.any():
             face.picture[for_good], face.doubt[for_good] = picture[for_good], 0
@@ -397,7 +423,7 @@ class TextureMemory:
     def _choose(self, face: _Face) -> None:
         """Choose the corners of a face that can be followed."""
         corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, 0.03, 6,
-                                          mask=face.mask, blockSize=5)
+                                          mask=self._inner(face), blockSize=5)
         face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
         face.points = face.origin + face.texels @ face.axes.T
         # what is learned while other faces are known must prove itself: it may be something
@@ -405,6 +431,13 @@ class TextureMemory:
         others = any(f is not face and f.seen > _PROVEN for f in self._faces)
         face.score = np.full(len(face.texels), _UNPROVEN if others else 0.5)
         face.doubt = np.zeros(face.picture.shape, np.uint8)
+
+    @staticmethod
+    def _inner(face: _Face) -> np.ndarray:
+        """Texels of a face that lie well inside of what is known of it."""
+        if face.all_known:
+            return face.mask
+        return face.mask & cv2.erode(face.known, np.ones((13, 13), np.uint8), borderValue=255)
 
 
 def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,
