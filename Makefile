@@ -1,5 +1,6 @@
 # make demo      set up, replay the recorded drive through the nodes, print the calibration
 # make demo-arm  the same with the recorded moves of an arm
+# make demo-track  follow the recorded object through the nodes, print the errors of the poses
 # make test      set up, run every test
 # make lint      style only
 # make bench     print every figure that the README claims
@@ -22,13 +23,16 @@ SOURCES := setup.py setup.cfg pyproject.toml package.xml README.md \
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo demo-arm test lint bench clean help
+.PHONY: demo demo-arm demo-track test lint bench clean help
 
 demo: $(VENV)/package
 	@$(BIN)/selfcal demo --output-dir out/demo
 
 demo-arm: $(VENV)/package
 	@$(BIN)/selfcal demo --recording arm --output-dir out/demo-arm
+
+demo-track: $(VENV)/package
+	@$(BIN)/selfcal demo --recording object --output-dir out/demo-track
 
 test: $(VENV)/package $(VENV)/test-tools
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)

@@ -35,8 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal demo`."""
     parser.add_argument('--output-dir', type=Path, default=Path('selfcal_demo'), metavar='FOLDER',
                         help='for camera.yaml, result.json and report.html (default selfcal_demo)')
-    parser.add_argument('--recording', choices=sorted(RECORDINGS), default='agv',
-                        help='a robot that drives, or an arm that moves (default agv)')
+    parser.add_argument('--recording', choices=[*sorted(RECORDINGS), 'object'], default='agv',
+                        help='calibrate on a robot that drives, or on an arm that moves; or '
+                             'track an object (default agv)')
     parser.add_argument('--bag', type=Path, help='another bag of that kind of motion')
     parser.add_argument('--rate', type=float, default=1.0, help='playback speed (default 1)')
     parser.add_argument('--no-ros', action='store_true', help='without nodes in any case')
@@ -44,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
+    if args.recording == 'object':
+        from selfcal_ros.cli import demo_track
+        return demo_track.run(args)
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.shared_files import shared_file

@@ -1,0 +1,142 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal demo --recording object`: track the recorded object, beside the truth."""
+
+from __future__ import annotations
+
+import argparse
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+
+RECORDING = 'bags/tracked_object'
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; returns the exit status."""
+    from selfcal_ros.cli.shared_files import shared_file
+    from selfcal_ros.pipeline.tracking_run import read_start, track_sequence
+    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.rorapid.model import read_model
+    bag = args.bag or shared_file(RECORDING)
+    model, camera_file, start_file = (bag.with_name(bag.name + suffix) for suffix in (
+        '.model.yaml', '.camera.yaml', '.pos'))
+    folder = args.output_dir
+    folder.mkdir(parents=True, exist_ok=True)
+    camera, _ = read_camera_yaml(camera_file)
+    truth = _truth(bag)
+    rows = []
+    if args.no_ros or find_spec('rclpy') is None or find_spec('sensor_msgs') is None:
+        if not args.no_ros:
+            print('There is no ROS in this Python (rclpy is missing), so no nodes: tracking '
+                  'straight in the bag.')
+    else:
+        print(f'Replaying {bag} through bag_player and rorapid_tracker ...', flush=True)
+        poses = _through_nodes(bag, model, camera_file, start_file, folder, args.rate)
+        if poses:
+            rows.append(('through the nodes', *_errors(poses, truth)))
+        else:
+            print('Tracking straight in the bag instead.')
+    poses = []
+
+    def each(frame, tracked):
+        if tracked:
+            poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
+
+    with ProgressBar() as progress:
+        run = track_sequence(bag, read_model(model), camera,
+                             read_start(str(start_file), None, camera),
+                             overlay=folder / 'overlay.mp4', progress=progress, each=each)
+    if poses:
+        rows.append(('straight from the bag', *_errors(poses, truth)))
+    written = [run.table.write(folder / 'poses.csv'), folder / 'overlay.mp4']
+    print(f'\n{run.text()}\n')
+    if truth:
+        print(_table(rows))
+    print(f'\nWritten: {", ".join(map(str, written))}. The video shows what was found (green), '
+          'what was not (orange), and what contradicts the pose (vermilion).')
+    return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
+
+
+def _matrix(tracked):
+    import numpy as np
+    return np.column_stack([tracked.rotation, tracked.translation])
+
+
+def _truth(bag: Path) -> dict:
+    """Read the true pose by stamp; empty where the recording comes without."""
+    import numpy as np
+    path = bag.with_name(bag.name + '.truth.json')
+    if not path.is_file():
+        return {}
+    content = json.loads(path.read_text(encoding='utf-8'))
+    return dict(zip(content['stamps_ns'], np.array(content['cam_from_object'], float)))
+
+
+def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
+    """Return the poses of the nodes; none if they came to none."""
+    from selfcal_ros.cli.shared_files import shared_file
+    environment = dict(os.environ)
+    # a domain of its own: the demo neither hears nor disturbs robots on the network
+    environment['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(shared_file('config/fastdds.xml'))
+    environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
+    environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
+    left = folder / 'node_poses.json'
+    left.unlink(missing_ok=True)
+    command = [sys.executable, '-m', 'selfcal_ros.nodes.tracking_supervisor', bag, '--output',
+               folder, '--model', model, '--camera', camera, '--start-pose', start_pose,
+               '--rate', rate]
+    subprocess.run([str(word) for word in command], env=environment)
+    try:
+        return json.loads(left.read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return []
+
+
+def _errors(poses, truth: dict):
+    """Compare poses with the truth: count, median and largest errors, squared sigmas."""
+    import numpy as np
+    from selfcal_ros.geometry.rotation import rotation_vector
+    angles, shifts, squares = [], [], []
+    for stamp, pose, covariance in poses:
+        if stamp not in truth:
+            continue
+        found, true = np.array(pose, float), truth[stamp]
+        turn = rotation_vector(found[:, :3] @ true[:, :3].T)
+        error = np.concatenate([found[:, 3] - true[:, 3], turn])
+        angles.append(np.rad2deg(np.linalg.norm(turn)))
+        shifts.append(1000 * np.linalg.norm(error[:3]))
+        squares.append(error @ np.linalg.solve(np.array(covariance, float), error) / 6)
+    if not angles:
+        return len(poses), *[float('nan')] * 5
+    return (len(poses), np.median(angles), np.max(angles), np.median(shifts), np.max(shifts),
+            float(np.sqrt(np.median(squares))))
+
+
+def _table(rows) -> str:
+    """Lay the errors out for a person."""
+    lines = [f'{"against the truth":22} {"poses":>6} {"rotation, deg":>16} {"position, mm":>16} '
+             f'{"in sigmas":>10}',
+             f'{"":22} {"":>6} {"median, most":>16} {"median, most":>16} {"median":>10}']
+    for name, count, *turned, near, far, sigmas in rows:
+        angle, shift = '{:.3f}, {:.3f}'.format(*turned), f'{near:.2f}, {far:.2f}'
+        lines.append(f'{name:22} {count:>6} {angle:>16} {shift:>16} {sigmas:>10.2f}')
+    return '\n'.join(lines)
