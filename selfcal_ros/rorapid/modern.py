@@ -42,6 +42,10 @@ _ATTEMPTS = ((1, False), (3, False), (2, True))
 _LEAST_TEXTURE = 5
 #: After a sudden motion the object is sought so far around, pixels.
 _SEEK_PX = 120.0
+#: Rounds of the search from each start around a first guess, and contrast that is strong.
+_SETTLE_ROUNDS, _STRONG = 4, 40.0
+#: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
+_WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
 _WRONG_SIGN_PX = 3.0
 
@@ -251,7 +255,7 @@ class ModernCycle:
             offset = contrast = np.zeros((0, options.candidates))
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
-        handicap = np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, 0.0)
+        handicap = _handicap(contrast, wanted)
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
             corner_H, corner_g = self._corner_terms(state, matches, agree)
@@ -261,7 +265,7 @@ class ModernCycle:
         line = np.arange(len(at))
         for limit in limits:
             along = rows @ q
-            distance = np.abs(offset - along[:, None]) + handicap
+            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * handicap
             best = distance.argmin(axis=1) if len(at) else line
             chosen = offset[line, best]
             residual = chosen - along
@@ -280,6 +284,51 @@ class ModernCycle:
         residual = np.where(near, chosen - rows @ q, np.nan)
         return (after, np.linalg.inv(information), view, at, residual,
                 contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
+
+    def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
+        """
+        Find the object from a guess: from many starts around it, the one with the best edges.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        guess : ObjectState
+        spread : ndarray, shape (m, m)
+            Covariance of the guess.
+
+        Returns
+        -------
+        Measured
+
+        """
+        values, vectors = np.linalg.eigh(spread)
+        shifts = vectors * np.sqrt(values)
+        starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
+        prior = np.linalg.inv(spread)
+        reach = int(np.ceil(self.options.search_most_px))
+        best, best_score = guess, -1.0
+        for start in starts:
+            state = self.projection.moved(guess, self.basis @ start)
+            view = self.control.view(state)
+            for turn in range(_SETTLE_ROUNDS):
+                state = self._by_edges(image, view, state, guess, prior,
+                                       reach if turn < 2 else 8, None, np.zeros(0, bool),
+                                       first=turn < 2)[0]
+                view = self.control.view(state)
+            score = self._edge_score(image, view)
+            if score > best_score:
+                best, best_score = state, score
+        return self.measure(image, best, spread)
+
+    def _edge_score(self, image, view) -> float:
+        """Strength of the edges that lie on the control points, grey levels."""
+        at = np.flatnonzero(view.searched)
+        if not len(at):
+            return 0.0
+        edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at], 3),
+                             1, self.options.least_contrast)
+        near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
+        return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
 
     def _limits(self, reach, first):
         """Tukey limits of the steps, from wide to narrow."""
@@ -352,3 +401,24 @@ class ModernCycle:
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)
+
+
+def _handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """
+    Pixels by which an edge seems further away than it is, for it does not look right.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (C, K)
+    wanted : ndarray, shape (C,)
+        Remembered contrast, 0 where none is: then the strongest edge is preferred.
+
+    Returns
+    -------
+    ndarray, shape (C, K)
+
+    """
+    size = np.abs(contrast)
+    strongest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), 1e-6)
+    weak = np.where(wanted[:, None] == 0, _WEAK_PX * (1 - size / strongest), 0.0)
+    return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)

@@ -205,11 +205,11 @@ class RorapidTracker:
         if not (first or lost):
             self._filter.predict(seconds, _DAMPING if self._misses else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
-        measured = self._cycle.measure(image, predicted, spread)
-        if first:
-            for _ in range(3):
-                measured = self._cycle.measure(image, measured.state, spread)
-        elif self._seeks and not measured.certain and (
+        if first and self.options.method == 'modern':
+            measured = self._cycle.settle(image, predicted, spread)
+        else:
+            measured = self._cycle.measure(image, predicted, spread)
+        if not first and self._seeks and not measured.certain and (
                 lost or measured.share < self.options.tracking_share):
             measured = self._seek(image, measured, lost)
         return self._judge(measured, stamp_ns)
