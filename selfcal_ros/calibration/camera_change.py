@@ -81,8 +81,9 @@ class CameraChange:
     covariance : ndarray, shape (3, 3)
     focal_px : float
         fx in force.
-    since_frame, until_frame : int
-        First keyframe of the windows that differ, and last keyframe of the newest.
+    since_frame, clear_from_frame, until_frame : int
+        First keyframe of the windows that differ; last keyframe of the first of them, from which
+        on the camera is the changed one; last keyframe of the newest.
     statistic, threshold : float
         Twice the logarithm of the likelihood ratio, and what it had to exceed.
 
@@ -92,6 +93,7 @@ class CameraChange:
     covariance: np.ndarray
     focal_px: float
     since_frame: int
+    clear_from_frame: int
     until_frame: int
     statistic: float
     threshold: float

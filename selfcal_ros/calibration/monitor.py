@@ -216,9 +216,10 @@ class ChangeMonitor:
         _, change, covariance = self._ratios(
             before[best:best + 1], (after_shift[-1] - after_shift[best])[None],
             after[best - 1:best], after_shift[best - 1:best])
+        first = blocks[-1 - best]
         self.change = CameraChange(
-            change[0], covariance[0], float(self.in_force[0]), blocks[-1 - best].first_frame,
-            blocks[-1].last_frame, self.statistic, self.threshold)
+            change[0], covariance[0], float(self.in_force[0]), first.first_frame,
+            first.last_frame, blocks[-1].last_frame, self.statistic, self.threshold)
         self.camera = self._changed(change[0])
 
     def _changed(self, change) -> Camera:

@@ -11,8 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters of a calibrator as settings of a session."""
+"""Parameters of a calibrator as settings of a session and of its monitor."""
 
+from selfcal_ros.calibration.camera_change import MonitorSettings
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.pipeline.calibration_session import SessionSettings
@@ -36,3 +37,10 @@ def session_settings(parameters: CalibratorParameters) -> SessionSettings:
                            parallax=parameters.keyframe_parallax,
                            max_keyframes=parameters.max_keyframes,
                            first_estimate=parameters.first_estimate)
+
+
+def monitor_settings(parameters: CalibratorParameters) -> MonitorSettings | None:
+    """Translate; None where nothing is to be watched."""
+    if not parameters.monitor:
+        return None
+    return MonitorSettings(false_alarm_keyframes=parameters.false_alarm_keyframes)

@@ -28,6 +28,9 @@ from selfcal_ros.geometry.camera import CameraFacts
 
 #: A stamp this much before the newest one is a jump, not a message that was overtaken.
 BACKWARD_JUMP_NS = 200_000_000
+#: With the memory full, an estimate whose focal length and principal point move no pixel further
+#: than this share of the image diagonal (one pixel of 640x480) is not replaced by itself.
+SETTLED_SHARE = 0.00125
 #: A frame with fewer points than this is no keyframe.
 MINIMUM_POINTS = 8
 
@@ -150,6 +153,10 @@ class CalibrationSession:
     """
     Keeps keyframes by parallax, says when an estimate is due, and holds the newest calibration.
 
+    Estimates follow one another while they are of use: until one rests on as many keyframes as
+    are kept and is precise (`SETTLED_SHARE`). From then on the calibration stays until it is told
+    to go.
+
     The session does no work of its own beyond bookkeeping: `request` packs what an estimate
     needs, `EstimateRequest.run` computes in whatever thread the caller likes, and `accept` takes
     the result. A result that was requested before a reset is dropped.
@@ -175,6 +182,7 @@ class CalibrationSession:
         self._new_keyframes = 0
         self._estimates = 0
         self._estimating = False
+        self._held = self._abandoned = self._settled = False
         self._calibration = None
         self._failure = None
 
@@ -299,9 +307,29 @@ class CalibrationSession:
         kept = len(self._keyframes)
         if self._estimating or kept < self.settings.first_estimate or not self._new_keyframes:
             return False
+        if self._held or self._settled:
+            return False
         if idle or self._estimates == 0:
             return True
         return self._new_keyframes >= max(2, self.settings.growth * kept)
+
+    def hold(self) -> None:
+        """Keep the calibration until `keep_since` or `reset`: no estimate comes by itself."""
+        self._held, self._abandoned = True, self._estimating
+
+    def keep_since(self, index: int) -> None:
+        """
+        Forget the keyframes before one, and go on.
+
+        Parameters
+        ----------
+        index : int
+            Of a `Keyframe`; what came before shows another camera.
+
+        """
+        self._keyframes = [frame for frame in self._keyframes if frame.index >= index]
+        self._new_keyframes = len(self._keyframes)
+        self._held = self._settled = False
 
     def request(self) -> EstimateRequest | None:
         """
@@ -332,16 +360,21 @@ class CalibrationSession:
         Returns
         -------
         bool
-            Whether it was taken: not when the session was reset meanwhile. A failure leaves the
-            calibration that there is.
+            Whether it was taken: not when the session was reset or held meanwhile. A failure
+            leaves the calibration that there is.
 
         """
         if request.generation != self._generation:
             return False
         self._estimating = False
+        if self._abandoned:
+            self._abandoned = False
+            return False
         self._estimates += 1
         if result:
             self._calibration, self._failure = result, None
+            self._settled = (request.keyframes >= self.settings.max_keyframes
+                             and _is_precise(result))
         else:
             self._failure = result
         return True
@@ -353,3 +386,11 @@ class CalibrationSession:
             new_keyframes=self._new_keyframes, points=self._newest_points,
             image_size=self._image_size, estimates=self._estimates, resets=self._generation,
             estimating=self._estimating, calibration=self._calibration, failure=self._failure)
+
+
+def _is_precise(calibration: Calibration) -> bool:
+    """Tell whether the sigmas are below `SETTLED_SHARE` all over the image."""
+    camera, sigma = calibration.camera, calibration.sigma
+    diagonal = float(np.hypot(camera.width, camera.height))
+    edge = sigma['fx'] / camera.K[0, 0] * diagonal / 2
+    return max(edge, sigma['cx'], sigma['cy']) <= SETTLED_SHARE * diagonal

@@ -1,0 +1,112 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The monitor of a calibrator: its keyframes, its share of the worker, and what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from msg_adapters.diagnostics import WARN
+
+from selfcal_ros.calibration.camera_change import CHANGE_NAMES, MonitorSettings
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
+from selfcal_ros.pipeline.monitoring import Monitoring, ScoreRequest
+
+ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'
+
+
+def prepare_estimate(prepare: Callable, result, request):
+    """Prepare what follows from an estimate; nothing follows from the score of a window."""
+    return prepare(result, request) if isinstance(request, EstimateRequest) else None
+
+
+class ChangeWatch:
+    """
+    Watches the calibration of a session with the worker that makes it.
+
+    After an alarm the session is held: it neither starts nor takes an estimate by itself.
+
+    Parameters
+    ----------
+    session : CalibrationSession
+    worker : EstimationWorker or EstimationProcess
+        It must prepare by way of `prepare_estimate`.
+    logger : object
+        rclpy's, for the alarm.
+    settings : MonitorSettings, optional
+        None: watch nothing.
+
+    """
+
+    def __init__(self, session: CalibrationSession, worker, logger,
+                 settings: MonitorSettings | None):
+        self._session, self._worker, self._logger = session, worker, logger
+        self._monitoring = Monitoring(settings) if settings else None
+        self._scoring = False
+
+    def offer(self, image_size: tuple[int, int]) -> None:
+        """Look whether the session has a new keyframe, of images of that size."""
+        if self._monitoring and self._session.keyframes:
+            self._monitoring.add_keyframe(self._session.keyframes[-1], image_size)
+
+    def poll(self):
+        """Do what `EstimationWorker.poll` does; scores of windows stay here."""
+        done = self._worker.poll()
+        if done is not None and isinstance(done[0], ScoreRequest):
+            self._scoring = False
+            alarm = self._monitoring.accept(*done[:2])
+            if alarm is not None:
+                self._session.hold()
+                self._logger.warning(f'{alarm}; {ADVICE}')
+            done = None
+        if self._monitoring and not self._scoring:
+            request = self._monitoring.next_request()
+            if request is not None:
+                self._scoring = True
+                self._worker.submit(request)
+        return done
+
+    def watch(self, calibration: Calibration, request: EstimateRequest) -> None:
+        """Watch this calibration from here on."""
+        if self._monitoring:
+            self._monitoring.watch(calibration, request.tracks)
+
+    def forget(self) -> None:
+        """Watch nothing until there is another calibration."""
+        if self._monitoring:
+            self._monitoring.forget()
+
+    def release(self) -> None:
+        """Let the session go on after an alarm, with views of the changed camera only."""
+        if self._monitoring and self._monitoring.change is not None:
+            self._session.keep_since(self._monitoring.change.clear_from_frame)
+
+    def judge(self, level, text: str, values: dict) -> tuple[int, str, dict]:
+        """Add the verdict to what `calibration_status` has said."""
+        if self._monitoring is None:
+            return level, text, values
+        state = self._monitoring.snapshot()
+        values.update({'monitor windows': state.windows, 'monitor skipped': state.skipped,
+                       'monitor statistic': state.statistic,
+                       'monitor threshold': state.threshold})
+        if state.why_skipped:
+            values['monitor last skipped'] = state.why_skipped
+        if state.change is None:
+            return level, text, values
+        for name, value, sigma in zip(CHANGE_NAMES, state.change.change_px.tolist(),
+                                      state.change.sigma_px.tolist()):
+            values[f'change of {name} px'] = value
+            values[f'change of {name} px sigma'] = sigma
+        return WARN, f'{state.change}; {ADVICE}', values
