@@ -1,0 +1,308 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A wireframe model from two images between which a known camera moved without turning (7.3.4).
+
+Points seen in both give the epipole, which is all there is to find: F = [e]x. The structure of
+[I | 0] and [I | e] is affine (lemma 4.1), and the known K makes it metric (2.16), up to a scale
+that one known length or the way that the camera went supplies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.fundamental import fundamental
+from selfcal_ros.geometry.triangulation import metric_points, translated_points
+from selfcal_ros.rorapid.polygon import newell_normal
+from selfcal_ros.rorapid.wireframe import Conic, Polygon, WireframeModel
+
+#: Worse than this share of the distance, a depth is of no use for a model.
+WORST_DEPTH = 0.2
+#: Residuals above this many sigmas are not noise.
+_TOO_FAR = 4.0
+
+
+@dataclass(frozen=True)
+class TwoViewPoints:
+    """
+    Points reconstructed from two translated views.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3)
+        Metres, optical frame of the first view.
+    covariances : ndarray, shape (N, 3, 3)
+        Of the points, from the noise of the image points; the scale is taken as exact.
+    moved : ndarray, shape (3,)
+        What is added to the points from the first view to the second, metres.
+    residuals_px : ndarray, shape (N,)
+        Distances of the image points from where the translation allows them.
+    noise_px : float
+        Standard deviation of an image coordinate that the residuals show.
+
+    """
+
+    points: np.ndarray
+    covariances: np.ndarray
+    moved: np.ndarray
+    residuals_px: np.ndarray
+    noise_px: float
+
+
+@dataclass(frozen=True)
+class AcquiredModel:
+    """
+    A model, and how it lay before the camera.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    rotation : ndarray, shape (3, 3)
+    translation : ndarray, shape (3,)
+        Pose object -> camera in the first view.
+    structure : TwoViewPoints
+        Vertices in the first view's frame.
+
+    """
+
+    model: WireframeModel
+    rotation: np.ndarray
+    translation: np.ndarray
+    structure: TwoViewPoints
+
+
+def points_from_translation(first_px, second_px, camera: Camera, baseline_m: float | None = None,
+                            known_length: tuple | None = None,
+                            sigma_px: float = 0.5) -> TwoViewPoints | NoEstimate:
+    """
+    Reconstruct points seen before and after a pure translation of the camera or the object.
+
+    Parameters
+    ----------
+    first_px, second_px : array_like, shape (N, 2)
+        The same points in both images, N at least 4; lens distortion is taken care of.
+    camera : Camera
+    baseline_m : float, optional
+        How far the camera went.
+    known_length : (int, int, float), optional
+        Two points and their distance in metres; this or `baseline_m` is needed.
+    sigma_px : float
+        Noise of the image points, as far as is known beforehand.
+
+    Returns
+    -------
+    TwoViewPoints or NoEstimate
+        No estimate where the points contradict a translation, moved too little or lie behind
+        the camera.
+
+    Raises
+    ------
+    ArgumentError
+        If the points do not match in number, or the scale is not given once.
+
+    """
+    first, second = (np.asarray(p, float).reshape(-1, 2) for p in (first_px, second_px))
+    if first.shape != second.shape:
+        raise ArgumentError(f'There must be as many points in the second image as in the first, '
+                            f'not {len(second)} and {len(first)}.')
+    scale = _scale_fact(len(first), baseline_m, known_length)
+    if len(first) < 4:
+        return NoEstimate(f'Two translated views need at least 4 points; there are '
+                          f'{len(first)}.', 'too_few')
+    K = camera.K
+    a, b = (camera.normalised(p) @ K[:2, :2].T + K[:2, 2] for p in (first, second))
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return NoEstimate('Some points lie outside what the lens can show.', 'ill_conditioned')
+    found = fundamental(a, b, 'translation')
+    if not found:
+        return found
+    noise = found.noise_px
+    if noise > _TOO_FAR * sigma_px:
+        return NoEstimate(f'The points miss the translation by {noise:.2g} px where '
+                          f'{sigma_px:.2g} px of noise was expected: the camera turned, or '
+                          'some matches are wrong.', 'ill_conditioned')
+    e = np.array([found.F[2, 1], found.F[0, 2], found.F[1, 0]])
+    if np.median(metric_points(K, translated_points(e, a, b))[:, 2]) < 0:
+        e = -e
+    points = metric_points(K, translated_points(e, a, b))
+    if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
+        return NoEstimate('Some points come out at infinity or behind the camera: the camera '
+                          'moved too little, or their matches are wrong.', 'no_parallax')
+    covariances = _covariances(K, e, a, b, sigma_px)
+    depth_sigma = np.sqrt(covariances[:, 2, 2]) / points[:, 2]
+    if np.median(depth_sigma) > WORST_DEPTH:
+        return NoEstimate(f'The depths are uncertain by {100 * np.median(depth_sigma):.0f} %: '
+                          'the camera moved too little.', 'no_parallax')
+    moved = np.linalg.solve(K, e)
+    size = scale(points, moved)
+    if not (np.isfinite(size) and size > 0):
+        return NoEstimate('The two points of the known length coincide.', 'ill_conditioned')
+    residuals = np.sqrt((found.residuals**2).sum(axis=1) / 2)
+    return TwoViewPoints(size * points, size**2 * covariances, size * moved, residuals, noise)
+
+
+def _scale_fact(count, baseline_m, known_length):
+    """Return the function of (points, moved) that gives metres per unit."""
+    if (baseline_m is None) == (known_length is None):
+        raise ArgumentError('Give either baseline_m, how far the camera went, or known_length, '
+                            'the distance between two points.')
+    if baseline_m is not None:
+        if not 0 < baseline_m < np.inf:
+            raise ArgumentError(f'baseline_m must be positive, not {baseline_m!r}.')
+        return lambda points, moved: baseline_m / np.linalg.norm(moved)
+    i, j, length = known_length
+    if not (0 <= i < count and 0 <= j < count and i != j and 0 < length < np.inf):
+        raise ArgumentError('known_length must be two different points and a positive length.')
+    with np.errstate(divide='ignore'):
+        return lambda points, moved: np.float64(length) / np.linalg.norm(points[i] - points[j])
+
+
+def _covariances(K, e, a, b, sigma_px):
+    """
+    First-order covariances (N, 3, 3) of points for |e| = 1 in normalised coordinates.
+
+    A point depends on its own image points, and through the epipole on all of them.
+    """
+    inverse = np.linalg.inv(K)
+    e = inverse @ e
+    size = np.linalg.norm(e)
+    e = e / size
+    a, b = (p @ inverse[:2, :2].T + inverse[:2, 2] for p in (a, b))
+    basis = np.linalg.svd(e[None])[2][1:].T
+    step = 1e-6
+
+    def evaluate(e, a, b):
+        """Points, and sines between the epipolar lines' points: zero without noise."""
+        h = np.ones((2, len(a), 3))
+        h[0, :, :2], h[1, :, :2] = a, b
+        X = translated_points(e, a, b)
+        return np.column_stack([X[:, :3] / X[:, 3:], np.cross(h[0], h[1]) @ e])
+
+    # columns: u, v in the first image, u, v in the second, pixels
+    pixel = inverse[:2, :2].T * step * K[0, 0]
+    own = np.stack([evaluate(e, a + d, b) - evaluate(e, a - d, b) for d in pixel]
+                   + [evaluate(e, a, b + d) - evaluate(e, a, b - d) for d in pixel],
+                   axis=2) / (2 * step * K[0, 0])
+    common = np.stack([evaluate(e + step * d, a, b) - evaluate(e - step * d, a, b)
+                       for d in basis.T], axis=2) / (2 * step)
+    # Sampson: residuals weighted by what pixel noise does to each
+    norm = np.maximum(np.linalg.norm(own[:, 3], axis=1), 1e-300)[:, None]
+    own_residual, slope = own[:, 3] / norm, common[:, 3] / norm
+    gain = -np.linalg.pinv(slope)
+    G = common[:, :3]
+    through = np.einsum('nij,jn,nk->nik', G, gain, own_residual)
+    shared = np.einsum('nij,jm,lm,nkl->nik', G, gain, gain, G)
+    cross = own[:, :3] @ np.swapaxes(through, 1, 2)
+    return size**2 * sigma_px**2 * (own[:, :3] @ np.swapaxes(own[:, :3], 1, 2) + cross
+                                    + np.swapaxes(cross, 1, 2) + shared)
+
+
+def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conics=(),
+                  frame: tuple | None = None, name: str = 'acquired', **facts,
+                  ) -> AcquiredModel | NoEstimate:
+    """
+    Make a model of an object whose vertices were found in two translated views.
+
+    Parameters
+    ----------
+    first_px, second_px : array_like, shape (N, 2)
+        Its vertices in both images.
+    camera : Camera
+    lines : sequence of (int, int)
+        Lines between vertices; borders of faces need not be named.
+    faces : sequence of sequence of int
+        Opaque faces, by their vertices in order.
+    conics : sequence of (int, array_like (M, 2))
+        Ellipses on faces: the face, and five or more of its points in the first image.
+    frame : (int, int, int), optional
+        Three vertices: the origin, one on the x axis, one on the x-y plane. Default: the
+        middle of the object, with the axes of the first view.
+    name : str
+    **facts
+        `baseline_m`, `known_length` and `sigma_px` as for `points_from_translation`.
+
+    Returns
+    -------
+    AcquiredModel or NoEstimate
+
+    Raises
+    ------
+    ArgumentError
+        If an index names no vertex, or a face or ellipse cannot be.
+
+    """
+    structure = points_from_translation(first_px, second_px, camera, **facts)
+    if not structure:
+        return structure
+    points = structure.points
+    R, t = _object_frame(points, frame)
+    vertices = (points - t) @ R
+    polygons = [Polygon(face) for face in faces]
+    bare = WireframeModel.build(vertices, lines, polygons, name=name)
+    ellipses = tuple(_conic_on_face(vertices[list(bare.faces[face].indices)], pixels, camera, R,
+                                    t) for face, pixels in conics)
+    model = WireframeModel(bare.vertices, bare.lines, bare.faces, ellipses, name=name)
+    return AcquiredModel(model, R, t, structure)
+
+
+def _object_frame(points, frame):
+    """Rotation and translation object -> first view."""
+    if frame is None:
+        return np.eye(3), 0.5 * (points.min(axis=0) + points.max(axis=0))
+    if len(set(frame)) != 3 or not all(0 <= k < len(points) for k in frame):
+        raise ArgumentError('The frame must be three different vertices.')
+    origin, on_x, on_plane = (points[k] for k in frame)
+    z = np.cross(on_x - origin, on_plane - origin)
+    if not np.linalg.norm(z) > 1e-9 * np.linalg.norm(on_x - origin)**2:
+        raise ArgumentError('The three vertices of the frame lie on one line.')
+    x = (on_x - origin) / np.linalg.norm(on_x - origin)
+    z = z / np.linalg.norm(z)
+    return np.column_stack([x, np.cross(z, x), z]), origin
+
+
+def _conic_on_face(corners, pixels, camera, R, t):
+    """Fit an ellipse to pixels of the first view, on the plane of a face (object frame)."""
+    pixels = np.asarray(pixels, float).reshape(-1, 2)
+    if len(pixels) < 5:
+        raise ArgumentError(f'An ellipse needs five points or more, not {len(pixels)}.')
+    normal = newell_normal(corners)
+    normal = normal / np.linalg.norm(normal)
+    rays = np.column_stack([camera.normalised(pixels), np.ones(len(pixels))]) @ R
+    eye = -t @ R
+    reach = (corners.mean(axis=0) - eye) @ normal / (rays @ normal)
+    on_plane = eye + reach[:, None] * rays
+    across = corners[1] - corners[0]
+    across = across - (across @ normal) * normal
+    across /= np.linalg.norm(across)
+    axes = np.column_stack([across, np.cross(normal, across)])
+    flat = (on_plane - corners[0]) @ axes
+    scale = np.ptp(flat, axis=0).max()
+    if not (np.isfinite(flat).all() and scale > 0):
+        raise ArgumentError('The points of an ellipse do not lie on its face.')
+    # single precision: far from the origin the fit would lose its figures
+    middle = flat.mean(axis=0)
+    (x, y), (long, short), angle = cv2.fitEllipseDirect(
+        (100 * (flat - middle) / scale).astype(np.float32))
+    turn = np.deg2rad(angle)
+    u = axes @ [np.cos(turn), np.sin(turn)]
+    v = axes @ [-np.sin(turn), np.cos(turn)]
+    centre = corners[0] + axes @ (middle + scale * np.array([x, y]) / 100)
+    return Conic(centre, scale * long / 200 * u, scale * short / 200 * v)
