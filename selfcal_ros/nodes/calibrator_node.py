@@ -20,6 +20,7 @@ take for the motion of the camera unless told.
 
 from __future__ import annotations
 
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
@@ -35,12 +36,13 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
+from selfcal_ros.nodes.change_watch import ChangeWatch, prepare_estimate
 from selfcal_ros.nodes.driver_window import DriverWindow
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.parameters import CalibratorParameters, declare
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.scene import ScenePublisher
-from selfcal_ros.nodes.session_settings import session_settings
+from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.upload import CameraInfoUpload
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
@@ -65,7 +67,9 @@ class Calibrator(Node):
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
         self._session = CalibrationSession(session_settings(self.parameters))
         self._scene = ScenePublisher(self, self.parameters.world_frame)
-        self._worker = EstimationWorker(self._scene.prepare)
+        self._worker = EstimationWorker(partial(prepare_estimate, self._scene.prepare))
+        self._watch = ChangeWatch(self._session, self._worker, self.get_logger(),
+                                  monitor_settings(self.parameters))
         self._types = rclpy_types()
         self._size = (0, 0)
         self._driver = DriverWindow(self, self._begin_anew)
@@ -96,6 +100,7 @@ class Calibrator(Node):
                                                   frame.image_size)
                 if reason:
                     self._forgotten(reason)
+                self._watch.offer(frame.image_size)
         self._publish_camera_info(msg.header)
 
     def announce(self, header, image_size: tuple[int, int]) -> None:
@@ -110,6 +115,7 @@ class Calibrator(Node):
     def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
         """Take the tracks of the image that was announced (`TracksListener`)."""
         self._session.add_tracks(stamp_ns(header.stamp), ids, xy, image_size)
+        self._watch.offer(image_size)
 
     def _publish_camera_info(self, header):
         calibration = self._session.calibration
@@ -118,8 +124,10 @@ class Calibrator(Node):
 
     def _estimate(self):
         """Fetch a result that is ready, and start another estimate where that is worthwhile."""
-        done = self._worker.poll()
+        done = self._watch.poll()
         if done is not None and self._session.accept(*done[:2]):
+            if done[1]:
+                self._watch.watch(done[1], done[0])
             self._take(*done[1:])
         if self._session.is_due(idle=self._silence.silent_s > self.parameters.idle_s):
             self._start()
@@ -164,11 +172,13 @@ class Calibrator(Node):
     def _forgotten(self, reason: str):
         """Tell everybody that what was known is void."""
         self.get_logger().info(f'starting anew: {reason}')
+        self._watch.forget()
         self._result.publish(String(data=result_to_json(
             NotCalibrated(f'The session was reset: {reason}.', 'Keep moving.'))))
         self._scene.clear()
 
     def _on_calibrate(self, _, response):
+        self._watch.release()
         state = self._session.snapshot()
         if state.calibration and not state.new_keyframes and not state.estimating:
             self._result.publish(String(data=result_to_json(state.calibration)))
@@ -204,7 +214,8 @@ class Calibrator(Node):
         return response
 
     def _diagnose(self):
-        level, text, values = calibration_status(self._session.snapshot())
+        level, text, values = self._watch.judge(
+            *calibration_status(self._session.snapshot()))
         if self._silence.silent_s > self.parameters.silence_s:
             level, text = WARN, f'no tracks for {self._silence.silent_s:.0f} s; {text}'
         status = status_message(f'{self.get_name()}: calibration', level, text, self._types,

@@ -57,8 +57,11 @@ _CALIBRATOR = (
     Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
              'path, cameras and structure for RViz and Foxglove; latched'),
     Endpoint('out', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
-             'once a second: calibrated or what is missing, every parameter with its sigma'),
-    Endpoint('service', '~/calibrate', 'std_srvs/Trigger', 'estimate now, from what there is'),
+             'once a second: calibrated or what is missing, every parameter with its sigma; a '
+             'warning when the camera has changed'),
+    Endpoint('service', '~/calibrate', 'std_srvs/Trigger',
+             'estimate now, from what there is; after a change of the camera, from what came '
+             'since'),
     Endpoint('service', '~/reset', 'std_srvs/Trigger', 'forget everything'),
     Endpoint('service', '~/save', 'std_srvs/Trigger', 'write the calibration file'),
 )

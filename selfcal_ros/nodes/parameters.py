@@ -165,6 +165,9 @@ class CalibratorParameters:
     keyframe_parallax: float = parameter(
         0.03, 'a view is kept when its points have moved by this share of the image diagonal',
         1e-4, 0.5)
+    monitor: bool = parameter(True, 'watch whether the camera changes, once it is calibrated')
+    false_alarm_keyframes: float = parameter(
+        3.6e6, 'mean number of views between false alarms of the monitor, at least', 1e3, 1e12)
     world_frame: str = parameter(
         'calibration_world_unscaled', 'frame of structure, camera_path and markers: the body '
         'frame of the first view, the median step between views being 1 (no metres)')
