@@ -38,7 +38,7 @@ KINDS = {'focal length +2 %': 50, 'principal point +5 px': 50,
          'focal length +2 % over 400 keyframes': DRIFT}
 #: Hours that are simulated point by point in pieces of half an hour, and hours that are drawn
 #: from their windows.
-PIECES, PIECE_KEYFRAMES, DRAWN_HOURS = 24, 1800, 1000
+PIECES, PIECE_KEYFRAMES, DRAWN_HOURS = 20, 1800, 1000
 #: A whole drive there and back: windows that are drawn together.
 TOGETHER = 10
 #: Stated rates that are checked, hours between false alarms.

@@ -1,0 +1,145 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Keyframes to windows to a verdict; and a session that keeps its calibration until told."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from selfcal_ros import calibrate
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.pipeline.calibration_session import (CalibrationSession, Keyframe,
+                                                      SessionSettings)
+from selfcal_ros.pipeline.monitoring import MOST_WAITING, Monitoring
+from selfcal_ros.synthetic.special_scenes import drive
+
+SIZE = (640, 480)
+VIEWS, CALIBRATED = 50, 20
+
+
+@pytest.fixture(scope='module')
+def road():
+    """Tracks of a drive, and a calibration from its beginning."""
+    tracks = drive(np.random.default_rng(31), 0.1, VIEWS, 1600).tracks
+    first = tracks.in_frames(range(CALIBRATED)).with_at_least(2)
+    return tracks, first, calibrate(first, motion='planar', facts=CameraFacts(
+        aspect_ratio=1.0, skew=0.0, distortion='none'))
+
+
+def keyframe(tracks, index):
+    mask = tracks.frame == index
+    return Keyframe(index, index * 10**9, tracks.track[mask], tracks.xy[mask])
+
+
+def test_windows_are_scored_and_agree_with_the_calibration(road):
+    tracks, first, calibration = road
+    monitoring = Monitoring()
+    monitoring.watch(calibration, first)
+    for index in range(CALIBRATED, VIEWS):
+        for _ in range(2):      # a keyframe that is offered twice counts once
+            monitoring.add_keyframe(keyframe(tracks, index), SIZE)
+    monitoring.work_off()
+    state = monitoring.snapshot()
+    assert state.windows == 3 and state.skipped == 0 and state.change is None
+    assert 0 <= state.statistic < state.threshold
+
+
+def test_nothing_is_watched_before_there_is_a_calibration(road):
+    tracks, first, calibration = road
+    monitoring = Monitoring()
+    for index in range(VIEWS):
+        monitoring.add_keyframe(keyframe(tracks, index), SIZE)
+    assert monitoring.next_request() is None and monitoring.change is None
+    monitoring.watch(calibration, first)
+    monitoring.forget()
+    assert monitoring.next_request() is None and monitoring.snapshot().windows == 0
+
+
+def test_scores_for_another_calibration_and_windows_that_say_nothing_do_not_count(road):
+    tracks, first, calibration = road
+    monitoring = Monitoring()
+    monitoring.watch(calibration, first)
+    late = monitoring.next_request()
+    score = late.run()
+    monitoring.watch(calibration, first)
+    assert monitoring.accept(late, score) is None
+    request = replace(monitoring.next_request(), reference=False)
+    monitoring.accept(request, NotCalibrated('The estimate failed.'))
+    assert monitoring.snapshot().windows == 0
+    assert monitoring.snapshot().skipped == 1 and 'failed' in monitoring.snapshot().why_skipped
+
+
+def test_a_slow_machine_leaves_windows_out(road):
+    tracks, first, calibration = road
+    monitoring = Monitoring()
+    monitoring.watch(calibration, first)
+    frame = keyframe(tracks, 0)
+    for index in range(9 * MOST_WAITING):
+        monitoring.add_keyframe(replace(frame, index=index), SIZE)
+    state = monitoring.snapshot()
+    assert state.skipped > 0 and 'keep up' in state.why_skipped
+
+
+@dataclass(frozen=True)
+class FakeCalibration:
+    """Stands for a calibration of a stated precision."""
+
+    sigma_px: float
+    camera: Camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], (), *SIZE)
+
+    @property
+    def sigma(self):
+        return dict.fromkeys(('fx', 'cx', 'cy'), self.sigma_px)
+
+
+def fed(session, tracks, views):
+    for view in views:
+        frame = keyframe(tracks, view)
+        session.add_tracks(frame.stamp_ns, frame.ids, frame.xy, SIZE)
+    return session
+
+
+SETTINGS = SessionSettings(parallax=1e-3, first_estimate=5, max_keyframes=10, growth=0.1)
+
+
+@pytest.mark.parametrize('sigma_px, settled', [(0.3, True), (3.0, False)])
+def test_a_precise_calibration_from_all_that_is_kept_stays(road, sigma_px, settled):
+    session = fed(CalibrationSession(SETTINGS), road[0], range(12))
+    session.accept(session.request(), FakeCalibration(sigma_px))
+    fed(session, road[0], range(12, 20))
+    assert session.is_due() is not settled
+    assert session.request() is not None, 'who asks gets an estimate'
+
+
+def test_one_from_fewer_views_gets_better(road):
+    session = fed(CalibrationSession(SETTINGS), road[0], range(6))
+    session.accept(session.request(), FakeCalibration(0.1))
+    assert fed(session, road[0], range(6, 10)).is_due()
+
+
+def test_a_session_that_is_held_takes_nothing_until_it_goes_on(road):
+    session = fed(CalibrationSession(SETTINGS), road[0], range(6))
+    session.accept(session.request(), FakeCalibration(1.0))
+    under_way = fed(session, road[0], range(6, 9)).request()
+    session.hold()
+    assert not session.accept(under_way, FakeCalibration(2.0))
+    fed(session, road[0], range(9, 14))
+    assert session.calibration.sigma_px == 1.0 and not session.is_due(idle=True)
+    session.keep_since(8)
+    assert session.keyframes and min(frame.index for frame in session.keyframes) >= 8
+    assert session.calibration.sigma_px == 1.0 and session.is_due()
+    session.accept(session.request(), FakeCalibration(4.0))
+    assert session.calibration.sigma_px == 4.0
