@@ -136,7 +136,7 @@ def test_a_session_that_is_held_takes_nothing_until_it_goes_on(road):
     under_way = fed(session, road[0], range(6, 9)).request()
     session.hold()
     assert not session.accept(under_way, FakeCalibration(2.0))
-    fed(session, road[0], range(9, 14))
+    fed(session, road[0], range(9, 24))
     assert session.calibration.sigma_px == 1.0 and not session.is_due(idle=True)
     session.keep_since(8)
     assert session.keyframes and min(frame.index for frame in session.keyframes) >= 8
