@@ -19,7 +19,10 @@ import argparse
 from pathlib import Path
 import sys
 
+from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
+from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
+from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Motions from tracks of an unknown scene.
@@ -28,9 +31,10 @@ MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal calibrate`."""
-    parser.add_argument('input', metavar='INPUT',
+    parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
-                             'a video, or tracks.csv (columns frame,track,x,y)')
+                             'a video, or tracks.csv (columns frame,track,x,y); several of these '
+                             'are calibrated each and together')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--motion', default='auto',
                         choices=(*MOTIONS, 'known-object'),
@@ -59,12 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for tracks.csv')
     add_fact_arguments(parser)
+    add_many_arguments(parser)
     output = parser.add_argument_group('output')
-    output.add_argument('--output', type=Path, default=Path('camera.yaml'), metavar='CAMERA.YAML',
+    output.add_argument('--output', type=Path, metavar='CAMERA.YAML',
                         help='calibration file for camera drivers (default camera.yaml)')
     output.add_argument('--camera-name', default='camera', help='name inside CAMERA.YAML')
-    output.add_argument('--json', type=Path, metavar='RESULT.JSON',
-                        help='everything, for another program')
+    add_json_argument(output)
     output.add_argument('--report', type=Path, metavar='REPORT.HTML',
                         help='everything, for a person')
     output.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
@@ -76,13 +80,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate; returns the exit status."""
-    from selfcal_ros.cli.motion_text import motion_text
-    from selfcal_ros.cli.outputs import Outputs
-    from selfcal_ros.cli.progress import ProgressBar
-    from selfcal_ros.cli.result_text import result_text
+    from selfcal_ros.errors import ArgumentError
+    from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+    from selfcal_ros.pipeline.many_inputs import find_recordings
+    _check_options(args)
+    _check_track(args)
+    settings = CalibrationSettings(
+        # a known object determines the aspect ratio, and cameras are square to 0.1 % only; the
+        # edges of a small object do not
+        facts=facts_from(args, FREE if args.object else 1.0), motion=args.motion,
+        translation_frames=args.translation_frames and tuple(args.translation_frames),
+        known_object=args.object, mode=args.mode, topic=args.topic,
+        max_keyframes=args.max_keyframes,
+        image_size=tuple(args.image_size) if args.image_size else None)
+    paths, many = find_recordings(args.input)
+    if many:
+        if args.track:
+            raise ArgumentError('--track takes a single recording.')
+        return run_many(args, paths, settings)
+    for name in ('output_dir', 'jobs', 'scheduler'):
+        if getattr(args, name):
+            raise ArgumentError(f'--{name.replace("_", "-")} is for many recordings; give several '
+                                'INPUTs, or a folder of them.')
+    return _run_one(args, args.input[0], settings)
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
     from selfcal_ros.errors import ArgumentError
     known = bool(args.object) or args.track
-    _check_track(args)
     if known and args.motion not in ('auto', 'known-object'):
         option = '--track' if args.track else '--object'
         raise ArgumentError(f'{option} and --motion {args.motion} exclude each other; leave one '
@@ -98,60 +124,46 @@ def run(args: argparse.Namespace) -> int:
     if args.max_keyframes is not None and args.max_keyframes < least:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
                             'calibrate.')
-    # a known object determines the aspect ratio, and cameras are square to 0.1 % only
-    # the edges of a small object do not
-    facts = facts_from(args, FREE if args.object else 1.0)
-    outputs = Outputs(camera_yaml=args.output, result_json=args.json, report=args.report,
-                      ply=args.ply, camera_name=args.camera_name)
+
+
+def _run_one(args: argparse.Namespace, path: str, settings) -> int:
+    """Calibrate one recording; returns the exit status."""
+    from selfcal_ros.cli.motion_text import motion_text
+    from selfcal_ros.cli.outputs import Outputs
+    from selfcal_ros.cli.progress import ProgressBar
+    from selfcal_ros.cli.result_text import result_text
+    from selfcal_ros.pipeline.calibrate_input import calibrate_input
+    from selfcal_ros.pipeline.sources import open_source
+    outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
+                      report=args.report, ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check()
-
-    from selfcal_ros.pipeline.sources import open_source
-    size = tuple(args.image_size) if args.image_size else None
     with ProgressBar(not args.quiet) as progress:
-        how = _from_edges if args.track else _from_object if known else _from_motion
-        result, reading = how(args, facts, size, progress)
+        if args.track:
+            result, reading = _from_edges(args, path, settings.facts, progress)
+        else:
+            result, reading = calibrate_input(path, settings, progress)
+    known = args.track or settings.known_object
     why = (motion_text(result, args.motion),) if result and not known else ()
-    text = result_text(result, notes=(*why, *reading.notes))
+    notes = (*why, *reading.notes)
+    text = result_text(result, notes=notes)
     written = outputs.write(result, text, reading.description, reading.tracks,
-                            lambda: open_source(args.input, args.topic, colour=True))
-    if not args.quiet:
-        print(text)
+                            lambda: open_source(path, args.topic, colour=True), notes)
+    if not (args.quiet or is_standard_output(args.json)):
+        print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
 
 
-def _from_motion(args, facts, size, progress):
-    """Calibrate from tracks of an unknown scene; returns the result and the reading."""
-    from selfcal_ros import calibrate
-    from selfcal_ros.pipeline.feature_session import read_tracks
-    reading = read_tracks(args.input, topic=args.topic, mode=args.mode,
-                          max_keyframes=args.max_keyframes, image_size=size, progress=progress)
-    return (calibrate(reading.tracks, motion=args.motion, facts=facts,
-                      translation_frames=args.translation_frames), reading)
-
-
-def _from_object(args, facts, size, progress):
-    """Calibrate from images of a known object; returns the result and the reading."""
-    from selfcal_ros.calibration.known_object import calibrate_known_object
-    from selfcal_ros.features.targets import parse_target
-    from selfcal_ros.pipeline.object_session import read_object_views
-    target = parse_target(args.object)
-    reading = read_object_views(args.input, target, topic=args.topic,
-                                max_keyframes=args.max_keyframes, image_size=size,
-                                progress=progress)
-    return calibrate_known_object(reading.tracks, target.known, facts=facts), reading
-
-
-def _from_edges(args, facts, _, progress):
+def _from_edges(args, path, facts, progress):
     """Calibrate from the edges of a tracked object; returns the result and the reading."""
     from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     start = read_camera_yaml(args.camera)[0] if args.camera else None
-    return calibrate_tracked_object(args.input, read_model(args.model), facts, init=args.init,
+    return calibrate_tracked_object(path, read_model(args.model), facts, init=args.init,
                                     clicks=args.clicks, start=start, topic=args.topic,
                                     max_keyframes=args.max_keyframes, seed=args.seed,
                                     progress=progress)

@@ -92,7 +92,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f'selfcal {args.verb}: this is a fault of selfcal_ros; please report the lines '
               'above.', file=sys.stderr)
         return EXIT_FAULT
-    print(f'selfcal {args.verb}: {sentence}', file=sys.stderr)
+    from selfcal_ros.cli.colours import complaint
+    print(complaint(f'selfcal {args.verb}', sentence), file=sys.stderr)
     return EXIT_INPUT
 
 

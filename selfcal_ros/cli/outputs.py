@@ -22,12 +22,13 @@ from pathlib import Path
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure import metric_structure
 from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
-from selfcal_ros.report.result_json import write_result_json
+from selfcal_ros.report.result_json import result_to_json
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Outputs:
 
         """
         paths = [path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
-                 if path]
+                 if path and not is_standard_output(path)]
         if len({path.absolute() for path in paths}) < len(paths):
             raise ArgumentError('Two outputs have the same name; give each its own file.')
         for path in paths:
@@ -68,7 +69,7 @@ class Outputs:
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
-              open_frames: Callable | None = None) -> list[Path]:
+              open_frames: Callable | None = None, notes: tuple[str, ...] = ()) -> list[Path]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -83,6 +84,8 @@ class Outputs:
             The observations, for the report's figures and for the structure.
         open_frames : callable, optional
             Opens the images again (as a context manager), for the colours of the structure.
+        notes : tuple of str
+            Further sentences for the report.
 
         Returns
         -------
@@ -99,9 +102,12 @@ class Outputs:
                  f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
                  f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)']))
         if self.result_json:
-            written.append(write_result_json(self.result_json, result))
+            write_json(self.result_json, result_to_json(result))
+            if not is_standard_output(self.result_json):
+                written.append(self.result_json)
         if self.report:
-            written.append(write_page(self.report, result, text, source, tracks=tracks))
+            written.append(write_page(self.report, result, text, source, tracks=tracks,
+                                      camera_name=self.camera_name, notes=notes))
         # a camera that only rotates sees no depth
         if self.ply and result and result.motion != 'rotation':
             written.append(self._write_structure(result, source, tracks, open_frames))

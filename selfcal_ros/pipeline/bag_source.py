@@ -88,12 +88,11 @@ class BagSource(FrameSource):
 
     def __init__(self, path, topic=None, image_size=None, colour=False):
         """Open the bag and choose the topic."""
-        super().__init__(Path(path), image_size)
-        self._colour = colour
+        super().__init__(path, image_size, colour)
         self._reader = None
         _check_files(self.path)
         with _readable(self.path):
-            self._open()
+            self._reader, self._deserialize = _opened(self.path)
         try:
             self._connections = self._choose(topic)
             self.topic = self._connections[0].topic
@@ -104,20 +103,6 @@ class BagSource(FrameSource):
         except BaseException:
             self.close()
             raise
-
-    def _open(self) -> None:
-        from rosbags.typesys import Stores, get_typestore
-        # image messages never changed their layout, so fixed type stores are enough, and the
-        # type definitions inside a bag need not be trusted
-        if self.path.suffix == '.bag' and self.path.is_file():
-            from rosbags.rosbag1 import Reader
-            self._deserialize = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
-        else:
-            from rosbags.rosbag2 import Reader
-            self._deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
-        reader = Reader(self.path)
-        reader.open()
-        self._reader = reader
 
     def _choose(self, topic: str | None) -> list:
         """Return the connections of the topic."""
@@ -158,9 +143,7 @@ class BagSource(FrameSource):
             self.frame_id = str(msg.header.frame_id)
             self.clock = 'header' if stamp_ns(msg.header.stamp) else 'log'
             break
-        for frame in self:
-            self.image_size = frame.image.shape[1], frame.image.shape[0]
-            break
+        self._see_first()
 
     def _messages(self) -> Iterator[tuple[int, object]]:
         """Yield log time and message; raise InputError if fewer come than the bag announces."""
@@ -194,6 +177,44 @@ class BagSource(FrameSource):
         if reader is not None:
             with _readable(self.path):
                 reader.close()
+
+
+def image_topics(path) -> list[str]:
+    """
+    List the image topics of a bag that hold messages, raw rather than compressed ones.
+
+    Raises
+    ------
+    InputError
+        If the bag is damaged.
+
+    """
+    path = Path(path)
+    _check_files(path)
+    with _readable(path):
+        reader, _ = _opened(path)
+        names = {connection.topic for connection in reader.connections
+                 if connection.msgtype in IMAGE_TYPES and connection.msgcount}
+        reader.close()
+    # the same images in another coding would count twice
+    return sorted(name for name in names
+                  if not (name.endswith('/compressed') and name[:-len('/compressed')] in names))
+
+
+def _opened(path: Path) -> tuple:
+    """Return an open reader of rosbags, and what turns its data into messages."""
+    from rosbags.typesys import Stores, get_typestore
+    # image messages never changed their layout, so fixed type stores are enough, and the type
+    # definitions inside a bag need not be trusted
+    if path.suffix == '.bag' and path.is_file():
+        from rosbags.rosbag1 import Reader
+        deserialize = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+    else:
+        from rosbags.rosbag2 import Reader
+        deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
+    reader = Reader(path)
+    reader.open()
+    return reader, deserialize
 
 
 def _shortened(names: list, limit: int = 12) -> str:

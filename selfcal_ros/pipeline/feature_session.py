@@ -35,12 +35,15 @@ class Reading:
         The input in a few words.
     notes : tuple of str
         What a user should know, one sentence each.
+    clock : str
+        Where the stamps come from; see `FrameSource.clock`.
 
     """
 
     tracks: Tracks
     description: str
     notes: tuple[str, ...] = ()
+    clock: str = 'none'
 
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
@@ -91,4 +94,4 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
                              'texture and overlap.')
-        return Reading(found.tracks, source.description, found.notes)
+        return Reading(found.tracks, source.description, found.notes, source.clock)

@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 import re
 
 import cv2
@@ -64,8 +63,7 @@ class ImageFolderSource(FrameSource):
 
     def __init__(self, path, image_size=None, colour=False):
         """List the folder."""
-        super().__init__(Path(path), image_size)
-        self._colour = colour
+        super().__init__(path, image_size, colour)
         try:
             entries = [e for e in self.path.iterdir() if not e.name.startswith('.')]
         except OSError as error:
@@ -76,8 +74,7 @@ class ImageFolderSource(FrameSource):
             raise InputError(self._nothing_here(entries))
         self.count = len(self._files)
         self.description = f'image folder {self.path.name}, {self.count} images'
-        first = next(iter(self))
-        self.image_size = first.image.shape[1], first.image.shape[0]
+        self._see_first()
 
     def _nothing_here(self, entries) -> str:
         """Say what the folder holds instead of images."""
@@ -111,13 +108,7 @@ class VideoSource(FrameSource):
     """
     The frames of a video file, in the orientation of the sensor.
 
-    Parameters
-    ----------
-    path : Path
-    image_size : (int, int), optional
-        Refuse images of another size.
-    colour : bool
-        Give the frames in colour, too.
+    Parameters are those of `ImageFolderSource`.
 
     Raises
     ------
@@ -131,8 +122,7 @@ class VideoSource(FrameSource):
 
     def __init__(self, path, image_size=None, colour=False):
         """Open the video and decode its first frame."""
-        super().__init__(Path(path), image_size)
-        self._colour = colour
+        super().__init__(path, image_size, colour)
         capture = self._open()
         try:
             count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -145,11 +135,9 @@ class VideoSource(FrameSource):
         self.clock = 'video' if self._rate_hz == rate else 'nominal'
         about = f'about {self.count} frames' if self.count else 'length unknown'
         self.description = f'video {self.path.name}, {about} at {self._rate_hz:.4g} Hz'
-        first = next(iter(self), None)
-        if first is None:
+        if not self._see_first():
             raise InputError(f'{self.path} opens as a video, but no frame can be decoded; it is '
                              'damaged or uses a codec that this OpenCV lacks.')
-        self.image_size = first.image.shape[1], first.image.shape[0]
 
     def _open(self):
         """Return an opened cv2.VideoCapture."""
@@ -210,7 +198,7 @@ class TracksSource(FrameSource):
 
     def __init__(self, path, image_size=None):
         """Read the file."""
-        super().__init__(Path(path), image_size)
+        super().__init__(path, image_size)
         try:
             self._tracks = Tracks.from_csv(self.path, self.image_size)
         except InputError as error:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -84,9 +85,10 @@ class FrameSource(ABC):
     kind = ''
     clock = 'none'
 
-    def __init__(self, path, image_size=None):
+    def __init__(self, path, image_size=None, colour=False):
         """Keep what all sources have."""
-        self.path = path
+        self.path = Path(path)
+        self._colour = colour
         self.description = ''
         self.topic = ''
         self.frame_id = ''
@@ -131,6 +133,13 @@ class FrameSource(ABC):
 
     def close(self) -> None:
         """Release what is open; may be called twice."""
+
+    def _see_first(self) -> bool:
+        """Learn the image size from the first frame; False if there is none."""
+        first = next(iter(self), None)
+        if first is not None:
+            self.image_size = first.image.shape[1], first.image.shape[0]
+        return first is not None
 
     def _checked(self, frame: Frame) -> Frame:
         """Refuse a frame whose size differs from those before it."""

@@ -43,17 +43,12 @@ def read_object_views(path, target: Target, topic: str | None = None,
 
     Parameters
     ----------
-    path : str or Path
-        Tracks are taken as they are; their track numbers are those of the object's points.
+    path, topic, image_size, progress
+        See `selfcal_ros.pipeline.feature_session.read_tracks`. Tracks are taken as they are;
+        their track numbers are those of the object's points.
     target : Chessboard, Charuco, TsaiGrid or PointList
-    topic : str, optional
-        Image topic of a bag.
     max_keyframes : int, optional
         Views that the result may use at most.
-    image_size : (int, int), optional
-        Width and height in pixels, for tracks from a table.
-    progress : callable, optional
-        Called as progress(text, done, total); total is None where it is not known.
 
     Returns
     -------
@@ -99,7 +94,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
         frame = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
         tracks = Tracks(frame, np.concatenate([identity for _, identity, _ in views]),
                         np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
-        return Reading(tracks, source.description, notes)
+        return Reading(tracks, source.description, notes, source.clock)
 
 
 def _moved(last, now, step_px: float) -> bool:

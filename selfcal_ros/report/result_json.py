@@ -50,7 +50,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     """
     good = isinstance(result, Calibration)
     fixed = result.fixed_points if good else None
-    return _plain({
+    return plain({
         'status': 'calibrated' if good else 'not_calibrated',
         'reason': '' if good else result.reason,
         'advice': '' if good else result.advice,
@@ -143,14 +143,14 @@ def _sigma(result: Calibration) -> dict:
             for name, value in zip(PARAMETER_NAMES, sigma)}
 
 
-def _plain(value):
-    """Convert to what JSON knows."""
+def plain(value):
+    """Convert to what strict JSON knows; what is not finite becomes None."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):
@@ -158,5 +158,5 @@ def _plain(value):
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, (complex, np.complexfloating)):
-        return [_plain(float(value.real)), _plain(float(value.imag))]
+        return [plain(float(value.real)), plain(float(value.imag))]
     return None if value is None else str(value)

@@ -13,8 +13,11 @@
 # limitations under the License.
 """The command line: exit statuses, sentences instead of tracebacks, files whole or not at all."""
 
+from dataclasses import replace
+import io
 import json
 from pathlib import Path
+import re
 import subprocess
 import sys
 import time
@@ -24,6 +27,7 @@ import pytest
 
 from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.cli import main as command
+from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
@@ -98,7 +102,7 @@ def test_what_cannot_be_calibrated_is_status_1_with_a_reason(capsys):
 
 @pytest.mark.parametrize('arguments, words', [
     (['nowhere.mcap'], 'nowhere.mcap does not exist'),
-    (['.'], '.'),
+    (['hollow'], 'hollow is empty'),
     (['empty.csv'], 'empty.csv'),
     (['nan.csv'], 'line 2'),
     (['good.csv', '--output', 'no/such/folder/camera.yaml'], 'does not exist'),
@@ -113,6 +117,7 @@ def test_what_cannot_be_calibrated_is_status_1_with_a_reason(capsys):
 ])
 def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     Path('empty.csv').touch()
+    Path('hollow').mkdir()
     Path('nan.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
     Path('good.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')
     before = sorted(Path().iterdir())
@@ -205,6 +210,99 @@ def test_options_become_facts(arguments, expected):
     parser = argparse.ArgumentParser()
     add_fact_arguments(parser)
     assert facts_from(parser.parse_args(arguments)) == expected
+
+
+def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys, driven):
+    Path('drives').mkdir()
+    for number in range(3):
+        drive(np.random.default_rng(number), 0.2, 12, 250, 12).tracks.to_csv(
+            f'drives/d{number}.csv')
+    Path('drives/broken.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    pure_translation(np.random.default_rng(1)).tracks.to_csv('drives/straight.csv')
+    assert selfcal('calibrate', 'drives', *SIZE, '--output-dir', 'out') == 0
+    said = capsys.readouterr().out
+    for words in ('d0.csv', 'straight.csv', 'not calibrated: ', 'broken.csv, line 2',
+                  '3 of 4 recordings calibrate', 'The recordings agree'):
+        assert words in said
+    joint = json.loads(Path('out/camera.json').read_text(encoding='utf-8'))
+    assert abs(joint['camera']['fx'] - 520) < 4 * joint['sigma']['fx']
+    assert read_camera_yaml('out/camera.yaml')[0].K[0, 0] == joint['camera']['fx']
+    assert sorted(p.name for p in Path('out/recordings').iterdir()) == [
+        'd0.json', 'd0.yaml', 'd1.json', 'd1.yaml', 'd2.json', 'd2.yaml', 'straight.json']
+    page = Path('out/summary.html').read_text(encoding='utf-8')
+    assert 'data:image/svg+xml' in page and 'http://' not in page and 'straight.csv' in page
+    assert Path('out/summary.png').read_bytes().startswith(b'\x89PNG')
+    content = json.loads(Path('out/summary.json').read_text(encoding='utf-8'))
+    assert len(content['cameras'][0]['recordings']) == 4 and len(content['failures']) == 1
+    assert content['cameras'][0]['joint'] == joint
+
+
+def test_many_recordings_none_of_which_can_be_used(capsys):
+    for name in ('a', 'b'):
+        Path(f'{name}.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    assert selfcal('calibrate', 'a.csv', 'b.csv', '--quiet') == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 2
+    for options, words in ((['--output', 'c.yaml'], '--output is for a single'),
+                           (['--track', '--model', 'm.cao'], '--track takes a single'),
+                           (['--jobs', '0'], 'positive'), (['--scheduler', 'x'], 'dask')):
+        assert selfcal('calibrate', 'a.csv', 'b.csv', *options) == 2
+        assert words in capsys.readouterr().err
+    assert selfcal('calibrate', 'a.csv', '--output-dir', 'x') == 2
+    assert '--output-dir is for many' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('verb', ['one', 'many', 'refused'])
+def test_json_on_standard_output_is_all_that_is_there(driven, capsys, verb):
+    pure_translation(np.random.default_rng(1)).tracks.to_csv('straight.csv')
+    inputs = {'one': [driven[0]], 'many': [driven[0], 'straight.csv'],
+              'refused': ['straight.csv']}[verb]
+    assert selfcal('calibrate', *inputs, *SIZE, '--json', '-') == (verb == 'refused')
+    heard = capsys.readouterr()
+    content = json.loads(heard.out)
+    if verb == 'many':
+        assert len(content['cameras'][0]['recordings']) == 2
+    else:
+        assert content['status'] == ('calibrated' if verb == 'one' else 'not_calibrated')
+    assert heard.err.startswith('Not calibrated') == (verb == 'refused')
+    assert not Path('-').exists() and '\x1b' not in heard.out + heard.err
+
+
+def test_colours_are_for_terminals_only(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    text = 'Calibrated.\n  fx 520 ± 1   estimated\n  skew 0 ± -   held by skew = 0\nfacts'
+    monkeypatch.setenv('TERM', 'xterm')
+    monkeypatch.delenv('NO_COLOR', raising=False)
+    assert coloured(text, io.StringIO()) == text
+    shown = coloured(text, Terminal())
+    assert re.sub(r'\x1b\[[0-9]+m', '', shown) == text and shown.count('\x1b[0m') == 3
+    assert '\x1b[31m' in coloured('a\nd1.csv not calibrated: no parallax', Terminal())
+    monkeypatch.setenv('NO_COLOR', '1')
+    assert coloured(text, Terminal()) == text
+    monkeypatch.delenv('NO_COLOR')
+    monkeypatch.setenv('TERM', 'dumb')
+    assert coloured(text, Terminal()) == text
+
+
+def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, monkeypatch):
+    from selfcal_ros.pipeline import calibrate_input
+    plain = calibrate_input.calibrate_input
+
+    def noted(*args):
+        result, reading = plain(*args)
+        return result, replace(reading, notes=('Eleven of twelve images were used.',))
+
+    monkeypatch.setattr(calibrate_input, 'calibrate_input', noted)
+    assert selfcal('calibrate', driven[0], *SIZE, '--report', 'r.html', '--camera-name',
+                   'front_left', '--quiet') == 0
+    page = Path('r.html').read_text(encoding='utf-8')
+    notes = page[page.index('<h2>Notes</h2>'):]
+    assert 'Eleven of twelve images were used.' in notes[:notes.index('</section>')]
+    assert 'Motion: planar, found from the images' in notes
+    assert 'camera_name: front_left' in page
 
 
 def test_compare_says_in_pixels_and_words_how_far_apart(capsys):

@@ -1,0 +1,169 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal calibrate` with many recordings: a line and a file each, one joint result a camera."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import re
+import sys
+
+from selfcal_ros.cli.colours import coloured
+from selfcal_ros.cli.machine_output import is_standard_output, write_json
+from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
+from selfcal_ros.errors import ArgumentError, InputError
+
+DEFAULT_FOLDER = 'calibrations'
+
+
+def add_many_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options for many recordings."""
+    group = parser.add_argument_group(
+        'many recordings', 'Several INPUTs, a folder of recordings, or a quoted pattern: each is '
+        'calibrated, in parallel processes, and each camera (image topic and size) jointly.')
+    group.add_argument('--output-dir', type=Path, metavar='FOLDER',
+                       help='for the camera file and the result of each recording and of each '
+                            'camera, and summary.html, .png and .json (default '
+                            f'{DEFAULT_FOLDER})')
+    group.add_argument('--jobs', type=int, metavar='N', help='processes (default: one a core)')
+    group.add_argument('--engine', choices=('processes', 'dask'), default='processes',
+                       help='what runs them (default processes)')
+    group.add_argument('--scheduler', metavar='ADDRESS',
+                       help='Dask scheduler, as tcp://host:8786; its workers must see the same '
+                            'files (default: a cluster of this machine)')
+
+
+def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
+    """
+    Calibrate many recordings; returns the exit status.
+
+    0: every camera has a joint result; 1: one has none; 2: no recording can be used at all.
+    """
+    from selfcal_ros.pipeline.many_inputs import calibrate_many
+    from selfcal_ros.report.files import check_writable
+    from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
+    for name in ('output', 'ply'):
+        if getattr(args, name):
+            raise ArgumentError(f'--{name} is for a single recording; with many, --output-dir '
+                                'takes the files.')
+    folder = args.output_dir or Path(DEFAULT_FOLDER)
+    try:
+        (folder / 'recordings').mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f'{folder} cannot be made: {error.strerror}.') from None
+    page = args.report or folder / 'summary.html'
+    for path in (page, folder / 'summary.json', *([args.json] if args.json else ())):
+        if not is_standard_output(path):
+            check_writable(path)
+    quiet = args.quiet or is_standard_output(args.json)
+    files = _RecordingFiles(folder / 'recordings')
+    with ProgressBar(not args.quiet) as progress:
+        summary = calibrate_many(paths, settings, each=files.write, progress=progress,
+                                 engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
+    content = summary_to_dict(summary)
+    write_json(folder / 'summary.json', content)
+    if args.json:
+        write_json(args.json, content)
+    write_summary_page(page, summary)
+    pictures = _write_cameras(summary, folder, args.camera_name)
+    if not quiet:
+        print(coloured(_text(summary)))
+        print(f'Written: {page}, {", ".join(map(str, [*pictures, folder / "summary.json"]))}, '
+              f'and {files.count} results in {folder / "recordings"}.')
+    for outcome in summary.failures if quiet else ():
+        print(outcome.error, file=sys.stderr)
+    if not summary.cameras:
+        return EXIT_INPUT
+    every = all(camera.joint is not None for camera in summary.cameras)
+    return EXIT_DONE if every else EXIT_NOT_CALIBRATED
+
+
+class _RecordingFiles:
+    """Writes the result of each recording as it comes, so that none is lost."""
+
+    def __init__(self, folder: Path):
+        self._folder, self._names = folder, set()
+        self.count = 0
+
+    def write(self, outcome) -> None:
+        """Write camera file and result, each whole or not at all."""
+        from selfcal_ros.report.camera_yaml import write_camera_yaml
+        from selfcal_ros.report.result_json import write_result_json
+        if outcome.result is None:
+            return
+        self.count += 1
+        base = file_name(f'{Path(outcome.path).stem} {outcome.topic}'.strip())
+        name, number = base, 1
+        while name in self._names:
+            number += 1
+            name = f'{base}_{number}'
+        self._names.add(name)
+        write_result_json(self._folder / f'{name}.json', outcome.result)
+        if outcome.result:
+            write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
+                              file_name(outcome.topic) or 'camera',
+                              [f'{outcome.result.software}: {outcome.path} {outcome.topic}'])
+
+
+def file_name(text: str) -> str:
+    """Turn a topic or another text into a name of letters, digits and underscores."""
+    return re.sub(r'[^A-Za-z0-9]+', '_', text).strip('_')
+
+
+def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
+    """Write the joint result and the figure of each camera; returns the files."""
+    from selfcal_ros.report.camera_yaml import write_camera_yaml
+    from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.report.many_inputs_report import verdict_of
+    from selfcal_ros.report.parameter_history import parameter_history, picture
+    from selfcal_ros.report.result_json import write_result_json
+    written = []
+    for camera in summary.cameras:
+        if camera.joint is None:
+            continue
+        lone = len(summary.cameras) == 1
+        name = camera_name if lone else file_name(
+            f'{camera.topic or camera_name} {camera.image_size[0]}x{camera.image_size[1]}')
+        result = camera.joint.calibration
+        written += [
+            write_camera_yaml(folder / f'{name}.yaml', result.camera, name,
+                              [f'{result.software}: {len(camera.members)} recordings together',
+                               verdict_of(camera)]),
+            write_result_json(folder / f'{name}.json', result),
+            atomic_write(folder / ('summary.png' if lone else f'{name}.png'),
+                         picture(parameter_history(camera), 'png'))]
+    return written
+
+
+def _text(summary) -> str:
+    """Return the table for a terminal."""
+    from selfcal_ros.report.many_inputs_report import COLUMNS, rows_of, verdict_of
+    lines = []
+    for camera in summary.cameras:
+        size = '{}x{}'.format(*camera.image_size)
+        rows = rows_of(camera)
+        wide = min(max([len(row.name) for row in rows] + [9]), 40)
+        lines += [f'{camera.topic or "Camera"}, {size}', '',
+                  f'{"recording":<{wide}}' + ''.join(f' {name:>17}' for name in COLUMNS)
+                  + f' {"rms":>6} {"sigmas":>6}  status']
+        for row in rows:
+            name = row.name if len(row.name) <= wide else f'...{row.name[3 - wide:]}'
+            lines.append(f'{name:<{wide}}' + ''.join(f' {value:>17}' for value in row.values)
+                         + f' {row.rms:>6} {row.deviation:>6}  {row.status}')
+        lines += ['', verdict_of(camera), *camera.notes, '']
+    if summary.failures:
+        lines += ['Cannot be used:', *(f'  {outcome.error}' for outcome in summary.failures), '']
+    return '\n'.join(lines)

@@ -1,0 +1,96 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From an input that a user names to its calibration, with or without a known object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline.feature_session import Reading
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """
+    How to calibrate an input; values as on the command line, so that processes can share them.
+
+    Attributes
+    ----------
+    facts : CameraFacts
+    motion : str
+        See `selfcal_ros.calibrate`.
+    translation_frames : tuple of int, optional
+    known_object : str, optional
+        See `selfcal_ros.features.targets.parse_target`; the motion does not matter then.
+    mode : {'auto', 'video', 'wide'}
+    topic : str, optional
+        Image topic of a bag.
+    max_keyframes : int, optional
+    image_size : (int, int), optional
+        Width and height in pixels, for tracks from a table.
+
+    """
+
+    facts: CameraFacts = field(default_factory=CameraFacts)
+    motion: str = 'auto'
+    translation_frames: tuple[int, ...] | None = None
+    known_object: str | None = None
+    mode: str = 'auto'
+    topic: str | None = None
+    max_keyframes: int | None = None
+    image_size: tuple[int, int] | None = None
+
+
+def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
+                    ) -> tuple[Calibration | NotCalibrated, Reading]:
+    """
+    Read an input of any kind that `open_source` knows, and calibrate from it.
+
+    Parameters
+    ----------
+    path : str or Path
+    settings : CalibrationSettings
+    progress : callable, optional
+        Called as progress(text, done, total); total is None where it is not known.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+    Reading
+        The tracks that it comes from.
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If the input cannot be used; the sentence says what to do.
+
+    """
+    shared = {'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
+              'image_size': settings.image_size, 'progress': progress}
+    # OpenCV and SciPy load here, not where the command line starts
+    if settings.known_object:
+        from selfcal_ros.calibration.known_object import calibrate_known_object
+        from selfcal_ros.features.targets import parse_target
+        from selfcal_ros.pipeline.object_session import read_object_views
+        target = parse_target(settings.known_object)
+        reading = read_object_views(path, target, **shared)
+        return calibrate_known_object(reading.tracks, target.known, facts=settings.facts), reading
+    from selfcal_ros.calibration.solve import calibrate
+    from selfcal_ros.pipeline.feature_session import read_tracks
+    reading = read_tracks(path, mode=settings.mode, **shared)
+    return calibrate(reading.tracks, motion=settings.motion, facts=settings.facts,
+                     translation_frames=settings.translation_frames), reading

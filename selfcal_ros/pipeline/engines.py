@@ -1,0 +1,191 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Run one function over many jobs: in processes of this machine, or on a Dask cluster.
+
+A job that fails is a value; one that takes its process with it (out of memory, a crash in a
+decoder) costs its own result and nobody else's. Every process computes with one thread: many jobs
+share the cores better than many threads in each.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+import multiprocessing
+import os
+import signal
+
+from selfcal_ros.errors import ArgumentError, InputError
+
+ENGINES = ('processes', 'dask')
+#: What NumPy's libraries read when they load.
+_THREAD_LIMITS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS',
+                  'VECLIB_MAXIMUM_THREADS', 'NUMEXPR_NUM_THREADS')
+CRASHED = 'its process died, as for want of memory or from a file that crashes a decoder.'
+
+
+def core_count() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run_jobs(function: Callable, jobs: list, *, engine: str = 'processes',
+             workers: int | None = None, scheduler: str | None = None) -> Iterator[tuple]:
+    """
+    Run a function over jobs, and yield the results as they come.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, of one job; returns a value and raises nothing.
+    jobs : list
+        Like the values, these travel between processes.
+    engine : {'processes', 'dask'}
+    workers : int, optional
+        Processes; by default one a core.
+    scheduler : str, optional
+        Address of a Dask scheduler, tcp://host:8786 for example; its workers must see the same
+        files under the same names. By default a cluster of this machine alone.
+
+    Yields
+    ------
+    int
+        Number of the job.
+    object
+        Its value, None if its process died.
+
+    Raises
+    ------
+    ArgumentError
+        If the engine is unknown or not installed, or the options contradict each other.
+    InputError
+        If the scheduler cannot be reached.
+
+    """
+    if engine not in ENGINES:
+        raise ArgumentError(f'The engine {engine!r} is unknown; choose one of '
+                            f'{", ".join(ENGINES)}.')
+    if workers is not None and workers < 1:
+        raise ArgumentError(f'The number of processes must be positive, not {workers}.')
+    if scheduler and engine != 'dask':
+        raise ArgumentError('A scheduler belongs to --engine dask.')
+    workers = min(workers or core_count(), max(len(jobs), 1))
+    if engine == 'dask':
+        yield from _on_dask(function, jobs, workers, scheduler)
+    else:
+        yield from _in_processes(function, jobs, workers)
+
+
+def _prepare_process() -> None:
+    """Make a process compute with one thread, and leave Ctrl-C to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _one_thread()
+
+
+def _one_thread() -> None:
+    """Keep OpenCV to one thread; NumPy's libraries know from the environment."""
+    import cv2
+    cv2.setNumThreads(1)
+
+
+@contextmanager
+def _thread_limits():
+    """Let processes that start meanwhile inherit an environment of one thread."""
+    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, '1'))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _in_processes(function, jobs, workers) -> Iterator[tuple]:
+    """Run in a pool; after a crash those that were running run again, each alone."""
+    waiting, suspects = deque(range(len(jobs))), deque()
+    while waiting or suspects:
+        alone = bool(suspects)
+        queue = deque([suspects.popleft()]) if alone else waiting
+        others = set(multiprocessing.active_children())
+        with _thread_limits():
+            # a forked process would inherit locks of the parent's threads
+            pool = ProcessPoolExecutor(1 if alone else workers, initializer=_prepare_process,
+                                       mp_context=multiprocessing.get_context('spawn'))
+            running = {}
+            try:
+                while queue or running:
+                    # no more than there are processes: what is running at a crash is suspect
+                    while queue and len(running) < workers:
+                        future = pool.submit(function, jobs[queue[0]])
+                        running[future] = queue.popleft()
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        value = future.result()
+                        yield running.pop(future), value
+            except BrokenProcessPool:
+                if alone:
+                    yield from ((number, None) for number in running.values())
+                else:
+                    suspects.extend(running.values())
+            except BaseException:
+                # Ctrl-C: nobody waits for the rest
+                for process in set(multiprocessing.active_children()) - others:
+                    process.terminate()
+                raise
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
+    """Run on a cluster."""
+    try:
+        from dask.distributed import as_completed, Client, LocalCluster
+    except ImportError:
+        raise ArgumentError('--engine dask needs Dask, which is not installed: pip install '
+                            '"selfcal_ros[dask]".') from None
+    with _thread_limits():
+        if scheduler:
+            cluster = None
+            try:
+                client = Client(scheduler, timeout='10s')
+            except (OSError, ValueError) as error:
+                raise InputError(f'The Dask scheduler {scheduler} cannot be reached '
+                                 f'({" ".join(str(error).split())[:120]}).') from None
+        else:
+            # without its web page, so that nothing needs a port
+            cluster = LocalCluster(n_workers=workers, threads_per_worker=1,
+                                   dashboard_address=None)
+            client = Client(cluster)
+        try:
+            try:
+                client.run(_one_thread)
+            except ImportError as error:
+                raise InputError(f'The workers of {scheduler} cannot compute: {error}; install '
+                                 'selfcal_ros there.') from None
+            futures = [client.submit(function, job, pure=False, retries=0) for job in jobs]
+            numbers = {future.key: number for number, future in enumerate(futures)}
+            for future in as_completed(futures):
+                yield numbers[future.key], future.result() if future.status == 'finished' else None
+        finally:
+            client.close()
+            if cluster is not None:
+                cluster.close()

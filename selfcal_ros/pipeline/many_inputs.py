@@ -1,0 +1,296 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Many recordings: one calibration each, and one joint calibration for each camera among them.
+
+Cameras are told apart by image topic and image size. A recording that cannot be used, or kills
+the process that reads it, is a line in the table, and no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+import glob
+import os
+from pathlib import Path
+import time
+
+import numpy as np
+
+from selfcal_ros.calibration.joint import combine, JointCalibration
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
+from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
+from selfcal_ros.pipeline.engines import CRASHED, run_jobs
+from selfcal_ros.pipeline.file_sources import natural_key, VIDEO_SUFFIXES
+
+#: Files that are recordings when they lie in a folder of recordings.
+_RECORDINGS = (*BAG_SUFFIXES, *VIDEO_SUFFIXES, '.csv')
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    What came of one camera in one recording.
+
+    Attributes
+    ----------
+    path : str
+    topic : str
+        Image topic; empty where the recording has none.
+    image_size : (int, int) or None
+    result : Calibration, NotCalibrated or None
+        Without reconstruction and residuals; None if the recording cannot be used.
+    error : str
+        Why it cannot.
+    start_ns : int or None
+        Time of the first image, where the recording has a clock.
+    seconds : float
+        Time that it took.
+    notes : tuple of str
+
+    """
+
+    path: str
+    topic: str = ''
+    image_size: tuple[int, int] | None = None
+    result: Calibration | NotCalibrated | None = None
+    error: str = ''
+    start_ns: int | None = None
+    seconds: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def camera_key(self) -> tuple:
+        """What tells cameras apart."""
+        return self.topic, self.image_size
+
+
+@dataclass(frozen=True)
+class CameraSummary:
+    """
+    All recordings of one camera.
+
+    Attributes
+    ----------
+    topic : str
+    image_size : (int, int)
+    outcomes : tuple of Outcome
+        In the order of time, or of the inputs where there is none.
+    joint : JointCalibration or None
+        None if no recording calibrates.
+    members : tuple of int
+        Which of the outcomes the joint estimate was offered, in its order.
+    notes : tuple of str
+
+    """
+
+    topic: str
+    image_size: tuple[int, int]
+    outcomes: tuple[Outcome, ...]
+    joint: JointCalibration | None = None
+    members: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Everything that came of many recordings; `failures` are those without any camera."""
+
+    cameras: tuple[CameraSummary, ...]
+    failures: tuple[Outcome, ...]
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording, or one topic of it."""
+
+    path: str
+    settings: CalibrationSettings = field(default_factory=CalibrationSettings)
+
+
+def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
+    """
+    Find the recordings that inputs name.
+
+    Parameters
+    ----------
+    inputs : iterable of str or Path
+        Recordings, folders of recordings, or patterns such as 'drives/*.mcap'.
+
+    Returns
+    -------
+    paths : list of Path
+        In natural order within a folder or pattern, each once.
+    many : bool
+        Whether they name several, even if only one was found.
+
+    Raises
+    ------
+    InputError
+        If a pattern fits nothing.
+
+    """
+    inputs = list(inputs)
+    found, many = [], len(inputs) > 1
+    for text in map(str, inputs):
+        path = Path(text)
+        if not os.path.exists(text) and glob.has_magic(text):
+            matches = sorted(map(Path, glob.glob(text, recursive=True)),
+                             key=lambda match: natural_key(str(match)))
+            if not matches:
+                raise InputError(f'Nothing fits {text}.')
+            found, many = found + matches, True
+            continue
+        inside = _recordings_inside(path)
+        many = many or bool(inside)
+        found += inside or [path]
+    return list(dict.fromkeys(found)), many
+
+
+def _recordings_inside(path: Path) -> list[Path]:
+    """List the recordings of a folder that is none itself."""
+    try:
+        if not path.is_dir():
+            return []
+        entries = [entry for entry in path.iterdir() if not entry.name.startswith('.')]
+        files = [entry for entry in entries if entry.is_file() and entry.suffix in _RECORDINGS]
+        bags = [entry for entry in files if entry.suffix in ('.mcap', '.db3')]
+        # several bag files without metadata are no rosbag2 folder, one is its remains
+        if (path / 'metadata.yaml').is_file() or len(bags) == 1 and len(files) == 1:
+            return []
+        files += [entry for entry in entries if entry.is_dir() and is_bag_folder(entry)]
+        return sorted(files, key=lambda entry: natural_key(entry.name))
+    except (OSError, ValueError):
+        # whoever opens it says what is wrong
+        return []
+
+
+def calibrate_job(job: Job) -> list[Outcome]:
+    """Calibrate every camera of a recording; what goes wrong is in the outcome."""
+    path, settings = Path(job.path), job.settings
+    topics = [settings.topic]
+    try:
+        if settings.topic is None and (path.suffix in BAG_SUFFIXES
+                                       or path.is_dir() and is_bag_folder(path)):
+            topics = image_topics(path) or [None]
+    except (SelfcalError, OSError, ValueError) as error:
+        return [Outcome(job.path, error=_sentence(error))]
+    return [_calibrate_topic(job.path, replace(settings, topic=topic)) for topic in topics]
+
+
+def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
+    """Calibrate one camera of a recording."""
+    began = time.monotonic()
+    topic = settings.topic or ''
+    try:
+        result, reading = calibrate_input(path, settings)
+    except (SelfcalError, OSError) as error:
+        return Outcome(path, topic, error=_sentence(error), seconds=time.monotonic() - began)
+    except Exception as error:
+        # a fault of this program in one recording must not cost the others theirs
+        return Outcome(path, topic, error=f'{path}: fault of selfcal_ros, please report: '
+                       f'{type(error).__name__}: {error}', seconds=time.monotonic() - began)
+    if result:
+        result = replace(result, reconstruction=None, residuals=None)
+    stamps = reading.tracks.stamps_ns or {}
+    start = min(stamps.values()) if stamps and reading.clock in ('header', 'log') else None
+    size = reading.tracks.image_size or (
+        (result.camera.width, result.camera.height) if result else None)
+    return Outcome(path, topic, size, result, '', start, time.monotonic() - began, reading.notes)
+
+
+def _sentence(error: Exception) -> str:
+    return str(error) if isinstance(error, SelfcalError) else f'It cannot be read: {error}.'
+
+
+def calibrate_many(paths: list, settings: CalibrationSettings, *,
+                   each: Callable[[Outcome], None] | None = None,
+                   progress: Callable | None = None, **engine) -> Summary:
+    """
+    Calibrate many recordings, and each camera among them jointly.
+
+    Parameters
+    ----------
+    paths : list of str or Path
+    settings : CalibrationSettings
+    each : callable, optional
+        Called with every outcome as it comes.
+    progress : callable, optional
+        Called as progress(text, done, total).
+    **engine
+        engine, workers, scheduler; see `selfcal_ros.pipeline.engines.run_jobs`.
+
+    Returns
+    -------
+    Summary
+
+    """
+    began = time.monotonic()
+    found: list[list[Outcome]] = [[] for _ in paths]
+    jobs = [Job(str(path), settings) for path in paths]
+    for done, (number, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
+        path = jobs[number].path
+        found[number] = value or [Outcome(path, error=f'{path}: {CRASHED}')]
+        for outcome in found[number] if each else ():
+            each(outcome)
+        if progress:
+            progress('Calibrating', done, len(jobs))
+    outcomes = [outcome for group in found for outcome in group]
+    groups: dict[tuple, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.image_size:
+            groups.setdefault(outcome.camera_key, []).append(outcome)
+    cameras = tuple(_summarise(group, settings, engine, progress) for group in groups.values())
+    failures = tuple(outcome for outcome in outcomes if not outcome.image_size)
+    return Summary(cameras, failures, time.monotonic() - began)
+
+
+def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummary:
+    """Combine the recordings of one camera."""
+    if all(outcome.start_ns is not None for outcome in group):
+        group = sorted(group, key=lambda outcome: outcome.start_ns)
+    first = group[0]
+    empty = CameraSummary(first.topic, first.image_size, tuple(group))
+    good = [number for number, outcome in enumerate(group) if outcome.result
+            and np.isfinite(outcome.result.covariance).all()]
+    if not good:
+        return empty
+    results = {number: group[number].result for number in good}
+    models = [result.facts.distortion for result in results.values()]
+    # where recordings chose different distortion models, they are asked again for the usual one
+    usual = max(sorted(set(models)), key=models.count)
+    again = [number for number in good if results[number].facts.distortion != usual]
+    notes = []
+    if again:
+        facts = replace(settings.facts, distortion=usual)
+        jobs = [Job(group[number].path, replace(settings, facts=facts,
+                                                topic=first.topic or settings.topic))
+                for number in again]
+        for number in again:
+            del results[number]
+        for done, (place, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
+            result = value[0].result if value else None
+            if result and np.isfinite(result.covariance).all():
+                results[again[place]] = result
+            if progress:
+                progress(f'Again with distortion {usual}', done, len(jobs))
+        notes.append(f'{len(again)} of {len(good)} recordings chose another distortion model '
+                     f'than {usual}; for the joint estimate they were calibrated with that one.')
+    members = tuple(sorted(results))
+    joint = combine([results[number] for number in members])
+    return replace(empty, joint=joint, members=members, notes=tuple(notes))

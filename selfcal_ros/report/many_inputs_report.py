@@ -1,0 +1,190 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Many calibrations for a person and for a program: rows, sentences, JSON, and one HTML page."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
+from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.result_json import plain, result_to_dict
+from selfcal_ros.report.wording import with_sigma
+
+#: Columns of the table between the name and the status.
+COLUMNS = ('fx', 'fy', 'cx', 'cy')
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """One recording in the table; texts, empty where there is nothing to say."""
+
+    name: str
+    start: str
+    values: tuple[str, ...]
+    rms: str
+    deviation: str
+    status: str
+    good: bool
+
+
+def rows_of(camera: CameraSummary) -> list[HistoryRow]:
+    """Return the table of a camera, a row a recording."""
+    rows = []
+    for number, outcome in enumerate(camera.outcomes):
+        result, deviation, status = outcome.result, '', 'not calibrated'
+        if result:
+            status = 'calibrated'
+            if number in camera.members:
+                place = camera.members.index(number)
+                deviation = camera.joint.deviation[place]
+                deviation = f'{deviation:.1f}' if deviation == deviation else ''
+                if not camera.joint.used[place]:
+                    status = 'contradicts the others'
+            else:
+                status = 'calibrated, not in the joint estimate'
+        elif result is not None:
+            status = f'not calibrated: {result.reason}'
+        rows.append(HistoryRow(
+            _name(outcome), _time(outcome.start_ns),
+            tuple(_value(result, name) if result else '' for name in COLUMNS),
+            f'{result.reprojection_rms_px:.3f}' if result else '', deviation, status,
+            bool(result) and status == 'calibrated'))
+    return rows
+
+
+def _name(outcome: Outcome) -> str:
+    return Path(outcome.path).name or outcome.path
+
+
+def _time(start_ns: int | None) -> str:
+    if start_ns is None:
+        return ''
+    return datetime.fromtimestamp(start_ns / 1e9, timezone.utc).strftime('%Y-%m-%d %H:%M:%S')
+
+
+def _value(result, name: str) -> str:
+    """Write a parameter with its sigma."""
+    values = dict(zip(result.sigma, result.camera.parameters.tolist()))
+    known = result.status.get(name) == 'estimated'
+    value, sigma = with_sigma(values[name], result.sigma[name] if known else 0.0)
+    return f'{value} ± {sigma}' if sigma else value
+
+
+def verdict_of(camera: CameraSummary) -> str:
+    """Say in a sentence or two what came of a camera, and whether its recordings agree."""
+    total = len(camera.outcomes)
+    good = sum(bool(outcome.result) for outcome in camera.outcomes)
+    of_many = f'{good} of {total} recordings calibrate'
+    joint = camera.joint
+    if joint is None:
+        return f'None of {total} recordings calibrates.'
+    figures = ', '.join(f'{name} = {_value(joint.calibration, name)} px' for name in COLUMNS)
+    sentence = f'{of_many}; together {figures}.'
+    if len(camera.members) < 2:
+        return f'{sentence} With one recording nothing can be compared.'
+    chance = f'p = {joint.p_value:.2g}' if joint.p_value >= 1e-6 else 'p < 1e-6'
+    test = f'chi2 {joint.chi2:.4g} with {joint.freedom} degrees of freedom, {chance}'
+    left = int((~joint.used).sum())
+    if joint.agree:
+        wide = (f'; they scatter {joint.scatter:.2f} times as much as their sigmas say, by which '
+                'the joint sigma is widened' if joint.p_value < 0.001 else '')
+        return f'{sentence} The recordings agree ({test}){wide}.'
+    if left and (joint.p_value >= 0.001 or joint.scatter < 1.25):
+        who = ('1 recording contradicts the others and is' if left == 1 else
+               f'{left} recordings contradict the others and are')
+        return f'{sentence} {who} left out; the rest agree ({test}).'
+    return (f'{sentence} The recordings disagree ({test}): the camera has changed between them, '
+            f'or some of them mislead. The joint sigma is widened {joint.scatter:.2f} times; look '
+            'at the parameters over time before using it.')
+
+
+def summary_to_dict(summary: Summary) -> dict:
+    """
+    Return everything as plain Python values that strict JSON can hold.
+
+    Parameters
+    ----------
+    summary : Summary
+
+    Returns
+    -------
+    dict
+        'cameras' (each with 'topic', 'image_size', 'verdict', 'agree', 'chi2',
+        'degrees_of_freedom', 'p_value', 'scatter', 'joint' as in result.json, 'notes' and
+        'recordings'), 'failures' ('path', 'topic', 'error') and 'seconds'.
+
+    """
+    return plain({
+        'cameras': [_camera_to_dict(camera) for camera in summary.cameras],
+        'failures': [{'path': outcome.path, 'topic': outcome.topic, 'error': outcome.error}
+                     for outcome in summary.failures],
+        'seconds': summary.seconds})
+
+
+def _camera_to_dict(camera: CameraSummary) -> dict:
+    joint = camera.joint
+    recordings = []
+    for number, outcome in enumerate(camera.outcomes):
+        place = camera.members.index(number) if number in camera.members else None
+        recordings.append({
+            'path': outcome.path, 'start_ns': outcome.start_ns, 'seconds': outcome.seconds,
+            'result': result_to_dict(outcome.result), 'notes': outcome.notes,
+            'deviation_sigmas': None if place is None else joint.deviation[place],
+            'used': place is not None and bool(joint.used[place])})
+    tested = joint is not None and joint.freedom > 0
+    return {
+        'topic': camera.topic, 'image_size': camera.image_size, 'verdict': verdict_of(camera),
+        'agree': joint.agree if tested else None, 'chi2': joint.chi2 if tested else None,
+        'degrees_of_freedom': joint.freedom if tested else None,
+        'p_value': joint.p_value if tested else None,
+        'scatter': joint.scatter if tested else None,
+        'joint': None if joint is None else result_to_dict(joint.calibration),
+        'notes': camera.notes, 'recordings': recordings}
+
+
+def write_summary_page(path, summary: Summary) -> Path:
+    """
+    Write one self-contained HTML page; it appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    """
+    cameras = [{'title': camera.topic or 'Camera', 'size': '{} × {} px'.format(*camera.image_size),
+                'verdict': verdict_of(camera), 'rows': rows_of(camera), 'notes': camera.notes,
+                'agree': camera.joint is not None and camera.joint.agree,
+                'picture': _picture(camera)} for camera in summary.cameras]
+    # whatever a topic or a file is called, it is text
+    templates = Environment(loader=PackageLoader('selfcal_ros.report', 'templates'),
+                            autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                            lstrip_blocks=True)
+    return atomic_write(path, templates.get_template('many.html.j2').render(
+        cameras=cameras, failures=summary.failures, columns=COLUMNS,
+        count=sum(len(camera.outcomes) for camera in summary.cameras) + len(summary.failures)))
+
+
+def _picture(camera: CameraSummary) -> str:
+    """Return the parameters over time as the content of an image, empty where there is none."""
+    # Matplotlib takes a while to load
+    from selfcal_ros.report.parameter_history import parameter_history, picture
+    figure = parameter_history(camera)
+    return '' if figure is None else base64.b64encode(picture(figure, 'svg')).decode('ascii')

@@ -1,0 +1,115 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How the parameters of one camera went over its recordings: a figure."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+import io
+
+from matplotlib.figure import Figure
+import numpy as np
+
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.pipeline.many_inputs import CameraSummary
+from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
+
+_UNITS = {'fx': 'px', 'fy': 'px', 'cx': 'px', 'cy': 'px', 'skew': 'px'}
+#: Names of recordings fit under the axis up to so many.
+_MOST_NAMES = 12
+
+
+def parameter_history(camera: CameraSummary) -> Figure | None:
+    """
+    Draw every estimated parameter over time, or over the recordings where they have no clock.
+
+    Parameters
+    ----------
+    camera : CameraSummary
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None if nothing is calibrated.
+
+    """
+    if camera.joint is None:
+        return None
+    shown = [number for number, outcome in enumerate(camera.outcomes) if outcome.result]
+    places, timed = _places(camera, shown)
+    joint = camera.joint.calibration
+    names = [name for name in PARAMETER_NAMES if joint.status.get(name) == 'estimated']
+    if {'fx', 'fy'} <= set(names) and joint.facts.aspect_ratio is not None and (
+            joint.facts.aspect_ratio_sigma == 0):
+        names.remove('fy')
+    used = np.array([_is_used(camera, number) for number in shown])
+    with styled():
+        figure = Figure(figsize=(9.2, 0.7 + 1.25 * len(names)), layout='constrained')
+        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, name in zip(axes, names):
+            k = PARAMETER_NAMES.index(name)
+            value = np.array([camera.outcomes[n].result.camera.parameters[k] for n in shown])
+            sigma = np.array([camera.outcomes[n].result.sigma[name] for n in shown])
+            middle, spread = joint.camera.parameters[k], joint.sigma[name]
+            axis.axhspan(middle - spread, middle + spread, color=PALE, zorder=0)
+            axis.axhline(middle, color=GREY, linewidth=0.8, zorder=1)
+            for chosen, colour, label in ((used, BLUE, 'used'),
+                                          (~used, ORANGE, 'not in the joint estimate')):
+                if chosen.any():
+                    axis.errorbar(places[chosen], value[chosen], sigma[chosen], fmt='o',
+                                  markersize=3, linewidth=0.9, color=colour, label=label)
+            axis.set_ylabel(f'{name} / px' if name in _UNITS else name)
+            axis.spines[['top', 'right']].set_visible(False)
+        if not used.all():
+            axes[0].legend(loc='best')
+        _label_places(axes[-1], camera, shown, timed)
+    return figure
+
+
+def picture(figure: Figure, kind: str) -> bytes:
+    """Return a figure as a file of the given kind: 'svg' or 'png'."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format=kind, facecolor='white',
+                       metadata={'Date': None, 'Creator': None} if kind == 'svg' else None)
+    return stream.getvalue()
+
+
+def _is_used(camera: CameraSummary, number: int) -> bool:
+    """Tell whether a recording is in the joint estimate."""
+    return number in camera.members and bool(camera.joint.used[camera.members.index(number)])
+
+
+def _places(camera, shown) -> tuple[np.ndarray, bool]:
+    """Return where to draw: times, or counts."""
+    starts = [camera.outcomes[number].start_ns for number in shown]
+    if None in starts or len(set(starts)) < 2:
+        return np.array(shown, float) + 1, False
+    return np.array([datetime.fromtimestamp(start / 1e9, timezone.utc) for start in starts]), True
+
+
+def _label_places(axis, camera, shown, timed) -> None:
+    """Say what the places are."""
+    from matplotlib import dates, ticker
+    if timed:
+        locator = dates.AutoDateLocator(maxticks=10, tz=timezone.utc)
+        axis.xaxis.set_major_locator(locator)
+        axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=timezone.utc))
+        axis.set_xlabel('time of recording / UTC')
+    elif len(camera.outcomes) <= _MOST_NAMES:
+        names = [outcome.path.rstrip('/').rpartition('/')[2][:24] for outcome in camera.outcomes]
+        axis.set_xticks(range(1, len(names) + 1), names, rotation=20, ha='right')
+    else:
+        axis.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
+        axis.set_xlabel('recording')

@@ -1,0 +1,163 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Many jobs in processes and on Dask: order, crashes, threads, errors of the caller."""
+
+from functools import partial
+from operator import call
+import os
+from pathlib import Path
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline import many_inputs
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.engines import run_jobs
+from selfcal_ros.pipeline.frame_source import Frame
+from selfcal_ros.pipeline.many_inputs import calibrate_many, find_recordings, Job
+from selfcal_ros.synthetic.special_scenes import drive
+
+
+#: Facts that ten views determine a camera with.
+SETTINGS = CalibrationSettings(CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'),
+                               image_size=(640, 480))
+
+
+def test_processes_yield_every_result_and_compute_with_one_thread():
+    before = dict(os.environ)
+    jobs = [partial(os.getenv, 'OMP_NUM_THREADS'), partial(pow, 2, 10), os.getpid,
+            cv2.getNumThreads]
+    found = dict(run_jobs(call, jobs, workers=2))
+    assert found[0] == '1' and found[1] == 1024 and found[2] != os.getpid() and found[3] == 1
+    assert dict(os.environ) == before
+
+
+def test_a_job_that_kills_its_process_costs_only_itself():
+    jobs = [partial(pow, number, 2) for number in range(5)]
+    jobs[2] = partial(os._exit, 1)
+    assert dict(run_jobs(call, jobs, workers=2)) == {0: 0, 1: 1, 2: None, 3: 9, 4: 16}
+
+
+def test_whoever_stops_listening_stops_the_work():
+    results = run_jobs(call, [partial(pow, 1, 1)] + [partial(time.sleep, 60)] * 3, workers=2)
+    assert next(results) == (0, 1)
+    began = time.monotonic()
+    results.close()
+    assert time.monotonic() - began < 30
+
+
+@pytest.mark.parametrize('options, words', [
+    ({'engine': 'magic'}, 'unknown'), ({'workers': 0}, 'positive'),
+    ({'scheduler': 'tcp://x:1'}, '--engine dask')])
+def test_wrong_engines(options, words):
+    with pytest.raises(ArgumentError, match=words):
+        list(run_jobs(abs, [1], **options))
+
+
+def test_without_dask_the_sentence_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'dask.distributed', None)
+    with pytest.raises(ArgumentError, match=r'pip install "selfcal_ros\[dask\]"'):
+        list(run_jobs(abs, [1], engine='dask'))
+
+
+def test_dask_gives_the_same(tmp_path):
+    pytest.importorskip('dask.distributed')
+    folder = tracks_folder(tmp_path, 3)
+    paths, _ = find_recordings([folder])
+    here, there = (calibrate_many(paths, SETTINGS, engine=engine, workers=2)
+                   for engine in ('processes', 'dask'))
+    for a, b in zip(here.cameras[0].outcomes, there.cameras[0].outcomes, strict=True):
+        assert np.array_equal(a.result.camera.parameters, b.result.camera.parameters)
+
+
+def tracks_folder(tmp_path, count):
+    """Write tracks of short drives; returns the folder."""
+    folder = tmp_path / 'drives'
+    folder.mkdir()
+    for number in range(count):
+        drive(np.random.default_rng(number), 0.2, 10, 150, 10).tracks.to_csv(
+            folder / f'd{number}.csv')
+    return folder
+
+
+def test_a_broken_recording_is_its_own_line_and_nothing_else(tmp_path):
+    folder = tracks_folder(tmp_path, 3)
+    (folder / 'd1b.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    (folder / 'junk.mcap').write_bytes(b'junk')
+    paths, many = find_recordings([folder])
+    assert many and [path.name for path in paths] == ['d0.csv', 'd1.csv', 'd1b.csv', 'd2.csv',
+                                                      'junk.mcap']
+    seen = []
+    summary = calibrate_many(paths, SETTINGS, each=seen.append,
+                             workers=2)
+    assert len(seen) == 5
+    assert [Path(one.path).name for one in summary.failures] == ['d1b.csv', 'junk.mcap']
+    assert all(one.error.startswith(one.path) for one in summary.failures)
+    (camera,) = summary.cameras
+    assert all(one.result for one in camera.outcomes) and camera.joint.used.all()
+    # what the joint estimate has is what each has alone
+    alone = many_inputs.calibrate_job(Job(str(paths[0]), SETTINGS))[0]
+    assert np.array_equal(alone.result.camera.parameters,
+                          camera.outcomes[0].result.camera.parameters)
+    error = camera.joint.calibration.camera.K[0, 0] - 520
+    assert abs(error) < 4 * camera.joint.calibration.sigma['fx']
+    assert camera.joint.calibration.sigma['fx'] < min(
+        one.result.sigma['fx'] for one in camera.outcomes)
+
+
+def test_what_inputs_name(tmp_path, monkeypatch):
+    folder = tracks_folder(tmp_path, 2)
+    rng = np.random.default_rng(0)
+    frames = [Frame(k, 10**18 + k, rng.integers(0, 256, (48, 64), np.uint8)) for k in range(3)]
+    write_image_bag(folder / 'bag', frames)
+    monkeypatch.chdir(tmp_path)
+    assert [p.name for p in find_recordings(['drives'])[0]] == ['bag', 'd0.csv', 'd1.csv']
+    assert find_recordings(['drives/*.csv', 'drives/d0.csv']) == (
+        [Path('drives/d0.csv'), Path('drives/d1.csv')], True)
+    # a rosbag2 folder, even without its metadata, is one recording
+    assert find_recordings(['drives/bag']) == ([Path('drives/bag')], False)
+    (folder / 'bag' / 'metadata.yaml').unlink()
+    assert find_recordings(['drives/bag']) == ([Path('drives/bag')], False)
+    assert find_recordings(['nowhere']) == ([Path('nowhere')], False)
+    with pytest.raises(many_inputs.InputError, match='Nothing fits'):
+        find_recordings(['no/*.mcap'])
+
+
+def test_topics_of_a_bag_are_cameras_of_their_own(tmp_path):
+    from selfcal_ros.pipeline.bag_source import image_topics
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import get_typestore, Stores
+    store = get_typestore(Stores.ROS2_JAZZY)
+    Image = store.types['sensor_msgs/msg/Image']
+    Header = store.types['std_msgs/msg/Header']
+    Time = store.types['builtin_interfaces/msg/Time']
+    kind = 'sensor_msgs/msg/Image'
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for side in ('left', 'right'):
+            topic = writer.add_connection(f'/{side}/image_raw', kind, typestore=store)
+            again = writer.add_connection(f'/{side}/image_raw/compressed', kind, typestore=store)
+            message = Image(Header(Time(1, 0), 'cam'), 4, 4, 'mono8', 0, 4,
+                            np.zeros(16, np.uint8))
+            for connection in (topic, again):
+                writer.write(connection, 10**9, store.serialize_cdr(message, kind))
+        writer.add_connection('/empty/image_raw', kind, typestore=store)
+    assert image_topics(tmp_path / 'bag') == ['/left/image_raw', '/right/image_raw']
+    found = many_inputs.calibrate_job(Job(str(tmp_path / 'bag')))
+    assert [one.topic for one in found] == ['/left/image_raw', '/right/image_raw']
+    assert all(one.error for one in found)
