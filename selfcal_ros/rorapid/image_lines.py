@@ -28,6 +28,8 @@ _NEAR_PX = 0.7
 _MEET_PX = 8.0
 #: Lines that meet under a smaller angle have no good intersection.
 _LEAST_ANGLE_RAD = np.deg2rad(15)
+#: Of more pieces of lines in an image the longest are taken.
+_MOST_LINES = 600
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,8 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
     found = cv2.createLineSegmentDetector().detect(image)[0]
     segments = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
-    segments = segments[lengths > 0.5 * least_length_px]
+    longest = np.argsort(-lengths, kind='stable')[:_MOST_LINES]
+    segments = segments[longest[lengths[longest] > 0.5 * least_length_px]]
     segments, support = refine_lines(image, segments, 3)
     segments = _joined(segments[support > 0.5])
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
@@ -169,36 +172,26 @@ def side_greys(image: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _joined(segments):
-    """Join pieces of one line, and drop what lies on another."""
-    segments = list(segments)
-    joined = True
-    while joined:
-        joined = False
-        segments.sort(key=lambda s: -np.hypot(*(s[1] - s[0])))
-        for i, first in enumerate(segments):
-            for j in range(len(segments) - 1, i, -1):
-                union = _union(first, segments[j])
-                if union is not None:
-                    segments[i] = first = union
-                    del segments[j]
-                    joined = True
-    return np.array(segments).reshape(-1, 2, 2)
-
-
-def _union(first, second):
-    """One segment for two that lie on one line and touch, else None."""
-    along = first[1] - first[0]
-    length = np.hypot(*along)
-    along = along / length
-    offset = second - first[0]
-    across = offset @ [-along[1], along[0]]
-    if np.abs(across).max() > 1.0:
-        return None
-    at = offset @ along
-    if at.min() > length + 5 or at.max() < -5:
-        return None
-    low, high = min(0.0, at.min()), max(length, at.max())
-    return np.array([first[0] + low * along, first[0] + high * along])
+    """Join pieces of one line that touch, the longest first."""
+    lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
+    left, joined = segments[np.argsort(-lengths, kind='stable')], []
+    while len(left):
+        first, left = left[0], left[1:]
+        while True:
+            along = first[1] - first[0]
+            length = np.hypot(*along)
+            along = along / length
+            offset = left - first[0]
+            at = offset @ along
+            same = (np.abs(offset @ [-along[1], along[0]]).max(axis=1, initial=0) < 1.0) \
+                & (at.min(axis=1, initial=np.inf) < length + 5) \
+                & (at.max(axis=1, initial=-np.inf) > -5)
+            if not same.any():
+                break
+            ends = [min(0.0, at[same].min()), max(length, at[same].max())]
+            first, left = first[0] + np.outer(ends, along), left[~same]
+        joined.append(first)
+    return np.array(joined).reshape(-1, 2, 2)
 
 
 def find_corners(segments: np.ndarray, meet_px: float = _MEET_PX) -> list[Corner]:
