@@ -78,6 +78,10 @@ setup(
             "ros-jazzy-common-interfaces; "
             "sys_platform == 'linux' and platform_machine == 'x86_64'",
         ],
+        # selfcal calibrate --engine dask
+        'dask': [
+            'distributed>=2023.1',
+        ],
         'test': [
             'pytest>=7',
             'pytest-xdist',
