@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.conic_covariance import K_ENTRIES
 from selfcal_ros.calibration.pencil import PencilCalibration
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -33,7 +34,7 @@ from selfcal_ros.geometry.projective import iac_from_calibration
 OFFSET_LIMIT = 0.02
 
 
-def calibrate_circular(circular_point, screw_axis, facts: CameraFacts):
+def calibrate_circular(circular_point, screw_axis, facts: CameraFacts, covariance=None):
     """
     Find the camera of known pixel shape in which the pole of the horizon lies on m.
 
@@ -45,6 +46,8 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts):
         m, in pixels.
     facts : CameraFacts
         With aspect ratio and skew; a principal point is used in place of m.
+    covariance : array_like, shape (9, 9), optional
+        Of the real and the imaginary part of i, and of m.
 
     Returns
     -------
@@ -59,7 +62,8 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts):
     i = np.asarray(circular_point, complex)
     if not abs(i[2]) > 1e-12 * np.abs(i).max():
         return NoEstimate('The circular points lie at infinity.', 'ill_conditioned')
-    i = i[:2] / i[2]
+    scale, stated = i[2], i
+    i = i[:2] / scale
     shear = 0.0
     # the skew is known in pixels but enters in focal lengths: a few rounds settle it
     for _ in range(20):
@@ -75,7 +79,60 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts):
             break
         shear = new
     fact = 'aspect_ratio+skew' + ('+principal_point' if facts.principal_point else '')
-    return PencilCalibration(K, iac_from_calibration(K), fact, {})
+    if covariance is not None:
+        covariance = _covariance(K, stated, screw_axis, square, facts, covariance)
+    return PencilCalibration(K, iac_from_calibration(K), fact, {}, covariance)
+
+
+def _covariance(K, i, axis, square, facts, covariance) -> np.ndarray:
+    """
+    Covariance (5, 5) of fx, fy, cx, cy, skew; see `conic_covariance`.
+
+    The square frame, in which the pixels are square, moves with the facts, but not with the
+    data: what the focal length does to a skew that is stated in pixels is neglected.
+    """
+    # thirteen inputs: Re i, Im i, m, aspect ratio, skew, u0, v0
+    d_square = np.zeros((3, 3, 13))
+    d_square[0, 0, 9], d_square[0, 1, 10] = 1, -1 / K[0, 0]
+    di = np.zeros((3, 13), complex)
+    di[:, :3], di[:, 3:6] = np.eye(3), 1j * np.eye(3)
+    point = i[:2] / i[2]
+    di = (di[:2] - point[:, None] * di[2]) / i[2]
+    di = square[:2, :2] @ di + np.einsum('ijk,j->ik', d_square[:2, :2], point)
+    p, q = (square[:2, :2] @ point).real, (square[:2, :2] @ point).imag
+    dp, dq = di.real, di.imag
+    reach = np.linalg.norm(q)
+    d_reach = q @ dq / reach
+    n = np.array([-q[1], q[0]]) / reach
+    dn = np.stack([-dq[1], dq[0]]) / reach - np.outer(n, d_reach / reach)
+    if facts.principal_point is not None:
+        centre = np.asarray(facts.principal_point, float)
+        moved = np.einsum('ijk,j->ik', d_square[:2, :2], centre)
+        moved[:, 11:] += square[:2, :2]
+        away = square[:2, :2] @ centre - p
+        offset = away @ n
+        d_offset = n @ (moved - dp) + away @ dn
+    else:
+        back = np.linalg.inv(square).T
+        m = back @ axis
+        dm = -back @ np.einsum('jik,j->ik', d_square, m)
+        dm[:, 6:9] += back
+        distance, slant = m[:2] @ p + m[2], m[:2] @ n
+        d_distance = p @ dm[:2] + m[:2] @ dp + dm[2]
+        d_slant = n @ dm[:2] + m[:2] @ dn
+        offset = -reach ** 2 * slant / distance
+        d_offset = offset * (2 * d_reach / reach - d_distance / distance) \
+            - reach ** 2 / distance * d_slant
+    found = square @ K
+    dK = np.zeros((3, 3, 13))
+    dK[0, 0] = dK[1, 1] = (reach * d_reach - offset * d_offset) / found[0, 0]
+    dK[:2, 2] = dp + np.outer(n, d_offset) + offset * dn
+    dK -= np.einsum('ijk,jl->ilk', d_square, K)
+    slopes = (np.linalg.inv(square) @ np.moveaxis(dK, 2, 0))[(slice(None), *K_ENTRIES)].T
+    sigmas = np.r_[facts.aspect_ratio_sigma, facts.skew_sigma_px,
+                   facts.principal_point_sigma_px, facts.principal_point_sigma_px]
+    by_facts = slopes[:, 9:] * sigmas
+    return slopes[:, :9] @ covariance @ slopes[:, :9].T + by_facts @ by_facts.T
 
 
 def _square_pixels(i, axis, principal_point):

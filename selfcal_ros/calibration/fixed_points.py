@@ -20,26 +20,27 @@ no parallax, motion that is not planar - are told apart here and come back as a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.circular import calibrate_circular
-from selfcal_ros.calibration.pair_tests import classify_pairs, FLOOR_PX, PairVerdicts
+from selfcal_ros.calibration.pair_means import (agreed_pairs, best_batch, common_axis,
+                                                common_point, line_covariances, mean_line)
+from selfcal_ros.calibration.pair_tests import classify_pairs, PairVerdicts
 from selfcal_ros.calibration.pencil import calibrate_from_fixed_points, PencilCalibration
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.triplet_means import circular_point_influence, combine_triplets
 from selfcal_ros.calibration.triplets import choose_triplets, dense_tracks
 from selfcal_ros.geometry import planar_batch, planar_pairs
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
-from selfcal_ros.geometry.projective import (canonical_transform, completed_frame,
-                                             transform_points, unit, unit_covariance,
-                                             weighted_mean)
+from selfcal_ros.geometry.projective import canonical_transform, unit, unit_slope
+from selfcal_ros.geometry.propagation import add_up, spread
 from selfcal_ros.geometry.ransac import ransac_fundamental
-from selfcal_ros.geometry.trifocal import circular_image, circular_points
 
 __all__ = ['calibrate_estimate', 'calibrate_from_fixed_points', 'fixed_points',
            'FixedPointEstimate', 'PencilCalibration']
@@ -69,6 +70,10 @@ class FixedPointEstimate:
         Circular point in the canonical frame.
     kappa_covariance : ndarray, shape (2, 2)
         Of its real and imaginary part, l and v held.
+    covariance : ndarray, shape (15, 15)
+        Of l, v, the real and the imaginary part of i, and m, all together: unit vectors in
+        pixels; first order, from the image points. i moves neither along itself nor along its
+        phase; m is zero where the motion is not circular.
     triplet_frames : ndarray of int, shape (t, 3)
         Triplets that gave circular points.
     triplet_kappas : ndarray of complex, shape (t,)
@@ -85,6 +90,7 @@ class FixedPointEstimate:
     canonical: np.ndarray
     kappa: complex
     kappa_covariance: np.ndarray
+    covariance: np.ndarray
     triplet_frames: np.ndarray
     triplet_kappas: np.ndarray
     screw_axis: np.ndarray
@@ -143,25 +149,32 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     data = PairMatches.from_pixels([(xy[a, t], xy[b, t]) for (a, b), t in zip(wanted, both)])
     if rng is not None:
         data = _without_gross_errors(data, xy, wanted, both, rng)
-    found = _horizon_and_point(data, wanted, both, xy.shape[1], method, trim_sigma)
+    identity = np.full(xy.shape[:2], -1)
+    identity[seen] = np.arange(seen.sum())
+    found = _horizon_and_point(data, wanted, both, identity, method, trim_sigma)
     if isinstance(found, NoEstimate):
         return found
-    kept, result, motion, screw_axis, unused = found
-    l_px, v_px = result.horizon, result.vanishing_point
+    l_px, v_px = found.result.horizon, found.result.vanishing_point
     H = canonical_transform(l_px, v_px)
-    canonical_xy = transform_points(H, xy)
-    good = {tuple(p): None for p in wanted[kept]}
+    good = {tuple(p) for p in wanted[found.kept]}
     usable = [t for t in chosen if any(p in good for p in
                                        ((t[0], t[1]), (t[1], t[2]), (t[0], t[2])))]
-    combined = _combine_triplets(canonical_xy, usable, unused, least_common, most_matches)
+    xy = np.where(np.isin(identity, found.unused)[..., None], np.nan, xy)
+    combined = combine_triplets(xy, H, l_px, v_px, usable, identity, least_common, most_matches)
     if isinstance(combined, NoEstimate):
         return combined
-    kappa, covariance, used, kappas = combined
-    fixed = FixedPoints(l_px, v_px, circular_image(kappa, H))
-    notes = () if len(kept) == len(wanted) else (
-        f'{len(wanted) - len(kept)} of {len(wanted)} image pairs were degenerate and left out.',)
-    return FixedPointEstimate(fixed, motion, result, frames[wanted[kept]], H, kappa, covariance,
-                              frames[np.asarray(used)], kappas, screw_axis, notes)
+    frame_moved = found.influence[..., :6]
+    kappa_moved = combined.direct + frame_moved @ combined.by_frame.T
+    i, i_moved = circular_point_influence(combined.kappa, H, l_px, v_px, kappa_moved, frame_moved)
+    variance = found.variance
+    together = np.concatenate([frame_moved, i_moved, found.influence[..., 6:]], axis=2)
+    notes = () if len(found.kept) == len(wanted) else (
+        f'{len(wanted) - len(found.kept)} of {len(wanted)} image pairs were degenerate and left '
+        'out.',)
+    return FixedPointEstimate(
+        FixedPoints(l_px, v_px, i), found.motion, found.result, frames[wanted[found.kept]], H,
+        combined.kappa, variance * spread(combined.direct), variance * spread(together),
+        frames[combined.triplets], combined.kappas, found.screw_axis, notes)
 
 
 def calibrate_estimate(estimate: FixedPointEstimate, facts):
@@ -175,57 +188,121 @@ def calibrate_estimate(estimate: FixedPointEstimate, facts):
 
     """
     if estimate.motion == 'circular':
-        return calibrate_circular(estimate.fixed.circular_point, estimate.screw_axis, facts)
-    return calibrate_from_fixed_points(estimate.fixed, facts)
+        return calibrate_circular(estimate.fixed.circular_point, estimate.screw_axis, facts,
+                                  estimate.covariance[6:, 6:])
+    return calibrate_from_fixed_points(estimate.fixed, facts,
+                                       covariance=estimate.covariance[3:12, 3:12])
 
 
-def _observation_identity(wanted, both, width, track_count):
-    """Identity (n, width, 2) of every match's observation in its second and first view."""
-    identity = np.full((len(wanted), width, 2), -1)
-    for k, ((a, b), tracks_of) in enumerate(zip(wanted, both)):
-        identity[k, :len(tracks_of), 0] = b * track_count + tracks_of
-        identity[k, :len(tracks_of), 1] = a * track_count + tracks_of
-    return identity
+@dataclass(frozen=True)
+class _Pairs:
+    """What the pairs give: l, v and m with the change (O, 2, 9) per pixel of each observation."""
+
+    kept: np.ndarray
+    result: PlanarPairs
+    motion: str
+    screw_axis: np.ndarray
+    unused: np.ndarray
+    influence: np.ndarray
+    variance: float
 
 
-def _horizon_and_point(data, wanted, both, track_count, method, trim_sigma):
-    """Pairs that are sound, l and v, the motion, and the observations that were left out."""
+def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
+    """Find the sound pairs, l and v, the motion, and the observations that were left out."""
     F, cost, _, _ = refine_general(data, eight_point(data))
-    data, F, cost = _trimmed(data, F, cost, trim_sigma)
-    state, planar_cost, hessian = planar_pairs.refine_planar(data, F)
+    F, cost, state, planar_cost = agreed_pairs(data, F, cost)
+    fewer, F, cost = _trimmed(data, F, cost, trim_sigma)
+    if fewer is not data:
+        data = fewer
+        F, cost, state, planar_cost = agreed_pairs(data, F, cost)
     verdicts = classify_pairs(data, F, cost, planar_cost)
     kept = np.flatnonzero(verdicts.sound)
     if not len(kept):
         return _why_none(verdicts)
     data = data.subset(kept)
-    state = tuple(s[kept] for s in state)
-    identity = _observation_identity(wanted[kept], [both[k] for k in kept],
-                                     data.weight.shape[1], track_count)
-    L, V, own, batch_cost, count = planar_batch.refine_batch(
-        data, *planar_batch.batch_start(state))
-    spread, share = planar_batch.batch_covariance(data, L, V, own, identity)
-    result = planar_batch.result_in_pixels(data, L, V, own, batch_cost, spread, share, count)
+    state, planar_cost = tuple(s[kept] for s in state), planar_cost[kept]
+    observed = np.full((*data.weight.shape, 2), -1)
+    for row, k in enumerate(kept):
+        # the second view first, as in `propagation`
+        observed[row, :len(both[k])] = identity[wanted[k][::-1]][:, both[k]].T
+    L, V, own, batch_cost, count = best_batch(data, state, planar_cost)
+    total = int(identity.max()) + 1
+    moved, expected = planar_batch.batch_influence(data, L, V, own, observed, total)
+    result = planar_batch.result_in_pixels(data, L, V, own, batch_cost, spread(moved), expected,
+                                           count)
     general = verdicts.noise_px[kept]
     if result.noise_px > 2 * max(np.sqrt(np.mean(general ** 2)), 1e-5):
         return NoEstimate(
             f'The motion is not planar: planar epipolar geometry leaves {result.noise_px:.3g} px, '
             f'general motion {np.sqrt(np.mean(general ** 2)):.3g} px.', 'not_planar')
-    screw_axis = result.screw_axes[0]
-    motion = 'planar'
-    common, chi2 = _common_axis(data, state, planar_cost[kept], hessian[kept])
+    _, l_slope, _, v_slope = planar_batch.common_frames(data, L, V)
+    influence = np.zeros((total, 2, 9))
+    influence[..., :3] = moved[..., :2] @ l_slope.T
+    influence[..., 3:6] = moved[..., 2:] @ v_slope.T
+    motion, screw_axis = 'planar', result.screw_axes[0]
+    lines = planar_pairs.pair_lines(data, state, planar_cost)
+    axis, axis_moved, chi2 = common_axis(lines)
+
+    def in_pixels(carry, vector, by_match):
+        """Carry a vector of normalised coordinates and its influences over."""
+        x, slope = unit_slope(carry, vector)
+        by_match = np.stack([by_match[..., :2], by_match[..., 2:]], axis=2)
+        rows = np.moveaxis(by_match, -1, -2) @ slope.T       # (n, m, view, coordinate, 3)
+        used = np.where(data.weight[..., None] > 0, observed, -1)
+        return x, add_up(used.ravel(), rows.reshape(-1, 2, 3), total)
+
     if len(kept) > 1 and chi2 < COINCIDENT_CHI2:
-        motion, screw_axis = 'circular', common
-        point = unit(np.array([-common[1], common[0], 0.0]))
-        result = PlanarPairs(result.horizon, point, result.horizon_covariance,
-                             result.vanishing_point_covariance, result.F, result.screw_axes,
-                             result.residuals, result.noise_px, count)
+        motion = 'circular'
+        screw_axis, influence[..., 6:] = in_pixels(data.transform.T, axis, axis_moved)
+        # any point of m does for v: the one at infinity
+        across = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
+        point, slope = unit_slope(across, screw_axis)
+        influence[..., 3:6] = influence[..., 6:] @ slope.T
+        result = replace(result, vanishing_point=point)
     elif len(kept) == 1:
         return NoEstimate('Only one image pair is sound; the vanishing point needs two screw '
                           'axes.', 'too_few')
     elif method == 'pairs':
-        result = _pairs_method(data, result, state, planar_cost[kept], hessian[kept])
-    unused = identity[(data.weight == 0) & (identity[..., 0] >= 0)]
-    return kept, result, motion, screw_axis, unused
+        line_cov, axis_cov = line_covariances(lines)
+        line, influence[..., :3] = in_pixels(data.transform.T, *mean_line(
+            lines.horizons, line_cov, lines.horizon_influence))
+        point, influence[..., 3:6] = in_pixels(np.linalg.inv(data.transform), *common_point(
+            lines.axes, axis_cov, lines.axis_influence))
+        result = replace(result, horizon=line, vanishing_point=point, iterations=0,
+                         screw_axes=unit(lines.axes @ data.transform))
+    unused = observed[(data.weight == 0) & (observed[..., 0] >= 0)]
+    variance = student_variance(data, observed, result.noise_px)
+    return _Pairs(kept, replace(result, horizon_covariance=variance * spread(influence[..., :3]),
+                                vanishing_point_covariance=variance * spread(
+                                    influence[..., 3:6])),
+                  motion, screw_axis, unused, influence, variance)
+
+
+def student_variance(data: PairMatches, observed, noise_px: float) -> float:
+    """
+    Variance of an image coordinate for covariances, when it is itself an estimate.
+
+    That of Student's distribution, nu / (nu - 2) times the estimate: with it the mean squared
+    distance of the truth is one per parameter.
+
+    Parameters
+    ----------
+    data : PairMatches
+    observed : ndarray of int, shape (n, m, 2)
+        Identity of the observations; -1 for padding.
+    noise_px : float
+
+    Returns
+    -------
+    float
+
+    """
+    used = data.weight > 0
+    seen = len(np.unique(observed[used]))
+    # a point in V views leaves 2 V - 3 constraints, however many pairs of views there are
+    spare = min(int(used.sum()), 2 * seen - 3 * int(data.counts.max(initial=0)))
+    freedom = max(spare - 4 - 3 * len(data.counts), 3)
+    return noise_px ** 2 * freedom / (freedom - 2)
 
 
 def _without_gross_errors(data, xy, wanted, both, rng):
@@ -250,7 +327,7 @@ def _trimmed(data, F, cost, trim_sigma):
     if not far.any():
         return data, F, cost
     data = PairMatches(data.first, data.second, np.where(far, 0.0, data.weight), data.transform)
-    F, cost, _, _ = refine_general(data, eight_point(data))
+    F, cost, _, _ = refine_general(data, F)
     return data, F, cost
 
 
@@ -265,97 +342,3 @@ def _why_none(verdicts: PairVerdicts) -> NoEstimate:
         'The views show no rotation: a pure translation explains the best pair to '
         f'{verdicts.translation_px.max():.3g} px at a noise of '
         f'{np.median(verdicts.noise_px):.3g} px.', 'no_rotation')
-
-
-def _own_lines(state, data, cost, hessian):
-    """Each pair's l and m in normalised coordinates with their covariances (n, 3, 3)."""
-    _, Q, M = state
-    variance = np.maximum(cost, data.counts * FLOOR_PX ** 2) / np.maximum(data.counts - 6, 1)
-    spread = np.linalg.pinv(hessian, hermitian=True) * variance[:, None, None]
-    line_slope = np.stack([-Q[:, :, 2], Q[:, :, 1]], axis=2)
-    line_cov = line_slope @ spread[:, 2:4, 2:4] @ np.swapaxes(line_slope, 1, 2)
-    axis_cov = M[:, :, 1:] @ spread[:, 4:, 4:] @ np.swapaxes(M[:, :, 1:], 1, 2)
-    return Q[:, :, 0], line_cov, M[:, :, 0], axis_cov
-
-
-def _common_axis(data, state, cost, hessian):
-    """Mean screw axis in pixels, and how far the pairs' own ones deviate from it."""
-    _, _, axes, axis_cov = _own_lines(state, data, cost, hessian)
-    mean, _ = weighted_mean(axes, axis_cov)
-    frame = completed_frame(mean)
-    flat = axes @ frame
-    offset = flat[:, 1:] / flat[:, :1]
-    tangent = frame[:, 1:].T @ axis_cov @ frame[:, 1:]
-    chi2 = np.einsum('ni,nij,nj->', offset, np.linalg.pinv(tangent, hermitian=True), offset)
-    return unit(data.transform.T @ mean), chi2 / max(2 * len(axes) - 2, 1)
-
-
-def _pairs_method(data, result, state, cost, hessian):
-    """Means of the pairs' own l and m with their covariances (6.4, 6.5, C.5)."""
-    lines, line_cov, axes, axis_cov = _own_lines(state, data, cost, hessian)
-    T = data.transform
-    line, cov_l = weighted_mean(lines, line_cov)
-    v = np.linalg.svd(axes)[2][-1]
-    for _ in range(5):
-        weight = 1 / np.maximum(np.einsum('i,nij,j->n', v, axis_cov, v), 1e-300)
-        v = np.linalg.svd(axes * np.sqrt(weight / weight.max())[:, None])[2][-1]
-    cov_v = np.linalg.pinv((axes * weight[:, None]).T @ axes - np.outer(v, v) * (
-        v @ ((axes * weight[:, None]).T @ axes) @ v), hermitian=True, rcond=1e-13)
-    line, cov_l = unit_covariance(T.T @ line, T.T @ cov_l @ T)
-    back = np.linalg.inv(T)
-    point, cov_v = unit_covariance(back @ v, back @ cov_v @ back.T)
-    return PlanarPairs(line, point, cov_l, cov_v, result.F, unit(axes @ T), result.residuals,
-                       result.noise_px, 0)
-
-
-def _combine_triplets(xy, triplets, unused, least_common, most_matches):
-    """Robust covariance-weighted mean of the triplets' circular points."""
-    seen = np.isfinite(xy).all(axis=-1)
-    if len(unused):
-        frame, track = np.divmod(np.unique(unused), xy.shape[1])
-        seen[frame, track] = False
-    used, kappas, covariances, reasons = [], [], [], []
-    for triplet in triplets:
-        common = seen[triplet].all(axis=0)
-        if common.sum() < min(least_common, 5):
-            reasons.append(NoEstimate('Too few tracks in three views.', 'too_few'))
-            continue
-        common = np.flatnonzero(common)
-        common = common[::-(-len(common) // most_matches)]
-        found = circular_points(*xy[triplet][:, common])
-        if not isinstance(found, NoEstimate):
-            used.append(triplet)
-            kappas.append(found.kappa)
-            covariances.append(found.covariance)
-        else:
-            reasons.append(found)
-    if not used:
-        first = reasons[0].reason if reasons else 'No triplet has sound pairs.'
-        return NoEstimate(f'None of {len(triplets)} triplets gives circular points. {first}',
-                          'no_triplet')
-    kappas, covariances = np.array(kappas), np.array(covariances)
-    values = np.column_stack([kappas.real, kappas.imag])
-    floor = 1e-18 * np.abs(kappas).max() ** 2 * np.eye(2)
-    mean, covariance = _robust_mean(values, covariances + floor)
-    return complex(*mean), covariance, used, kappas
-
-
-def _robust_mean(values, covariances, cutoff: float = 3.0):
-    """Start from the weighted median, then iterate Huber weights on Mahalanobis distances."""
-    information = np.linalg.inv(covariances)
-    weight = 1 / np.sqrt(np.linalg.det(covariances))
-    order = np.argsort(values, axis=0)
-    mean = np.empty(2)
-    for axis in range(2):
-        share = np.cumsum(weight[order[:, axis]]) / weight.sum()
-        mean[axis] = values[order[np.searchsorted(share, 0.5), axis], axis]
-    total = information.sum(axis=0)
-    for _ in range(8):
-        offset = values - mean
-        distance = np.sqrt(np.einsum('ni,nij,nj->n', offset, information, offset))
-        # the linear covariance is too small by an unknown factor: judge by the spread itself
-        unitless = distance / max(np.median(distance), 1.0)
-        factor = np.minimum(1.0, cutoff / np.maximum(unitless, 1e-12))
-        total = (information * factor[:, None, None]).sum(axis=0)
-        mean = np.linalg.solve(total, np.einsum('n,nij,nj->i', factor, information, values))
-    return mean, np.linalg.inv(total) * max(float(np.mean(np.minimum(distance, 9) ** 2)) / 2, 1)

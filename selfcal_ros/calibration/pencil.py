@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.conic_covariance import calibration_covariance, EXACT_SIGMAS
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -33,10 +34,6 @@ from selfcal_ros.geometry.projective import calibration_from_iac, iac_from_calib
 #: Both are without dimension: focal lengths by their logarithm, aspect ratio as it is, skew and
 #: principal point in focal lengths.
 LEVERAGE_LIMIT = 20.0
-
-#: Spread given to an exact fact when it must be weighed against another: aspect ratio, skew
-#: and principal point, the last two in focal lengths.
-EXACT_SIGMAS = {'aspect_ratio': 1e-3, 'skew': 1e-3, 'principal_point': 1e-3}
 
 
 @dataclass(frozen=True)
@@ -57,6 +54,9 @@ class PencilCalibration:
         Per fact, change of the camera per unit change of the fact, see `LEVERAGE_LIMIT`; at
         least about 1, and large where the fact is nearly useless, as zero skew is with a level
         horizon.
+    covariance : ndarray, shape (5, 5), optional
+        Of fx, fy, cx, cy, skew in pixels; first order, from that of the fixed points and from
+        the sigmas of the facts. None where the former is not known.
 
     """
 
@@ -64,6 +64,7 @@ class PencilCalibration:
     omega: np.ndarray
     fact: str
     leverage: dict
+    covariance: np.ndarray | None = None
 
 
 def conic_pencil(fixed: FixedPoints) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +164,8 @@ def _leverage(slope) -> float:
     return 1 / size if size > 1e-9 else float('inf')
 
 
-def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: str | None = None):
+def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: str | None = None,
+                                covariance=None):
     """
     Pick the camera of the pencil that agrees with what is known (5.7-5.9).
 
@@ -175,6 +177,8 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
         Aspect ratio, skew, principal point; several are weighed by their sigmas.
     only : {'aspect_ratio', 'skew', 'principal_point'}, optional
         Use this fact alone.
+    covariance : array_like, shape (9, 9), optional
+        Of v, the real and the imaginary part of i, in pixels.
 
     Returns
     -------
@@ -228,7 +232,10 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     if abs(K[0, 1]) > K[0, 0]:
         return NoEstimate(f'The only camera that fits has a skew of {K[0, 1]:.3g} px at a focal '
                           f'length of {K[0, 0]:.3g} px, which is no camera.', 'indefinite')
-    return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage)
+    if covariance is not None:
+        covariance = calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
+                                            covariance)
+    return PencilCalibration(K, iac_from_calibration(K), '+'.join(known), leverage, covariance)
 
 
 def _closed_form(name, C, ll, facts, T):

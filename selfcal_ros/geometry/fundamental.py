@@ -378,8 +378,11 @@ def describe(data: PairMatches, F, cost, dF) -> list[FundamentalEstimate]:
         norm = np.linalg.norm(pixels)
         pixels /= norm
         slope = (np.eye(9) - np.outer(pixels, pixels)) @ carry @ dF[k] / norm
+        # the noise is an estimate, too: the variance of Student's distribution
+        spare = max(data.counts[k] - dF.shape[2], 3)
+        variance = noise_px ** 2 * spare / (spare - 2)
         estimates.append(FundamentalEstimate(
-            pixels.reshape(3, 3), noise_px ** 2 * slope @ moved.covariance[k] @ slope.T,
+            pixels.reshape(3, 3), variance * slope @ moved.covariance[k] @ slope.T,
             residuals[k, data.weight[k] > 0], dF.shape[2], float(noise_px)))
     return estimates
 

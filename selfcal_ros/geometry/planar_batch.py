@@ -26,7 +26,7 @@ from selfcal_ros.geometry.fundamental import (normal_equations, pair_residuals, 
                                               ROUNDING_PX)
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, line_pair,
-                                             small_rotation, unit)
+                                             small_rotation, unit, unit_slope)
 from selfcal_ros.geometry.propagation import add_up, residual_slopes, spread
 
 
@@ -48,6 +48,11 @@ def _batch_model(L, V, own):
                        ct * cross_matrix(centre_turned)], axis=1)
     return (ct * skew + st * pair, np.swapaxes(common.reshape(n, 4, 9), 1, 2),
             np.swapaxes(single.reshape(n, 3, 9), 1, 2))
+
+
+def fundamental_matrices(L, V, own) -> np.ndarray:
+    """F (n, 3, 3) of every pair, normalised coordinates."""
+    return _batch_model(L, V, own)[0]
 
 
 def _turned(frame, change):
@@ -81,9 +86,16 @@ def batch_start(state):
         v = np.linalg.svd(axes * np.sqrt(weight)[:, None])[2][-1]
         miss = np.abs(axes @ v)
         weight = 1 / (miss ** 2 + np.median(miss) ** 2 + 1e-12)
+    return start_from(state, line, v)
+
+
+def start_from(state, line, v):
+    """Parameters of the batch form with given l and v (3,), from pairs refined separately."""
+    t, Q, M = state
     L, V = completed_frame(line), completed_frame(v)
-    same = np.sign((lines * line).sum(axis=1))
-    phi = np.arctan2(*((axes * same[:, None]) @ V[:, [2, 1]]).T)
+    same = np.where(Q[:, :, 0] @ line < 0, -1.0, 1.0)[:, None]
+    # turning l over turns m and z0 with it
+    phi = np.arctan2(*((M[:, :, 0] * same) @ V[:, [2, 1]]).T)
     delta = np.arctan2(*(Q[:, :, 1] @ L[:, [2, 1]]).T)
     return L, V, np.column_stack([t, phi, delta])
 
@@ -218,13 +230,9 @@ def hessian_covariance(data: PairMatches, L, V, own, cost):
 def common_frames(data: PairMatches, L, V) -> tuple[np.ndarray, np.ndarray, np.ndarray,
                                                     np.ndarray]:
     """Tell l and v (3,) in pixels, of unit norm, and their derivatives (3, 2) by the globals."""
-    found = []
-    for carry, frame in ((data.transform.T, L), (np.linalg.inv(data.transform), V)):
-        x = carry @ frame[:, 0]
-        norm = np.linalg.norm(x)
-        x = x / norm
-        found += [x, (np.eye(3) - np.outer(x, x)) @ carry @ frame[:, 1:] / norm]
-    return tuple(found)
+    line, line_slope = unit_slope(data.transform.T, L[:, 0])
+    point, point_slope = unit_slope(np.linalg.inv(data.transform), V[:, 0])
+    return line, line_slope @ L[:, 1:], point, point_slope @ V[:, 1:]
 
 
 def result_in_pixels(data: PairMatches, L, V, own, cost, covariance, expected,

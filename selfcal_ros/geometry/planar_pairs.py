@@ -143,6 +143,11 @@ def _planar_state(F):
     return (t, Q, states[0][2]), real
 
 
+def fundamental_matrices(state) -> np.ndarray:
+    """F (n, 3, 3) of every pair, normalised coordinates."""
+    return _planar_model(state)[0]
+
+
 def refine_planar(data: PairMatches, F):
     """Refine F (n, 3, 3) of every pair in planar form: state, cost, hessian (n, 6, 6)."""
     state, _ = _planar_state(F)

@@ -187,6 +187,14 @@ def canonical_slopes(line, point) -> np.ndarray:
             + np.einsum('ij,jlk->ilk', second, d_first))
 
 
+def unit_slope(carry, x) -> tuple[np.ndarray, np.ndarray]:
+    """Map x (n,) by a matrix and scale to unit norm: the vector, and its derivative (n, n)."""
+    x = np.asarray(carry) @ x
+    norm = np.linalg.norm(x)
+    x = x / norm
+    return x, (np.eye(len(x)) - np.outer(x, x)) @ carry / norm
+
+
 def unit_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
     """
     Scale a homogeneous vector to unit norm together with its covariance.

@@ -208,7 +208,8 @@ def test_upgrade_of_projective_cameras_is_metric(rng):
     found = fixed_points(sequence.tracks)
     xy = np.moveaxis(sequence.tracks.xy.reshape(50, 3, 2), 1, 0)
     tensor = trifocal.circular_points(*projective.transform_points(found.canonical, xy)).tensor
-    second, _ = tensor_cameras.cameras_in_pixels(tensor_cameras.planar_cameras(tensor), found.canonical)
+    second, _ = tensor_cameras.cameras_in_pixels(tensor_cameras.planar_cameras(tensor),
+                                                 found.canonical)
     to_affine = upgrade.affine_upgrade(upgrade.plane_at_infinity(second, found.fixed))
     camera = calibrate_from_fixed_points(found.fixed, CameraFacts(aspect_ratio=1.1))
     metric = second @ np.linalg.inv(upgrade.metric_upgrade(camera.K) @ to_affine)
