@@ -27,6 +27,8 @@ EXECUTABLES = {
     'affine_calibrator': 'selfcal_ros.nodes.affine_calibrator:main',
     'rorapid_tracker': 'selfcal_ros.nodes.rorapid_tracker:main',
     'bag_player': 'selfcal_ros.nodes.bag_player:main',
+    'camera_info_publisher': 'selfcal_ros.nodes.camera_info_publisher:main',
+    'all_nodes': 'selfcal_ros.nodes.all:main',
     'selfcal': 'selfcal_ros.cli.main:main',
 }
 
@@ -39,9 +41,11 @@ data_files = [
     (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
     (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
     # the demos replay these recordings, wherever the package is installed
-    (f'share/{PACKAGE}/bags', sorted(glob('bags/*.truth.json'))),
+    (f'share/{PACKAGE}/bags', sorted(glob('bags/*.truth.json') + glob('bags/tracked_object.*.yaml')
+                                     + glob('bags/*.pos'))),
     (f'share/{PACKAGE}/bags/agv_drive', sorted(glob('bags/agv_drive/*'))),
     (f'share/{PACKAGE}/bags/arm_move', sorted(glob('bags/arm_move/*'))),
+    (f'share/{PACKAGE}/bags/tracked_object', sorted(glob('bags/tracked_object/*'))),
 ]
 if os.environ.get('COLCON') != '1':
     # pip puts console scripts on PATH only; `ros2 run` and launch look in lib/<package>

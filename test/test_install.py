@@ -28,8 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: What may lie beside the sources but is no part of them.
 NOT_SOURCES = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', 'out',
                                      '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis')
-EXECUTABLES = ['affine_calibrator', 'bag_player', 'feature_tracker', 'planar_calibrator',
-               'rorapid_tracker', 'selfcal']
+EXECUTABLES = sorted(path.name for path in (ROOT / 'scripts').iterdir())
 
 pytestmark = [pytest.mark.install,
               pytest.mark.skipif(os.environ.get('COLCON') == '1', reason='colcon is at work'),

@@ -20,11 +20,11 @@ import sys
 from selfcal_ros.nodes.running import run_node
 
 
-def make_node():
+def make_node(**options):
     """Return the node; its imports take a second, hence not before they are wanted."""
     from selfcal_ros.nodes.calibrator_node import Calibrator
     from selfcal_ros.nodes.parameters import AffineCalibratorParameters
-    return Calibrator('affine_calibrator', AffineCalibratorParameters)
+    return Calibrator('affine_calibrator', AffineCalibratorParameters, **options)
 
 
 def main(args=None) -> int:

@@ -79,7 +79,7 @@ class CalibrationFile:
             f'{calibration.software}: from {len(calibration.frames)} views',
             ', '.join(f'{name} +- {sigma[name]:.3g} px' for name in ('fx', 'fy', 'cx', 'cy'))
             + ' (one sigma)']
-        if camera not in (None, calibration.camera):
+        if camera is not None and camera is not calibration.camera:
             comments.append('the sigmas are in pixels of the images, which were binned or cropped '
                             f'to {calibration.camera.width}x{calibration.camera.height}')
         return write_camera_yaml(self.path, camera or calibration.camera, self.camera_name,

@@ -41,7 +41,7 @@ from selfcal_ros.nodes.driver_window import DriverWindow
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.parameters import CalibratorParameters, declare
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
-from selfcal_ros.nodes.scene import ScenePublisher
+from selfcal_ros.nodes.scene import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.upload import CameraInfoUpload
@@ -58,16 +58,19 @@ class Calibrator(Node):
     name : str
     table : type
         Its parameters: `CalibratorParameters` or a class derived from it.
+    worker : type
+        Who estimates: `EstimationWorker`, a thread, or `EstimationProcess`.
 
     """
 
-    def __init__(self, name: str, table: type[CalibratorParameters]):
+    def __init__(self, name: str, table: type[CalibratorParameters], worker=EstimationWorker):
         super().__init__(name)
         self.parameters = declare(self, table)
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
         self._session = CalibrationSession(session_settings(self.parameters))
         self._scene = ScenePublisher(self, self.parameters.world_frame)
-        self._worker = EstimationWorker(partial(prepare_estimate, self._scene.prepare))
+        self._worker = worker(partial(prepare_estimate, partial(
+            prepare_scene, self.parameters.world_frame)))
         self._watch = ChangeWatch(self._session, self._worker, self.get_logger(),
                                   monitor_settings(self.parameters))
         self._types = rclpy_types()
@@ -78,8 +81,8 @@ class Calibrator(Node):
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
-        self._silence = SilenceWatch(self, 'tracks', lambda: [self.tracks.topic_name],
-                                     self.parameters.silence_s)
+        self._silence = SilenceWatch(self, 'tracks', lambda: [self.tracks.topic_name]
+                                     if self.tracks else [], self.parameters.silence_s)
         self.create_service(Trigger, '~/calibrate', self._on_calibrate)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/save', self._on_save)

@@ -18,9 +18,9 @@ from __future__ import annotations
 from collections.abc import Callable
 import queue
 import threading
-import traceback
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.nodes.estimation_process import run_request
 from selfcal_ros.pipeline.calibration_session import EstimateRequest
 
 
@@ -56,15 +56,5 @@ class EstimationWorker:
 
     def _work(self):
         while True:
-            request, prepared = self._requests.get(), None
-            try:
-                result = request.run()
-            except Exception as error:  # the thread must live, and the fault must be seen
-                traceback.print_exc()
-                result = NotCalibrated(f'The estimate failed ({type(error).__name__}: {error}); '
-                                       'please report the lines on standard error.')
-            try:
-                prepared = self._prepare(result, request) if result else None
-            except Exception:  # a calibration must not be lost to what is drawn from it
-                traceback.print_exc()
-            self._results.put((request, result, prepared))
+            request = self._requests.get()
+            self._results.put((request, *run_request(request, self._prepare)))

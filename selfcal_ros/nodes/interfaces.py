@@ -89,7 +89,7 @@ INTERFACES = {
         Endpoint('out', 'pose', 'geometry_msgs/PoseWithCovarianceStamped',
                  'pose of the object in the optical frame, with the stamp of the image; none '
                  'while the object is lost'),
-        Endpoint('out', 'overlay', 'sensor_msgs/Image',
+        Endpoint('out', '~/overlay', 'sensor_msgs/Image',
                  'the image with the object drawn over it: green found, vermilion rejected, '
                  'orange nothing found, grey hidden; drawn only while somebody listens'),
         Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
@@ -114,5 +114,16 @@ INTERFACES = {
         Endpoint('out', 'image/compressed', 'sensor_msgs/CompressedImage',
                  'where the bag holds this type'),
         Endpoint('out', '/clock', 'rosgraph_msgs/Clock', 'the time of the bag'),
+    ),
+    'camera_info_publisher': (
+        Endpoint('in', 'driver/camera_info', 'sensor_msgs/CameraInfo',
+                 'with `source: driver`: that of a driver without a calibration'),
+        Endpoint('in', 'image', 'sensor_msgs/Image', 'with `source: image`'),
+        Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage',
+                 'with `source: compressed`'),
+        Endpoint('out', 'camera_info', 'sensor_msgs/CameraInfo',
+                 'the calibration, with the stamp, frame, binning and region of what came in'),
+        Endpoint('service', '~/set_camera_info', 'sensor_msgs/SetCameraInfo',
+                 'take another calibration, at once, and write it to the file'),
     ),
 }

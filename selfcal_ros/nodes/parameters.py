@@ -240,3 +240,18 @@ class BagPlayerParameters:
     publish_clock: bool = parameter(True, 'publish the time of the bag on /clock')
     wait_for_subscribers_s: float = parameter(
         30.0, 'wait for a subscriber for at most so long; 0: do not wait', 0.0, 3600.0)
+
+
+@dataclass(frozen=True)
+class CameraInfoPublisherParameters:
+    """Parameters of camera_info_publisher."""
+
+    camera_name: str = parameter('camera', 'name of the camera, and of its file')
+    camera_info_url: str = parameter(
+        '', 'calibration file, also as file:// URL; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
+        'where camera drivers look')
+    source: str = parameter(
+        'driver', 'whose stamps to take: driver/camera_info, which also tells binning and region '
+        'of interest, or the images of a driver without one',
+        one_of=('driver', 'image', 'compressed'))
+    silence_s: float = parameter(5.0, 'warn when nothing has come for so long', 0.5, 3600.0)

@@ -29,6 +29,7 @@ import sys
 
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters,
+                                          CameraInfoPublisherParameters,
                                           FeatureTrackerParameters, PlanarCalibratorParameters,
                                           RorapidTrackerParameters)
 from selfcal_ros.report.files import atomic_write
@@ -40,6 +41,7 @@ PARAMETERS = {
     'affine_calibrator': AffineCalibratorParameters,
     'rorapid_tracker': RorapidTrackerParameters,
     'bag_player': BagPlayerParameters,
+    'camera_info_publisher': CameraInfoPublisherParameters,
 }
 _BLOCK = re.compile(r'(<!-- (parameters|interface):(\w+) -->\n).*?(?=<!-- /\2:\3 -->)', re.S)
 

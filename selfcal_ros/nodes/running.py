@@ -52,14 +52,19 @@ class StopSignals:
 
 
 def run_node(make_node: Callable, args: list[str] | None = None) -> int:
+    """Run one node until it is finished or told to stop; see `run_nodes`."""
+    return run_nodes(lambda: [make_node()], args)
+
+
+def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     """
-    Run one node until it is finished or told to stop.
+    Run nodes in one executor until they are finished or told to stop.
 
     Parameters
     ----------
-    make_node : callable
-        Returns the node. If the node has an attribute `finished` (a Future), its completion ends
-        the run.
+    make_nodes : callable
+        Returns the nodes. If there is one only, and it has an attribute `finished` (a Future),
+        its completion ends the run.
     args : list of str, optional
         Command line, sys.argv by default.
 
@@ -79,13 +84,14 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
     except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
         print(f'ROS did not start: {error}', file=sys.stderr)
         return 2
-    node = None
+    nodes = []
     try:
-        # before the node: an executor whose making a signal interrupts complains as it goes
+        # before the nodes: an executor whose making a signal interrupts complains as it goes
         executor = SingleThreadedExecutor()
-        node = make_node()
-        executor.add_node(node)
-        finished = getattr(node, 'finished', None)
+        nodes = make_nodes()
+        for node in nodes:
+            executor.add_node(node)
+        finished = getattr(nodes[0], 'finished', None) if len(nodes) == 1 else None
         signals.handed_over = True
         if finished is None:
             executor.spin()
@@ -102,7 +108,7 @@ def run_node(make_node: Callable, args: list[str] | None = None) -> int:
             raise
     finally:
         signals.ignore()
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -46,6 +46,26 @@ class Scene:
     markers: bytes
 
 
+def prepare_scene(frame_id: str, calibration: Calibration,
+                  request: EstimateRequest) -> Scene | None:
+    """Build the messages, where the estimate was made; None where there is no depth."""
+    if calibration.motion == 'rotation':
+        return None
+    types, scene = rclpy_types(), metric_structure(calibration, request.tracks)
+    stamps = request.tracks.stamps_ns
+    headers = [header_message(stamps[frame], frame_id, types) for frame in scene.frames.tolist()]
+    # data time: that of the last view
+    header = headers[-1]
+    markers = path_markers(scene.cam_from_world, header, types, LINE_WIDTH,
+                           calibration.camera, FRUSTUM_LENGTH).markers
+    markers += structure_markers(scene.points, header, types, POINT_SIZE).markers
+    return Scene(
+        serialize_message(structure_cloud(scene.points, header, types)),
+        serialize_message(path_message(camera_poses(scene.cam_from_world), headers, header,
+                                       types)),
+        serialize_message(types.MarkerArray(markers=markers)))
+
+
 class ScenePublisher:
     """
     Publishes `structure`, `camera_path` and `~/markers`, all latched.
@@ -64,25 +84,6 @@ class ScenePublisher:
         self._structure = node.create_publisher(PointCloud2, 'structure', LATCHED)
         self._path = node.create_publisher(Path, 'camera_path', LATCHED)
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
-
-    def prepare(self, calibration: Calibration, request: EstimateRequest) -> Scene | None:
-        """Build the messages, in the thread of the estimate; None where there is no depth."""
-        if calibration.motion == 'rotation':
-            return None
-        types, scene = self._types, metric_structure(calibration, request.tracks)
-        stamps = request.tracks.stamps_ns
-        headers = [header_message(stamps[frame], self._frame, types)
-                   for frame in scene.frames.tolist()]
-        # data time: that of the last view
-        header = headers[-1]
-        markers = path_markers(scene.cam_from_world, header, types, LINE_WIDTH,
-                               calibration.camera, FRUSTUM_LENGTH).markers
-        markers += structure_markers(scene.points, header, types, POINT_SIZE).markers
-        return Scene(
-            serialize_message(structure_cloud(scene.points, header, types)),
-            serialize_message(path_message(camera_poses(scene.cam_from_world), headers, header,
-                                           types)),
-            serialize_message(types.MarkerArray(markers=markers)))
 
     def publish(self, scene: Scene) -> None:
         """Publish what was prepared."""

@@ -76,9 +76,9 @@ class CameraInfoUpload:
     def _others(self) -> str:
         """Name the services that could have been meant."""
         there = [name for name, kinds in self._node.get_service_names_and_types()
-                 if SERVICE_TYPE in kinds]
+                 if SERVICE_TYPE in kinds and name != self._name]
         return (f'services of this type: {", ".join(there)}' if there
-                else 'there is no service of this type')
+                else 'there is no other service of this type')
 
     def _answered(self, future):
         try:
