@@ -28,6 +28,8 @@ _NEAR_PX = 0.7
 _MEET_PX = 8.0
 #: Lines that meet under a smaller angle have no good intersection.
 _LEAST_ANGLE_RAD = np.deg2rad(15)
+#: Height of the arch of an edge that counts as straight, as a share of its length.
+_MOST_ARCH = 0.015
 #: Of more pieces of lines in an image the longest are taken.
 _MOST_LINES = 600
 
@@ -70,8 +72,13 @@ def refine_lines(image: np.ndarray, segments, reach_px: int = 5) -> tuple[np.nda
         Share of the places along each line where the edge was found; 0: the line is unchanged.
 
     """
+    return _refined(image, segments, reach_px)[:2]
+
+
+def _refined(image, segments, reach_px):
+    """Refine lines; returns their height of arch as a share of the length as well, (N,)."""
     segments = np.array(segments, float).reshape(-1, 2, 2)
-    support = np.zeros(len(segments))
+    support, arch = np.zeros((2, len(segments)))
     for k, (start, end) in enumerate(segments):
         reach = reach_px
         for _ in range(3):
@@ -88,15 +95,15 @@ def refine_lines(image: np.ndarray, segments, reach_px: int = 5) -> tuple[np.nda
             fit = _robust_line(at, offset)
             if fit is None:
                 break
-            (height, slope), support[k] = fit
+            height, slope, support[k], arch[k] = fit
             start, end = start + height * normal, end + (height + slope * length) * normal
             reach = 2
         segments[k] = start, end
-    return segments, support
+    return segments, support, arch
 
 
 def _robust_line(at, offset):
-    """Fit offset = height + slope at; returns the two and the share that supports them."""
+    """Fit offset = height + slope at; returns the two, the share near it, and its arch."""
     good = np.isfinite(offset)
     if good.sum() < 5:
         return None
@@ -116,7 +123,9 @@ def _robust_line(at, offset):
     if near.sum() < max(5, 0.4 * len(at)):
         return None
     slope, height = np.polyfit(at[near], offset[near], 1)
-    return (height, slope), near.mean()
+    span = at[-1] - at[0]
+    bend = np.polyfit(at[near], offset[near], 2)[0]
+    return height, slope, near.mean(), abs(bend) * span / 4
 
 
 def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
@@ -143,8 +152,9 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     longest = np.argsort(-lengths, kind='stable')[:_MOST_LINES]
     segments = segments[longest[lengths[longest] > 0.5 * least_length_px]]
-    segments, support = refine_lines(image, segments, 3)
-    segments = _joined(segments[support > 0.5])
+    segments, support, arch = _refined(image, segments, 3)
+    # chords of round edges are no lines; a lens bends lines much less
+    segments = _joined(segments[(support > 0.5) & (arch < _MOST_ARCH)])
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     order = np.argsort(-lengths, kind='stable')
     segments = segments[order[lengths[order] >= least_length_px]]
@@ -155,6 +165,8 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
 
 def side_greys(image: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Median grey levels 2 to 4 px to the left and the right of segments (N, 2, 2), (N,) each."""
+    if not len(segments):
+        return np.zeros(0), np.zeros(0)
     along = segments[:, 1] - segments[:, 0]
     along = along / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     # y points down: to the left of (1, 0) is (0, -1)
@@ -166,7 +178,7 @@ def side_greys(image: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.
         places = np.stack([middle + side * d * left for d in (2, 3, 4)]).astype(np.float32)
         flat = places.reshape(-1, len(segments), 2)
         values = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR,
-                           borderMode=cv2.BORDER_REPLICATE) if len(segments) else flat[..., 0]
+                           borderMode=cv2.BORDER_REPLICATE)
         greys.append(np.median(values.astype(float), axis=0))
     return greys[0], greys[1]
 
