@@ -38,11 +38,15 @@ class ConstantVelocityFilter:
     velocity_sigma, acceleration_sigma : ndarray, shape (m,)
         Standard deviations of the unknown first velocity, per second, and of the white
         acceleration, per second squared.
+    wander : ndarray, shape (m,), optional
+        Standard deviations of a random walk of the state itself, per square root of a second.
+        A direction with a wander and no velocity nor acceleration is one in which the object
+        does not move: it is estimated from all images together.
 
     """
 
     def __init__(self, projection: Projection, basis, state: ObjectState, covariance,
-                 velocity_sigma, acceleration_sigma):
+                 velocity_sigma, acceleration_sigma, wander=0.0):
         """Start at rest, with a velocity as uncertain as stated."""
         self.projection, self.basis = projection, np.asarray(basis, float)
         self.state = state
@@ -53,6 +57,7 @@ class ConstantVelocityFilter:
         self._velocity = np.square(np.asarray(velocity_sigma, float))
         self.covariance[m:, m:] = np.diag(self._velocity)
         self._acceleration = np.square(np.asarray(acceleration_sigma, float))
+        self._wander = np.square(np.broadcast_to(np.asarray(wander, float), (m,)))
 
     def restart(self, state: ObjectState, covariance: np.ndarray) -> None:
         """Begin again at rest at a state with covariance (m, m)."""
@@ -91,7 +96,7 @@ class ConstantVelocityFilter:
         P[:m, m:] = cross
         P[m:, :m] = cross.T
         at = np.arange(m)
-        P[at, at] += self._acceleration * dt**4 / 4
+        P[at, at] += self._acceleration * dt**4 / 4 + self._wander * dt
         P[at, m + at] += self._acceleration * dt**3 / 2
         P[m + at, at] += self._acceleration * dt**3 / 2
         P[m + at, m + at] += self._acceleration * dt**2

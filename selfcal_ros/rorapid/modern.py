@@ -44,6 +44,10 @@ _LEAST_TEXTURE = 5
 _SEEK_PX = 120.0
 #: Rounds of the search from each start around a first guess, and contrast that is strong.
 _SETTLE_ROUNDS, _STRONG = 4, 40.0
+#: Control points with another primitive so close alongside count little.
+_CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
+#: The search is repeated where the correction moved a control point further, pixels.
+_STILL_PX = 1.0
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
 _WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
@@ -146,9 +150,12 @@ class ModernCycle:
             if turn:
                 view = self.control.again(view, state)
                 reach = min(reach, int(np.ceil(self.options.search_least_px)))
+            first = turn == 0 and not led
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
-                                    first=turn == 0 and not led)
+                                    first)
             state = result[0]
+            if not first and result[-1] < _STILL_PX:
+                break
         return self._conclude(region, state, result, matches, agree)
 
     def _reach(self, state, view, spread):
@@ -196,7 +203,7 @@ class ModernCycle:
         state, m = predicted, self.basis.shape[1]
         q = best
         state = self.projection.moved(predicted, self.basis @ q)
-        for _ in range(3):
+        for _ in range(2):
             rows, residual = self._corner_rows(state, points, pixels)
             distance = np.sqrt((residual**2).sum(axis=0))
             sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
@@ -256,6 +263,7 @@ class ModernCycle:
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
         handicap = _handicap(contrast, wanted)
+        alone = _uncrowded(view, at)
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
             corner_H, corner_g = self._corner_terms(state, matches, agree)
@@ -275,15 +283,16 @@ class ModernCycle:
                 limit = min(_TUKEY * sigma, limit)
             else:
                 sigma = max(limit / 3, 0.5)
-            w = tukey_weight(distance[line, best], limit) / sigma**2
+            w = alone * tukey_weight(distance[line, best], limit) / sigma**2
             H = (rows * w[:, None]).T @ rows
             g = rows.T @ (w * np.where(near, chosen, 0.0))
             information = H + corner_H + prior
             q = np.linalg.solve(information, g + corner_g - prior @ back)
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
+        step = float(np.abs(rows @ q).max(initial=0.0))
         return (after, np.linalg.inv(information), view, at, residual,
-                contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
+                contrast[line, best] if len(at) else np.zeros(0), H + corner_H, step)
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -334,7 +343,7 @@ class ModernCycle:
         """Tukey limits of the steps, from wide to narrow."""
         narrow = 3.0
         wide = max(float(reach), narrow) if first else 4.0
-        steps = self.options.steps
+        steps = self.options.steps if first else min(self.options.steps, 2)
         return np.geomspace(wide, narrow, steps) if steps > 1 else np.array([narrow])
 
     def _corner_terms(self, state, matches, agree):
@@ -351,7 +360,7 @@ class ModernCycle:
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
-        _, covariance, view, at, residual, contrast, information = result
+        _, covariance, view, at, residual, contrast, information, _ = result
         after = self.control.again(view, state)
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
@@ -422,3 +431,19 @@ def _handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     strongest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), 1e-6)
     weak = np.where(wanted[:, None] == 0, _WEAK_PX * (1 - size / strongest), 0.0)
     return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)
+
+
+def _uncrowded(view, at: np.ndarray) -> np.ndarray:
+    """
+    Weight of control points by how near other primitives run alongside, (len(at),).
+
+    Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
+    """
+    pixels, normal = view.projected.pixels[at], view.normal[at]
+    across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
+    along = pixels @ np.stack([-normal[:, 1], normal[:, 0]])
+    along -= np.einsum('cc->c', along)
+    crowd = ((np.abs(across) < _CROWD_PX) & (np.abs(along) < _CROWD_LENGTH_PX)
+             & (np.abs(normal @ normal.T) > 0.94)
+             & (view.primitive[at][:, None] != view.primitive[at]))
+    return np.where(crowd.any(axis=0), _CROWDED, 1.0)

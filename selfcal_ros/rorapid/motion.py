@@ -67,6 +67,20 @@ def motion_basis(motion: str, size: int, plane_axis=None) -> np.ndarray:
     return basis
 
 
+def completed(basis: np.ndarray) -> np.ndarray:
+    """
+    Complete the columns of a motion's basis to all corrections, (size, size), orthonormal.
+
+    The first m columns are those allowed; in the others the object stays as it is, but how it is
+    must be found out.
+    """
+    size, m = basis.shape
+    if m == size:
+        return basis
+    rest = np.linalg.svd(basis, full_matrices=True)[0][:, m:]
+    return np.concatenate([basis, rest], axis=1)
+
+
 @dataclass(frozen=True)
 class LearnedPlane:
     """

@@ -22,11 +22,12 @@ affine camera. All models end in pixels, through the lens distortion of the came
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Points nearer than this (metres) count as behind the camera.
 NEAREST_M = 1e-6
@@ -198,7 +199,7 @@ class Projection:
             affine[:, :3] += correction[:6].reshape(2, 3)
             affine[:, 3] += correction[6:8]
             return nearest_pose(affine, state)
-        rotation = rotation_matrix(correction[:3]) @ state.rotation
+        rotation = _turn(correction[:3]) @ state.rotation
         # rounding must not grow over many frames: one step towards the nearest rotation
         rotation = 1.5 * rotation - 0.5 * rotation @ (rotation.T @ rotation)
         zoom = state.zoom * float(np.exp(np.clip(correction[6], -1, 1))) \
@@ -211,7 +212,7 @@ class Projection:
             change = there.affine - here.affine
             return np.concatenate([change[:, :3].ravel(), change[:, 3]])
         out = np.empty(self.size)
-        out[:3] = rotation_vector(there.rotation @ here.rotation.T)
+        out[:3] = _turn_vector(there.rotation @ here.rotation.T)
         out[3:6] = there.translation - here.translation
         if self.size == 7:
             out[6] = np.log(there.zoom / here.zoom)
@@ -241,6 +242,32 @@ class Projection:
             slope[:3, k] = rotation_vector(other.rotation @ state.rotation.T) / step[k]
             slope[3:, k] = (other.translation - state.translation) / step[k]
         return slope @ covariance @ slope.T
+
+
+def _turn(vector: np.ndarray) -> np.ndarray:
+    """Return `rotation_matrix` of one vector; ten times as fast as the stacked one."""
+    x, y, z = (float(v) for v in vector)
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle < 1e-4:
+        a, b = 1 - square / 6, 0.5 - square / 24
+    else:
+        a, b = math.sin(angle) / angle, 2 * (math.sin(0.5 * angle) / angle)**2
+    return np.array([[1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+                     [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+                     [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)]])
+
+
+def _turn_vector(rotation: np.ndarray) -> np.ndarray:
+    """Return `rotation_vector` of one matrix, fast while the angle is small."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    cosine = 0.5 * (a + e + i - 1)
+    if cosine < 0.5:
+        return rotation_vector(rotation)
+    x, y, z = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = math.asin(min(sine, 1.0)) / sine if sine > 1e-6 else 1.0
+    return np.array([factor * x, factor * y, factor * z])
 
 
 def nearest_pose(affine: np.ndarray, before: ObjectState) -> ObjectState:

@@ -25,7 +25,7 @@ from selfcal_ros.rorapid.classic import ClassicCycle
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.modern import ModernCycle
-from selfcal_ros.rorapid.motion import motion_basis, PlaneLearner
+from selfcal_ros.rorapid.motion import completed, motion_basis, PlaneLearner
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import Projection
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -41,6 +41,8 @@ _START_SPEED, _START_TURN = 2.0, 1.0
 _PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 #: Share of the velocity that is lost with each frame in which nothing is seen.
 _DAMPING = 0.3
+#: Random walk of what a restricted motion does not change, per square root of a second.
+_WANDER_RAD, _WANDER_DIAMETERS = 2e-3, 1e-3
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -83,6 +85,10 @@ class RorapidTracker:
             motion = 'general'                # until the plane is learned
         self._motion = motion
         self._basis = motion_basis(motion, self._projection.size, self._axis)
+        self._free = self._basis.shape[1]
+        if options.method == 'modern':
+            # what the motion does not change is estimated all the same, from all images
+            self._basis = completed(self._basis)
         size = (self.camera.width or 1 << 30, self.camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
         cycle = ModernCycle if options.method == 'modern' else ClassicCycle
@@ -168,10 +174,16 @@ class RorapidTracker:
                 full[6, 6] = 0.15**2
                 speed[6], turn[6] = options.zoom_rate_s, options.zoom_rate_s
         B = self._basis
-        self._filter = ConstantVelocityFilter(
-            self._projection, B, state, B.T @ full @ B,
-            np.sqrt(np.einsum('im,i->m', B**2, speed**2)),
-            np.sqrt(np.einsum('im,i->m', B**2, turn**2)))
+        speed, turn = (np.sqrt(np.einsum('im,i->m', B**2, sigma**2)) for sigma in (speed, turn))
+        wander = np.zeros(B.shape[1])
+        if self._free < B.shape[1]:
+            wide = np.r_[[_WANDER_RAD] * 3, [_WANDER_DIAMETERS * diameter] * 3, [0.0] * (size - 6)]
+            if size == 8:
+                wide = np.full(8, _WANDER_DIAMETERS * diameter * scale)
+            wander[self._free:] = np.sqrt(np.einsum('im,i->m', B**2, wide**2))[self._free:]
+            speed[self._free:] = turn[self._free:] = 0
+        self._filter = ConstantVelocityFilter(self._projection, B, state, B.T @ full @ B, speed,
+                                              turn, wander)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
         """
