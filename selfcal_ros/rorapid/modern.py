@@ -20,13 +20,16 @@ import numpy as np
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection import ObjectState
+from selfcal_ros.rorapid.projection import ObjectState, Projection
 from selfcal_ros.rorapid.recovery import ViewMemory
 from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
-from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory
+from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory, Undistorter
 
 #: Standard deviations that edges and texture have at the least, pixels.
-_EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.3, 0.3
+_EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.05, 0.1
+#: Corners beside edges: their common error is that of the pose in which they were learned, which
+#: does not average out, so that each counts for little.
+_BESIDE_EDGES_PX = 1.0
 #: A corner of the texture agrees with a pose within this distance, pixels.
 _AGREE_PX = 2.5
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
@@ -74,11 +77,15 @@ class ModernCycle:
         model = control.visible_model.model
         faces = [model.vertices[list(face.indices)] - control.centre for face in model.faces]
         corners = model.vertices[model.triangles] - control.centre
-        self.texture = TextureMemory(faces, corners, self.projection, options.texture_points)
+        # texture lives in parts of the image without distortion; edges in the image as it is
+        self._lens = Undistorter(self.projection.camera)
+        self._pinhole = Projection(self._lens.pinhole, self.projection.model)
+        self.texture = TextureMemory(faces, corners, self._pinhole, options.texture_points)
+        self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
         self._outline = np.asarray(model.extent, float) - control.centre
-        self._views = ViewMemory(self.projection, self._outline, rng)
+        self._views = ViewMemory(self._pinhole, self._outline, rng)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
@@ -107,14 +114,15 @@ class ModernCycle:
             return
         if everywhere:
             place = np.array([[0, 0], image.shape[::-1]], float)
-            region = region_of_interest(image, place, 0.0)
+            region = region_of_interest(image, place, 0.0, self._lens)
         else:
-            outline = self.projection.project(state, self._outline).pixels
-            region = region_of_interest(image, outline, _SEEK_PX)
+            outline = self._pinhole.project(state, self._outline).pixels
+            region = region_of_interest(image, outline, _SEEK_PX, self._lens)
         if region is not None:
             yield from self._views.shifted(region, state)
         if everywhere:
-            yield from self._views.recognised(image)
+            size = np.array(image.shape[::-1])
+            yield from self._views.recognised(self._lens.part(image, 0 * size, size))
 
     def measure(self, image: np.ndarray, predicted: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -134,8 +142,8 @@ class ModernCycle:
         """
         prior = np.linalg.inv(spread)
         state = predicted
-        outline = self.projection.project(predicted, self._outline).pixels
-        region = region_of_interest(image, outline, 40.0)
+        outline = self._pinhole.project(predicted, self._outline).pixels
+        region = region_of_interest(image, outline, 40.0, self._lens)
         matches, agree = None, np.zeros(0, bool)
         if region is not None and self._use_texture and self.texture.known:
             state, matches, agree = self._by_texture(region, predicted, prior)
@@ -224,12 +232,13 @@ class ModernCycle:
 
     def _corner_rows(self, state, points, pixels):
         """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
-        seen = self.projection.project(state, points)
+        seen = self._pinhole.project(state, points)
         n = len(points)
-        x_way, y_way = np.zeros((n, 2)), np.zeros((n, 2))
-        x_way[:, 0], y_way[:, 1] = 1, 1
-        rows = np.stack([self.projection.rows(state, seen, x_way) @ self.basis,
-                         self.projection.rows(state, seen, y_way) @ self.basis])
+        rows = np.empty((2, n, self.basis.shape[1]))
+        way = np.zeros((n, 2))
+        for k in (0, 1):
+            way[:, k], way[:, 1 - k] = 1, 0
+            rows[k] = self._pinhole.rows(state, seen, way) @ self.basis
         return rows, (pixels - seen.pixels).T
 
     def _sample(self, rows, residual, prior, weight, samples=48):
@@ -351,8 +360,8 @@ class ModernCycle:
         rows, residual = self._corner_rows(state, matches.object_points[agree],
                                            matches.pixels[agree])
         distance = np.sqrt((residual**2).sum(axis=0))
-        sigma = robust_sigma(distance / 1.5, _TEXTURE_SIGMA_PX)
-        w = tukey_weight(distance, _TUKEY * max(sigma, 0.5)) / sigma**2
+        sigma = robust_sigma(distance / 1.5, _BESIDE_EDGES_PX)
+        w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
         w *= np.minimum(2 * matches.score[agree], 1.0)
         both = rows.reshape(-1, rows.shape[2])
         wide = np.concatenate([w, w])
@@ -369,7 +378,9 @@ class ModernCycle:
         share, certain = self._confirmation(edges, matches, agree)
         scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
-        texture_px = matches.pixels[agree] if matches is not None else np.zeros((0, 2))
+        texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
+        if self._distorted and len(texture_px):
+            texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         self._latest = (region, at, found, contrast, view, matches, agree)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain=certain)

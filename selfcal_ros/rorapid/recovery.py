@@ -151,6 +151,7 @@ class ViewMemory:
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
+            Without distortion.
 
         Returns
         -------

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.projection import ObjectState, Projection
 
 #: Texels along the longer side of a face, and the share by which its picture is wider.
@@ -131,15 +132,51 @@ class Region:
         return pixels / self.scale + self.corner
 
 
-def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float):
+class Undistorter:
     """
-    Cut the part of an image around given pixels, reduced while it is large.
+    Takes the lens distortion out of parts of images.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Attributes
+    ----------
+    pinhole : Camera
+        The camera of the undistorted parts: the same calibration matrix, no distortion.
+
+    """
+
+    def __init__(self, camera: Camera):
+        """Wait for the size of the images."""
+        self._camera = camera
+        self.pinhole = Camera(camera.K, width=camera.width, height=camera.height)
+        self._maps = None
+
+    def part(self, image: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Cut rows and columns from low to high (x, y) out of the undistorted image."""
+        if not self._camera.distortion.any():
+            return image[low[1]:high[1], low[0]:high[0]]
+        if self._maps is None or self._maps[0].shape != image.shape:
+            x, y = np.meshgrid(np.arange(image.shape[1]), np.arange(image.shape[0]))
+            place = self._camera.pixels(self.pinhole.normalised(np.stack([x, y], axis=-1)))
+            self._maps = [np.ascontiguousarray(place[..., k], np.float32) for k in (0, 1)]
+        x, y = (part[low[1]:high[1], low[0]:high[0]] for part in self._maps)
+        return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
+                       lens: Undistorter):
+    """
+    Cut the part of an image around given pixels, undistorted, and reduced while it is large.
 
     Parameters
     ----------
     image : ndarray, shape (H, W), uint8
     pixels : ndarray, shape (N, 2)
+        Of the undistorted image.
     margin_px : float
+    lens : Undistorter
 
     Returns
     -------
@@ -152,7 +189,7 @@ def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float):
     high = np.ceil(np.clip(pixels.max(axis=0) + margin_px, 0, (width, height))).astype(int)
     if (high - low).min() < 24:
         return None
-    part, scale = image[low[1]:high[1], low[0]:high[0]], 1.0
+    part, scale = lens.part(image, low, high), 1.0
     corner = low.astype(float)
     while max(part.shape) * scale > _MOST_ROI_PX:
         scale *= 0.5
@@ -176,6 +213,7 @@ class TextureMemory:
     triangles : ndarray, shape (T, 3, 3)
         All opaque triangles, for what hides what.
     projection : Projection
+        Of a camera without distortion.
     most_points : int
         Corners to follow at a time.
 
@@ -362,7 +400,6 @@ class TextureMemory:
             area = cv2.contourArea(corners)
             if area < _LEAST_AREA_PX * region.scale**2:
                 continue
-            H = self._undistorting(face, H, state, region)
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             picture = cv2.warpPerspective(region.image, H, size, flags=flags,
                                           borderMode=cv2.BORDER_REPLICATE)
@@ -373,16 +410,6 @@ class TextureMemory:
                 if cv2.countNonZero(seen) < _LEAST_SEEN * seen.size:
                     continue
             self._take(face, picture, area, seen)
-
-    def _undistorting(self, face, H, state, region):
-        """Homography of the face into the real image: through its distorted corners."""
-        if not self.projection._distorted:
-            return H
-        w, h = face.mask.shape[1], face.mask.shape[0]
-        texels = np.array([[0, 0], [w - 1, 0], [w - 1, h - 1], [0, h - 1]], float)
-        points = face.origin + texels @ face.axes.T
-        pixels = region.inside(self.projection.project(state, points).pixels)
-        return cv2.getPerspectiveTransform(texels.astype(np.float32), pixels.astype(np.float32))
 
     def _take(self, face: _Face, picture: np.ndarray, area: float, seen) -> None:
         """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
