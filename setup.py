@@ -39,7 +39,8 @@ data_files = [
     ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
     (f'share/{PACKAGE}', ['package.xml']),
     (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
-    (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+    (f'share/{PACKAGE}/config', sorted(
+        file for kind in ('yaml', 'xml', 'rviz', 'json') for file in glob(f'config/*.{kind}'))),
     # the demos replay these recordings, wherever the package is installed
     (f'share/{PACKAGE}/bags', sorted(glob('bags/*.truth.json') + glob('bags/tracked_object.*.yaml')
                                      + glob('bags/*.pos'))),

@@ -15,12 +15,13 @@
 Calibrate the camera of a robot while it drives; from a live camera, or from a bag.
 
 ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw camera_name:=front
+ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw composed:=true rviz:=true
 ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
@@ -30,6 +31,10 @@ from launch_ros.substitutions import FindPackageShare
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
     'camera_info': ('camera_info', 'where the CameraInfo goes; consumers look beside the image'),
+    'driver_camera_info': ('driver/camera_info', 'CameraInfo of a driver without a calibration, '
+                           'for its binning and region of interest'),
+    'set_camera_info_service': ('', 'service of a driver that gets what is saved, such as '
+                                '/camera/set_camera_info; empty: none'),
     'bag': ('', 'play this bag instead of listening to a camera'),
     'rate': ('1.0', 'playback speed'),
     'loop': ('false', 'play the bag again and again'),
@@ -38,35 +43,47 @@ ARGUMENTS = {
     'output': ('', 'calibration file; empty: where camera drivers look'),
     'auto_save': ('false', 'write the file after every estimate'),
     'calibrator': ('planar_calibrator', 'planar_calibrator or affine_calibrator'),
+    'composed': ('false', 'all nodes in one process: least latency from image to CameraInfo'),
+    'rviz': ('false', 'show tracks, path and structure in RViz'),
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'agv.yaml']), 'parameters of the nodes'),
 }
 
 
 def generate_launch_description():
-    """Start tracker and calibrator, and the player where a bag is given."""
+    """Start tracker and calibrator, apart or in one process; the player where a bag is given."""
     value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    text = {name: ParameterValue(value[name], value_type=str)
-            for name in ('bag', 'camera_name', 'output')}
-    topics = [('image', value['image']), ('image/compressed', [value['image'], '/compressed'])]
-    profiles = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config', 'fastdds.xml'])
+    share = FindPackageShare('selfcal_ros')
+    # launch writes each group to a file of its own: a node reads what it knows
+    calibrator = {name: ParameterValue(value[name], value_type=str) for name in (
+        'camera_name', 'output', 'set_camera_info_service')}
+    calibrator['auto_save'] = ParameterValue(value['auto_save'], value_type=bool)
+    player = {'bag': ParameterValue(value['bag'], value_type=str),
+              'rate': ParameterValue(value['rate'], value_type=float),
+              'loop': ParameterValue(value['loop'], value_type=bool)}
+    images = [('image', value['image']), ('image/compressed', [value['image'], '/compressed'])]
+    infos = [('camera_info', value['camera_info']),
+             ('driver/camera_info', value['driver_camera_info'])]
+    apart = UnlessCondition(value['composed'])
+    played = NotEqualsSubstitution(value['bag'], '')
+
+    def node(executable, parameters=(), remappings=(), condition=None, arguments=()):
+        return Node(package='selfcal_ros', executable=executable, output='screen',
+                    namespace=value['namespace'], arguments=list(arguments), condition=condition,
+                    parameters=[value['params_file'], *parameters], remappings=remappings)
+
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
-        SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
-        Node(package='selfcal_ros', executable=value['calibrator'], output='screen',
-             namespace=value['namespace'], remappings=[('camera_info', value['camera_info'])],
-             parameters=[value['params_file'],
-                         {'camera_name': text['camera_name'], 'output': text['output'],
-                          'auto_save': ParameterValue(value['auto_save'], value_type=bool)}]),
-        Node(package='selfcal_ros', executable='feature_tracker', output='screen',
-             namespace=value['namespace'], parameters=[value['params_file']],
-             remappings=topics),
-        Node(package='selfcal_ros', executable='bag_player', output='screen',
-             namespace=value['namespace'], remappings=topics,
-             condition=IfCondition(NotEqualsSubstitution(value['bag'], '')),
-             parameters=[value['params_file'],
-                         {'bag': text['bag'],
-                          'rate': ParameterValue(value['rate'], value_type=float),
-                          'loop': ParameterValue(value['loop'], value_type=bool)}]),
+        # finds peers at once, and has room for large images
+        SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE',
+                               PathJoinSubstitution([share, 'config', 'fastdds.xml'])),
+        node(value['calibrator'], [calibrator], infos, apart),
+        node('feature_tracker', [], images, apart),
+        node('all_nodes', [calibrator], images + infos, IfCondition(value['composed']),
+             ['feature_tracker', value['calibrator']]),
+        node('bag_player', [player], images, IfCondition(played)),
+        Node(package='rviz2', executable='rviz2', condition=IfCondition(value['rviz']),
+             namespace=value['namespace'],
+             arguments=['-d', PathJoinSubstitution([share, 'config', 'selfcal.rviz'])]),
     ])

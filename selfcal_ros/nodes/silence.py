@@ -22,6 +22,8 @@ from rclpy.qos import ReliabilityPolicy
 
 from selfcal_ros.nodes.quality_of_service import STEADY
 
+#: What our nodes draw is nobody's input.
+DRAWN = '/overlay'
 #: Topics that a warning names at most, as those that might be meant.
 MOST_SUGGESTIONS = 5
 
@@ -106,7 +108,7 @@ class SilenceWatch:
         """Name the topics that somebody may have meant, or what else to do."""
         ours = {one.topic_name for one in self._node.publishers}
         there = [name for name, kinds in self._node.get_topic_names_and_types()
-                 if types & set(kinds) and name not in ours
+                 if types & set(kinds) and name not in ours and not name.endswith(DRAWN)
                  and self._node.count_publishers(name)]
         if not there:
             return ': start what publishes them, or remap the input'

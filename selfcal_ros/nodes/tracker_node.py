@@ -81,9 +81,7 @@ class FeatureTracker(Node):
                                      self.parameters.silence_s)
         self._connect()
         self._timer = self.create_timer(0.1, self._connect, clock=STEADY)
-        if not self._inputs:
-            self.get_logger().info(f'images are subscribed to once somebody subscribes to '
-                                   f'{self.tracks.topic_name} (parameter lazy)')
+        self._idle = self.create_timer(1.0, self._say_idle, clock=STEADY)
 
     def _connect(self):
         """Subscribe to what is wanted now; lazily, as image_transport does."""
@@ -98,6 +96,13 @@ class FeatureTracker(Node):
                 TRANSPORTS[name], self._topics[name],
                 lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def _say_idle(self):
+        """Tell, once, why nothing happens while nobody listens."""
+        self._idle.cancel()
+        if not self._inputs:
+            self.get_logger().info(f'images are subscribed to once somebody subscribes to '
+                                   f'{self.tracks.topic_name} (parameter lazy)')
 
     def _on_image(self, msg, transport: str):
         if self._transport == 'auto':
