@@ -222,16 +222,18 @@ def find_corners(segments: np.ndarray, meet_px: float = _MEET_PX) -> list[Corner
 
     """
     groups = []
-    for i in range(len(segments)):
-        for j in range(i + 1, len(segments)):
-            xy = intersection(segments[[i, j]])
-            if xy is not None and max(np.hypot(*(segments[k] - xy).T).min()
-                                      for k in (i, j)) < meet_px:
-                near = [g for g in groups if np.hypot(*(g[0] - xy)) < 0.5 * meet_px
-                        and g[1] & {i, j}]
-                merged = {i, j}.union(*(g[1] for g in near))
-                groups = [g for g in groups if not any(g is n for n in near)]
-                groups.append((intersection(segments[sorted(merged)]), merged))
+    ends = segments.reshape(-1, 2)
+    gap = np.linalg.norm(ends[:, None] - ends, axis=2)
+    gap = gap.reshape(len(segments), 2, len(segments), 2)
+    # ends that are both near an intersection are near each other
+    for i, j in zip(*np.nonzero(np.triu(gap.min(axis=(1, 3), initial=np.inf) < 2 * meet_px, 1))):
+        xy = intersection(segments[[i, j]])
+        if xy is not None and max(np.hypot(*(segments[k] - xy).T).min()
+                                  for k in (i, j)) < meet_px:
+            near = [g for g in groups if np.hypot(*(g[0] - xy)) < 0.5 * meet_px and g[1] & {i, j}]
+            merged = {int(i), int(j)}.union(*(g[1] for g in near))
+            groups = [g for g in groups if not any(g is n for n in near)]
+            groups.append((intersection(segments[sorted(merged)]), merged))
     return [Corner(xy, frozenset(lines)) for xy, lines in groups if xy is not None]
 
 

@@ -139,12 +139,9 @@ def _patches(image, places):
     at = np.arange(-_HALF, _HALF + 1, dtype=np.float32)
     x = places[:, 0, None, None].astype(np.float32) + at
     y = places[:, 1, None, None].astype(np.float32) + at[:, None]
-    x, y = np.broadcast_arrays(x, y)
-    side = len(at)
-    values = cv2.remap(cv2.GaussianBlur(image, (0, 0), 1.0),
-                       np.ascontiguousarray(x.reshape(-1, side)),
-                       np.ascontiguousarray(y.reshape(-1, side)), cv2.INTER_LINEAR,
-                       borderMode=cv2.BORDER_REPLICATE).reshape(len(places), -1).astype(float)
+    x, y = (np.ascontiguousarray(v.reshape(len(places), -1)) for v in np.broadcast_arrays(x, y))
+    values = cv2.remap(cv2.GaussianBlur(image, (0, 0), 1.0), x, y, cv2.INTER_LINEAR,
+                       borderMode=cv2.BORDER_REPLICATE).astype(float)
     values -= values.mean(axis=1, keepdims=True)
     return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
 

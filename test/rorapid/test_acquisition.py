@@ -12,12 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 from dataclasses import replace
+import json
+from pathlib import Path
 import re
 
 import numpy as np
 import pytest
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.acquisition import acquire_model, points_from_translation
 from selfcal_ros.rorapid.image_lines import (detect_lines, find_corners, refine_lines,
@@ -233,3 +236,27 @@ def test_loops_in_a_plane_are_found_and_others_are_not():
     corner = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [1, 2, 0], [0, 2, 0]], float)
     loop, = plane_loops(corner, [(k, (k + 1) % 6) for k in range(6)])
     assert len(loop) == 6
+
+
+def test_a_chessboard_seen_by_an_arm_that_moved_without_turning():
+    folder = next((p / 'shared/data/kuka_chess' for p in Path(__file__).resolve().parents
+                   if (p / 'shared/data/kuka_chess').is_dir()), None)
+    if folder is None:
+        pytest.skip('the images shared/data/kuka_chess are not beside the repository')
+    truth = json.loads((folder / 'gt.json').read_text())
+    camera = Camera(truth['K'], truth['dist'], 1928, 1208)
+    images = np.load(folder / 'corners.npz')['image'].reshape(30, -1, 2)
+    arm = np.array(truth['base_T_flange'])[:, :3, 3]
+    for view in (2, 3, 7, 10, 25):
+        found = points_from_translation(images[0], images[view], camera, sigma_px=0.15,
+                                        baseline_m=np.linalg.norm(arm[view] - arm[0]))
+        board = found.points.reshape(17, 28, 3)
+        squares = np.concatenate([np.linalg.norm(np.diff(board, axis=k), axis=2).ravel()
+                                  for k in (0, 1)])
+        assert abs(squares.mean() - 0.02) < 1.2e-4
+        # flat to a third of a millimetre, half a metre away
+        spread = np.linalg.svd(found.points - found.points.mean(axis=0), compute_uv=False)
+        assert spread[2] / np.sqrt(len(found.points)) < 3.5e-4
+    # view 14 was turned
+    turned = points_from_translation(images[0], images[13], camera, baseline_m=0.1)
+    assert not turned and 'turned' in turned.reason
