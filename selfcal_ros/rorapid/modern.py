@@ -49,6 +49,8 @@ _SEEK_PX = 120.0
 _SETTLE_ROUNDS, _STRONG = 4, 40.0
 #: Control points with another primitive so close alongside count little.
 _CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
+#: The contrast of an edge changes by this factor at the most while it is the same edge.
+_CHANGE = 2.5
 #: The search is repeated where the correction moved a control point further, pixels.
 _STILL_PX = 1.0
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
@@ -374,14 +376,15 @@ class ModernCycle:
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
         found = np.abs(edge_px) < _FOUND_PX
-        edges = found[at].mean() if len(at) else 0.0
+        alike = found[at] & _alike(contrast, self._contrast[view.ids[at]])
+        edges = float(alike.mean()) if len(at) else 0.0
         share, certain = self._confirmation(edges, matches, agree)
         scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
-        self._latest = (region, at, found, contrast, view, matches, agree)
+        self._latest = (region, at, found, contrast, view, matches, agree, edges)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain=certain)
 
@@ -410,14 +413,14 @@ class ModernCycle:
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view, matches, agree = self._latest
+        region, at, found, contrast, view, matches, agree, edges = self._latest
         ids, ok = view.ids[at], found[at]
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)
-            if measured.certain or found[at].mean() > _EDGES_DO:
+            if measured.certain or edges > _EDGES_DO:
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)
@@ -442,6 +445,12 @@ def _handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     strongest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), 1e-6)
     weak = np.where(wanted[:, None] == 0, _WEAK_PX * (1 - size / strongest), 0.0)
     return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)
+
+
+def _alike(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
+    ratio = contrast / np.where(wanted == 0, 1.0, wanted)
+    return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
 
 
 def _uncrowded(view, at: np.ndarray) -> np.ndarray:
