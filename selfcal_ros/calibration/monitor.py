@@ -41,6 +41,8 @@ from selfcal_ros.geometry.camera import Camera
 WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
 #: The newest windows are kept one by one; older ones are merged in pairs, as many of each size.
 SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
+#: Share of the windows' scatter, as a variance, that a change has to exceed.
+SHARED_SCATTER = 0.25
 #: A score is exact to first order: so much of the step that it tells is its own uncertainty.
 CURVATURE = 0.1
 
@@ -102,12 +104,13 @@ class ChangeMonitor:
         focal = self.camera.K[0, 0]
         # displacement half a diagonal from the middle: of a focal length, and of the middle
         reach = 2 * focal / size
-        self._tolerance = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
+        self._least = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
         prior = covariance[np.ix_(self.free, self.free)]
-        self._prior = prior + np.diag(self._along(0.01 * self._tolerance))
+        self._prior = self._stated = prior + np.diag(self._along(0.01 * self._least))
         self._old: list[_Block] = []
         self._new: list[_Block] = []
-        self._scatter = WindowScatter(self._tolerance)
+        self._scatter = WindowScatter(self._least)
+        self._of_windows = self._of_changes = self._least
         self.change: CameraChange | None = None
         self.windows = self.discarded = 0
         self.statistic, self.threshold = 0.0, self._threshold(1)
@@ -129,7 +132,9 @@ class ChangeMonitor:
 
         It is no evidence, but tells how well windows agree with this calibration.
         """
-        self._remember(score, 0.0)
+        mean = self._along(self._remember(score))
+        # by so much all windows may disagree with the calibration
+        self._prior = self._stated + np.outer(mean, mean)
 
     def add(self, score: WindowScore) -> CameraChange | None:
         """
@@ -150,7 +155,7 @@ class ChangeMonitor:
         step = score.at + score.step - self.in_force
         information = score.information / self._scatter.inflation(score.dependence)
         # every scene has its own small error, however much it tells
-        own = np.diag(self._along(self._tolerance
+        own = np.diag(self._along(self._of_windows
                                   + np.square(CURVATURE * score.step[self._changes])))
         weight = np.linalg.inv(np.eye(len(self.free)) + information @ own)
         self._new.append(_Block(_symmetric(weight @ information), weight @ information @ step, 1,
@@ -187,14 +192,14 @@ class ChangeMonitor:
         information = along[:, self._changes] - np.swapaxes(along, 1, 2) @ solved[..., :3]
         right = after_shift[:, self._changes] - np.einsum('nki,nk->ni', along, solved[..., 3])
         # tolerance T: covariance I⁻¹ + T, without inverting an I that may be singular
-        eased = np.eye(3) + information * self._tolerance
+        eased = np.eye(3) + information * self._of_changes
         weight = np.linalg.solve(eased, information)             # (I⁻¹ + T)⁻¹
         values, vectors = np.linalg.eigh(_symmetric(information))
         floor = np.maximum(values, 1e-12 * np.maximum(values[:, -1:], 1e-12))
         inverse = (vectors / floor[:, None]) @ np.swapaxes(vectors, 1, 2)
         change = np.einsum('nij,nj->ni', inverse, right)
         statistic = np.einsum('ni,nij,nj->n', change, weight, change)
-        return statistic, change, inverse + np.diag(self._tolerance)
+        return statistic, change, inverse + np.diag(self._of_changes)
 
     def _test(self) -> None:
         """Test every moment that the blocks leave, and judge the most likely one."""
@@ -243,20 +248,23 @@ class ChangeMonitor:
 
     # ------------------------------------------------------------------ memory
 
-    def _remember(self, score: WindowScore, prior) -> None:
-        """Learn from a window how large the errors of windows are."""
-        spread = (_inverse(score.information) * self._scatter.inflation(score.dependence)
-                  + prior)[np.ix_(self._changes, self._changes)]
+    def _remember(self, score: WindowScore) -> np.ndarray:
+        """Learn how large the errors of windows are; returns their mean, shape (3,)."""
+        spread = _inverse(score.information) * self._scatter.inflation(score.dependence)
         step = (score.at + score.step - self.in_force)[self._changes]
-        self._scatter.remember(score.dependence, step, spread)
-        self._tolerance = self._scatter.tolerance()
+        self._scatter.remember(score.dependence, step,
+                               spread[np.ix_(self._changes, self._changes)])
+        self._of_windows, mean = self._scatter.tolerance()
+        # neighbouring windows share a scene, so that their mean scatters, too
+        self._of_changes = np.maximum(self._least, SHARED_SCATTER * self._of_windows)
+        return mean
 
     def _retire(self) -> None:
         """Move the oldest single window to the merged ones, unless it agrees with nothing."""
         block = self._new.pop(0)
         # not before: after a change, windows scatter about another camera
         if self.change is None:
-            self._remember(block.score, self._prior)
+            self._remember(block.score)
             block.score = None
         others = self._old + self._new
         information = np.linalg.inv(self._prior) + sum(b.information for b in others)

@@ -47,35 +47,48 @@ class WindowScatter:
         return max(1.0, float(np.median([*self._dependence, own])))
 
     def remember(self, dependence: float, step, covariance) -> None:
-        """Remember a window: its distance from the camera in force, and what that should be."""
+        """Remember a window: its distance from the camera in force, and its covariance."""
         self._dependence.append(dependence)
         self._seen.append((step, covariance))
         del self._dependence[:-REMEMBERED], self._seen[:-REMEMBERED]
 
-    def tolerance(self) -> np.ndarray:
+    def tolerance(self) -> tuple[np.ndarray, np.ndarray]:
         """
-        Variances (3,) under which the windows scatter as they do, or the least.
+        Judge how far windows are from one another, beyond what their covariances say.
 
         A lens that is not quite the model differs from scene to scene by more than noise.
+
+        Returns
+        -------
+        tolerance : ndarray, shape (3,)
+            Variances under which the windows scatter as they do, or the least.
+        mean : ndarray, shape (3,)
+            Of their distances from the camera in force; zero where they are too few.
+
         """
         count = len(self._seen)
         if count < LEAST_FOR_SCATTER:
-            return self._least
+            return self._least, np.zeros(3)
         steps, covariances = (np.array(part) for part in zip(*self._seen))
+        # the mean takes its share of the freedom
+        share = (count - 1) / count
 
-        def middle(factor):
-            spread = covariances + factor * np.diag(self._least)
-            solved = np.linalg.solve(spread, steps[..., None])[..., 0]
-            return float(np.median(np.sum(steps * solved, axis=1)))
+        def scatter(factor):
+            weights = np.linalg.inv(covariances + factor * np.diag(self._least))
+            mean = np.linalg.solve(weights.sum(axis=0),
+                                   np.einsum('nij,nj->i', weights, steps))
+            off = steps - mean
+            return float(np.median(np.einsum('ni,nij,nj->n', off, weights, off))), mean
 
         # the median of so few may exceed its expectation by chance
-        if middle(1.0) < chi2.ppf(0.5 + 0.82 / np.sqrt(count), 3):
-            return self._least
+        middle, mean = scatter(1.0)
+        if middle < share * chi2.ppf(0.5 + 0.82 / np.sqrt(count), 3):
+            return self._least, mean
         low, high = 0.0, np.log(MOST_TOLERANCE)
         for _ in range(20):
             factor = (low + high) / 2
-            if middle(np.exp(factor)) > chi2.median(3):
+            if scatter(np.exp(factor))[0] > share * chi2.median(3):
                 low = factor
             else:
                 high = factor
-        return np.exp(high) * self._least
+        return np.exp(high) * self._least, scatter(np.exp(high))[1]
