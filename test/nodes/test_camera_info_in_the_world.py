@@ -181,6 +181,17 @@ def test_a_missing_set_camera_info_service_costs_a_warning_and_a_driver_is_serve
     graph.wait_for(lambda: logged.count('refused the calibration: no room'))
 
 
+def test_a_file_that_cannot_be_written_loses_nothing(graph, tmp_path, capfd):
+    (tmp_path / 'file').write_text('no folder', encoding='utf-8')
+    graph = graph(*OPTIONS, '-p', f'output:={tmp_path}/file/camera.yaml', '-p', 'auto_save:=true')
+    on_road = Drive(graph)
+    logged = Logged(capfd)
+    answer = graph.call('planar_calibrator/save')
+    assert not answer.success and 'cannot be made' in answer.message
+    assert on_road.play(19).k[0] == json.loads(on_road.results[-1].data)['camera']['fx']
+    assert not logged.count('Traceback')
+
+
 def test_a_file_is_served_with_the_stamp_and_the_window_of_the_driver(graph, tmp_path):
     camera_file(tmp_path)
     graph = graph()
