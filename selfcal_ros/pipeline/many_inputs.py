@@ -169,11 +169,11 @@ def _recordings_inside(path: Path) -> list[Path]:
             return []
         entries = [entry for entry in path.iterdir() if not entry.name.startswith('.')]
         files = [entry for entry in entries if entry.is_file() and entry.suffix in _RECORDINGS]
-        bags = [entry for entry in files if entry.suffix in ('.mcap', '.db3')]
-        # several bag files without metadata are no rosbag2 folder, one is its remains
-        if (path / 'metadata.yaml').is_file() or len(bags) == 1 and len(files) == 1:
-            return []
         files += [entry for entry in entries if entry.is_dir() and is_bag_folder(entry)]
+        # a rosbag2 folder, or the remains of one that lost its metadata
+        if (path / 'metadata.yaml').is_file() or [entry.suffix for entry in files] in (
+                ['.mcap'], ['.db3']):
+            return []
         return sorted(files, key=lambda entry: natural_key(entry.name))
     except (OSError, ValueError):
         # whoever opens it says what is wrong

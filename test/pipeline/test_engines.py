@@ -134,6 +134,13 @@ def test_what_inputs_name(tmp_path, monkeypatch):
     assert find_recordings(['drives/bag']) == ([Path('drives/bag')], False)
     (folder / 'bag' / 'metadata.yaml').unlink()
     assert find_recordings(['drives/bag']) == ([Path('drives/bag')], False)
+    # among others a lone file is a recording like them
+    (folder / 'lone.mcap').touch()
+    assert [p.name for p in find_recordings(['drives'])[0]] == ['bag', 'd0.csv', 'd1.csv',
+                                                                'lone.mcap']
+    for name in ('d0.csv', 'd1.csv'):
+        (folder / name).unlink()
+    assert [p.name for p in find_recordings(['drives'])[0]] == ['bag', 'lone.mcap']
     assert find_recordings(['nowhere']) == ([Path('nowhere')], False)
     with pytest.raises(many_inputs.InputError, match='Nothing fits'):
         find_recordings(['no/*.mcap'])
