@@ -179,12 +179,16 @@ class Monitoring:
         if not isinstance(score, WindowScore):
             self._skip(str(score))
             return None
-        if request.reference:
-            self._monitor.learn(score)
-            return None
         known = self._monitor.change
-        change = self._monitor.add(score)
-        return change if known is None else None
+        try:
+            if request.reference:
+                self._monitor.learn(score)
+            else:
+                self._monitor.add(score)
+        except np.linalg.LinAlgError:
+            # absurd tracks can make absurd scores; the node must go on
+            self._skip('its score is singular')
+        return self._monitor.change if known is None else None
 
     def work_off(self) -> None:
         """Compute all that waits, here and now."""

@@ -1,0 +1,82 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The endless drives of the monitor's bench: true geometry, stated errors, honest counting."""
+
+from itertools import islice
+
+from bench.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed)
+from bench.monitored_drive import keyframes, MeasuredDrive, window_of
+import numpy as np
+import pytest
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.synthetic.special_scenes import drive
+
+
+@pytest.fixture(scope='module')
+def measured():
+    """A drive that stands for the rendered one."""
+    sequence = drive(np.random.default_rng(3), 0.1, 24, 900)
+    seen = np.zeros((24, len(sequence.points)), bool)
+    seen[sequence.tracks.frame, sequence.tracks.track] = True
+    calibration = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0,
+                                                               distortion='none'))
+    points = np.column_stack([sequence.points, np.ones(len(sequence.points))])
+    return MeasuredDrive(sequence.camera, sequence.cam_from_world, points, seen, 0.03, 0.02,
+                         calibration)
+
+
+def test_drives_go_there_and_back_with_new_points_and_drifting_errors(measured):
+    there = list(islice(keyframes(measured, np.random.default_rng(0)), 47))
+    tracks = window_of(there, (640, 480))
+    assert tracks.frames.tolist() == list(range(47))
+    first, last = there[0], there[46]
+    # the same place, other tracks, the same points to within the errors
+    assert len(first[1]) == len(last[1]) > 20 * len(np.intersect1d(first[1], last[1]))
+    order = np.lexsort(np.round(first[2][:, ::-1] / 20).T)
+    assert len(order) == measured.seen[0].sum()
+    ideal = measured.camera.project(np.einsum(
+        'ij,pj->pi', measured.poses[0], measured.points)[measured.seen[0]])
+    apart = np.linalg.norm(ideal[:, None] - first[2][None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.2
+
+
+def test_the_camera_changes_as_the_table_says(measured):
+    camera = measured.camera
+    for kind in KINDS:
+        assert changed_camera(camera, kind, 50, 1.0, 49) is camera
+        late = changed_camera(camera, kind, 50, 1.0, 50 + DRIFT).parameters - camera.parameters
+        if 'focal' in kind:
+            assert late[0] == pytest.approx(0.02 * camera.K[0, 0]) and not late[2:].any()
+        else:
+            assert np.hypot(*late[2:4]) == pytest.approx(5) and not late[:2].any()
+
+
+def test_a_zoom_is_noticed(measured):
+    delay, ratio, seconds = noticed(measured, 'focal length +2 %', 1)
+    assert delay <= 50 and 0.5 < ratio < 1.5 and seconds
+
+
+def test_drawn_hours_of_gaussian_windows_raise_nothing(measured):
+    rng = np.random.default_rng(4)
+    information = np.diag([0.3, 0.6, 0.5])
+    piece = [(rng.standard_normal(3) / np.sqrt(np.diag(information)), information, 1.0)
+             for _ in range(40)]
+    chances = drawn_chances(measured, [piece], 5, hours=0.5)
+    assert len(chances) >= 225 and chances.min() > 1e-4
+
+
+def test_alarms_in_a_row_are_one_episode():
+    chances = np.ones(100)
+    chances[[10, 11, 15, 60, 99]] = 1e-9
+    assert episodes(chances, 1e-6) == 3 and episodes(chances, 1e-10) == 0
