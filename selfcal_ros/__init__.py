@@ -21,21 +21,24 @@ from typing import TYPE_CHECKING
 from selfcal_ros.version import __version__
 
 if TYPE_CHECKING:
+    from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
     from selfcal_ros.calibration.result import Calibration, NotCalibrated
     from selfcal_ros.calibration.solve import calibrate
     from selfcal_ros.calibration.tracks import Tracks
     from selfcal_ros.geometry.camera import Camera, CameraFacts
 
-__all__ = ['Calibration', 'Camera', 'CameraFacts', 'NotCalibrated', 'Tracks', '__version__',
-           'calibrate']
+__all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'NotCalibrated', 'Tracks',
+           '__version__', 'calibrate', 'calibrate_known_object']
 
 _HOMES = {
     'Calibration': 'calibration.result',
     'Camera': 'geometry.camera',
     'CameraFacts': 'geometry.camera',
+    'KnownObject': 'calibration.known_object',
     'NotCalibrated': 'calibration.result',
     'Tracks': 'calibration.tracks',
     'calibrate': 'calibration.solve',
+    'calibrate_known_object': 'calibration.known_object',
 }
 
 
