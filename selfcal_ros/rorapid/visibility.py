@@ -33,6 +33,8 @@ from selfcal_ros.rorapid.wireframe import WireframeModel
 #: A primitive that lies in the plane of a face up to this share of the object's diameter is
 #: drawn on the face, not behind it.
 ON_FACE = 5e-4
+#: No model may have more control points times triangles.
+MOST_TESTS = 50_000_000
 #: Numbers in the largest array that the test may make.
 _LARGEST = 2_000_000
 
@@ -95,7 +97,7 @@ class VisibleModel:
     Raises
     ------
     ArgumentError
-        If there were a primitive without control points.
+        If there were a primitive without control points, or the model is too large.
 
     """
 
@@ -133,6 +135,9 @@ class VisibleModel:
         self.size = len(self._primitive)
         self._ids = np.arange(self.size)
         self._corners = model.vertices[model.triangles]
+        if self._static * len(self._corners) > MOST_TESTS:
+            raise ArgumentError(f'{self._static} control points and {len(self._corners)} '
+                                'triangles are too many to be tested; simplify the model.')
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
@@ -143,13 +148,12 @@ class VisibleModel:
 
     def _drawn_on(self, ends):
         """For each static control point and each triangle: does the one lie in the other."""
-        model, tolerance = self.model, ON_FACE * self.model.diameter_m
+        model = self.model
         normals = model.face_normals[model.triangle_face]
         offset = (normals * self._corners[:, 0]).sum(axis=1)
-        distance = np.abs(self._points @ normals.T - offset)
-        worst = np.maximum.reduceat(distance, self._first[:len(ends) + len(model.conics)],
-                                    axis=0) if self._static else distance
-        return np.repeat(worst < tolerance, self._counts[:len(worst)], axis=0)
+        spans = [ends, *(c.points(np.linspace(0, 2 * np.pi, 8))[None] for c in model.conics)]
+        worst = np.concatenate([np.abs(part @ normals.T - offset).max(axis=1) for part in spans])
+        return np.repeat(worst < ON_FACE * model.diameter_m, self._counts[:len(worst)], axis=0)
 
     def _contour_sides(self):
         """Directions (L, K, 3) from each line into its faces; the first is repeated."""

@@ -29,7 +29,7 @@ from selfcal_ros.rorapid.polygon import newell_normal, triangulate
 
 #: No model may have more vertices, lines or faces than this, and no face more corners.
 LIMIT = 10_000
-FACE_LIMIT = 1_000
+FACE_LIMIT = 250
 #: Largest coordinate that makes sense, metres.
 LARGEST_M = 1e6
 #: Faces that meet under less than this angle are one plane: their common edge is no edge.
@@ -348,7 +348,8 @@ def _into(vertices, face, line, same):
     forward = ((indices == a) & (np.roll(indices, -1) == b)).any()
     along = vertices[b] - vertices[a] if forward else vertices[a] - vertices[b]
     into = np.cross(newell_normal(vertices[list(face.indices)]), along)
-    return into / np.linalg.norm(into)
+    # a face without area is refused later on
+    return into / max(np.linalg.norm(into), 1e-300)
 
 
 def _is_flat(vertices, faces, line, sides, same):

@@ -246,6 +246,23 @@ def test_the_table_refuses_what_cannot_be():
             VisibilityTable(SOLIDS['cube'], *arguments)
 
 
+def test_a_model_that_is_too_large_is_refused_before_memory_runs_out():
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    sheets = np.concatenate([square + [0, 0, k] for k in range(1600)])
+    model = WireframeModel.build(sheets, (), [Polygon(range(4 * k, 4 * k + 4))
+                                              for k in range(1600)])
+    with pytest.raises(ArgumentError, match='simplify'):
+        VisibleModel(model)
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_an_impossible_pose_shows_nothing():
+    seen = VisibleModel(spool().model)
+    for R, t in ((np.full((3, 3), np.nan), np.zeros(3)), (np.eye(3), [np.nan] * 3),
+                 (np.eye(3), [np.inf] * 3), (np.zeros((3, 3)), np.ones(3))):
+        assert not seen.control_points(R, t).visible.any()
+
+
 def test_polygons_are_cut_into_triangles_that_cover_them():
     rng = np.random.default_rng(5)
     for corners in (3, 4, 7, 12, 30):
