@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.selection import verified
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, Prior,
                                            priors_from_facts, rescale)
@@ -167,9 +168,11 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
             if settled:
                 break
             continue
-        smaller, points = observations.select(keep)
+        smaller, points = observations.select(keep & verified(observations.point, keep))
         if not len(smaller.view) or len(np.unique(smaller.view)) < len(state.views):
             break
+        # what agrees but goes with the rest of its track is no outlier
+        before -= int(np.sum(keep & ~verified(observations.point, keep)))
         observations = smaller
         state = replace(state, points=state.points[points])
         if settled:

@@ -23,6 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import erf
 
 from selfcal_ros.calibration.pair_tests import homography_cost
+from selfcal_ros.calibration.selection import verified
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.fundamental import (eight_point, PairMatches, refine_general,
@@ -59,7 +60,7 @@ class ViewGraph:
     noise_px : float
         Robust standard deviation of an image coordinate, from epipolar distances.
     rejected : int
-        Observations that fitted no pair.
+        Observations that contradict the others.
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise; near 1 the scene is one plane or the camera only rotated.
@@ -222,10 +223,13 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
-    kept = tracks.select(keep & largest[view]).with_at_least(2)
+    keep &= largest[view]
+    trusted = verified(point, keep)
+    kept = tracks.select(keep & trusted).with_at_least(2)
+    rejected = len(tracks) - len(kept) - int(np.sum(keep & ~trusted))
     noise, weight = np.array(spreads).T
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
-    return ViewGraph(frames[largest], kept, pairs, median, len(tracks) - len(kept),
+    return ViewGraph(frames[largest], kept, pairs, median, rejected,
                      _parallax(pairs, max(median, LEAST_NOISE_PX)))

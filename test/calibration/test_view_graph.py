@@ -1,0 +1,72 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which observations the epipolar geometry keeps: the noise stays whole, gross errors go."""
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.selection import verified
+from selfcal_ros.calibration.view_graph import build_view_graph, truncated_sigma
+from selfcal_ros.synthetic import scenes, special_scenes
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(4)
+
+
+@pytest.mark.parametrize('sigma', [0.2, 0.7, 1.2])
+def test_sigma_of_a_cut_off_gaussian(rng, sigma):
+    values = sigma * rng.standard_normal(200000)
+    inside = values[np.abs(values) < 1.5]
+    assert truncated_sigma(np.mean(inside ** 2), 1.5) == pytest.approx(sigma, rel=0.02)
+
+
+def test_what_is_spread_evenly_has_no_sigma(rng):
+    assert truncated_sigma(np.mean(rng.uniform(-1, 1, 10000) ** 2), 1.0) == float('inf')
+
+
+@pytest.mark.parametrize('noise_px', [0.1, 0.3, 1.0])
+@pytest.mark.parametrize('views', [3, 6])
+def test_the_limit_does_not_cut_into_the_noise(rng, noise_px, views):
+    rejected, noise = [], []
+    for _ in range(5):
+        graph = build_view_graph(scenes.sequence_si(rng, noise_px, views).tracks, rng)
+        rejected.append(graph.rejected)
+        noise.append(graph.noise_px)
+    assert sum(rejected) <= 2
+    assert np.mean(noise) == pytest.approx(noise_px, rel=0.15)
+
+
+@pytest.mark.parametrize('noise_px', [0.1, 1.0])
+def test_gross_errors_go_with_what_they_leave_unverified(rng, noise_px):
+    left, lost = 0, 0
+    for _ in range(5):
+        dirty = special_scenes.with_outliers(scenes.sequence_si(rng, noise_px), rng, 0.1)
+        graph = build_view_graph(dirty.tracks, rng)
+        bad = set(zip(dirty.tracks.frame[dirty.outliers], dirty.tracks.track[dirty.outliers]))
+        kept = list(zip(graph.tracks.frame, graph.tracks.track))
+        left += len(bad.intersection(kept))
+        clean = np.bincount(dirty.tracks.track, dirty.outliers) == 0
+        lost += 3 * int(clean.sum()) - sum(clean[track] for _, track in kept)
+        assert abs(graph.rejected - len(bad)) <= 3
+    assert left <= 3
+    assert lost <= 6
+
+
+def test_two_views_left_of_more_are_not_trusted():
+    point = np.array([0, 0, 0, 1, 1, 2, 2, 2, 2])
+    keep = np.array([True, True, False, True, True, True, True, True, False])
+    assert verified(point, keep).tolist() == [False] * 3 + [True] * 6
+    assert not verified(np.array([0, 0]), np.array([True, False])).any()
+    assert verified(np.zeros(0, int), np.zeros(0, bool)).shape == (0,)
