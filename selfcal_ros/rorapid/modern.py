@@ -29,7 +29,7 @@ from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory, Undis
 _EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.05, 0.1
 #: Corners beside edges: their common error is that of the pose in which they were learned, which
 #: does not average out, so that each counts for little.
-_BESIDE_EDGES_PX = 1.0
+_BESIDE_EDGES_PX = 2.0
 #: A corner of the texture agrees with a pose within this distance, pixels.
 _AGREE_PX = 2.5
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
@@ -51,8 +51,6 @@ _SETTLE_ROUNDS, _STRONG = 4, 40.0
 _CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
 #: The contrast of an edge changes by this factor at the most while it is the same edge.
 _CHANGE = 2.5
-#: The search is repeated where the correction moved a control point further, pixels.
-_STILL_PX = 1.0
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
 _WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
@@ -164,8 +162,6 @@ class ModernCycle:
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
                                     first)
             state = result[0]
-            if not first and result[-1] < _STILL_PX:
-                break
         return self._conclude(region, state, result, matches, agree)
 
     def _reach(self, state, view, spread):
@@ -301,9 +297,8 @@ class ModernCycle:
             q = np.linalg.solve(information, g + corner_g - prior @ back)
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
-        step = float(np.abs(rows @ q).max(initial=0.0))
         return (after, np.linalg.inv(information), view, at, residual,
-                contrast[line, best] if len(at) else np.zeros(0), H + corner_H, step)
+                contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -371,7 +366,7 @@ class ModernCycle:
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
-        _, covariance, view, at, residual, contrast, information, _ = result
+        _, covariance, view, at, residual, contrast, information = result
         after = self.control.again(view, state)
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
