@@ -44,8 +44,8 @@ from selfcal_ros.version import __version__
 
 #: Focal lengths to begin with, over the longer side of the image.
 FOCAL_SHARES = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
-#: Images on which they are tried.
-TRIAL_IMAGES = 4
+#: How often each is tried on the first image, from where the last trial has come to.
+TRIALS = 5
 #: Focal lengths that are tried on the images kept, over the one that tracked them.
 FOCAL_FACTORS = (0.75, 0.85, 0.92, 1.0, 1.09, 1.18, 1.33)
 #: More views add time and little accuracy.
@@ -54,6 +54,8 @@ MOST_VIEWS = 60
 TRIAL_VIEWS = 20
 #: Control points that are measured on each line and each circle of a view.
 LINE_POINTS, CONIC_POINTS = 16, 24
+#: Control points that are left out at each end of a line.
+END_POINTS = 2
 #: How far from its edge an edgel is looked for, pixels, in each round; the last is repeated.
 REACH_PX = (6, 5, 4, 3)
 #: Rounds at most; they end when the focal length has changed by less than this share.
@@ -223,24 +225,20 @@ def _begin(source, model, facts, init, clicks, start, seed):
                             '--init "tx ty tz rx ry rz", or --init FILE.init with --clicks.')
     if start is not None:
         return start, read_start(init, clicks, start)
-    frames = []
-    for frame in source:
-        frames.append(frame)
-        if len(frames) == TRIAL_IMAGES:
-            break
+    frame = next(iter(source), None)
     best, least, problem = None, np.inf, None
-    for share in FOCAL_SHARES:
+    for share in FOCAL_SHARES if frame is not None else ():
         camera = _guess(source.image_size, share, facts)
         try:
-            pose = read_start(init, clicks, camera)
-            score = _trial(frames, model, camera, pose, seed)
+            score, *begin = _trial(frame, model, camera, read_start(init, clicks, camera), seed)
         except InputError as error:
             problem = error
             continue
         if score < least:
-            best, least = (camera, pose), score
+            best, least = begin, score
     if best is None:
-        raise InputError(str(problem) + ' Or state the camera to begin with (--camera).')
+        raise InputError(f'{problem or "There are no images."} Or state the camera to begin with '
+                         '(--camera).')
     return best
 
 
@@ -252,17 +250,19 @@ def _guess(size, share: float, facts: CameraFacts) -> Camera:
     return Camera([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]], (), *size)
 
 
-def _trial(frames, model, camera, pose, seed) -> float:
-    """Return how badly a camera follows the first images; the less, the better."""
+def _trial(frame, model, camera: Camera, pose, seed):
+    """Return how badly a camera fits the first image (the less, the better), camera and pose."""
     session = TrackingSession(model, TrackerOptions(camera_model='zoom', recovery=False), camera,
                               seed)
     session.start(*pose)
-    score = 0.0
-    for frame in frames:
+    for _ in range(TRIALS):
         tracked = session.add(frame.image)
-        rms = tracked.rms_px if np.isfinite(tracked.rms_px) else 10.0
-        score = 10 * (1 - tracked.share_found) + rms
-    return score
+    rms = tracked.rms_px if np.isfinite(tracked.rms_px) else 10.0
+    score = 10 * (1 - tracked.share_found) + rms
+    if tracked and 0.5 < tracked.focal_px / camera.K[0, 0] < 2:
+        return (score, _with_focal(camera, tracked.focal_px),
+                (tracked.rotation, tracked.translation))
+    return score, camera, pose
 
 
 def _with_focal(camera: Camera, focal_px: float) -> Camera:
@@ -335,9 +335,13 @@ def _measure(fine: VisibleModel, camera: Camera, view: _View, reach: int):
 def _lay_out(fine: VisibleModel, camera: Camera, view: _View):
     """Project the control points: them, which are usable, pixels and normals (or None)."""
     points = fine.control_points(view.rotation, view.translation)
-    round_ones = np.array([kind == 'silhouette' for kind in points.kind])
+    kind = np.array(points.kind)[points.primitive]
     # where a silhouette lies on the object depends on the pose
-    index = np.flatnonzero(points.visible & ~round_ones[points.primitive])
+    usable = points.visible & (kind != 'silhouette')
+    # next to a corner the other edges bend what is measured; lines have the first numbers
+    place = points.ids % LINE_POINTS
+    usable &= (kind != 'line') | ((place >= END_POINTS) & (place < LINE_POINTS - END_POINTS))
+    index = np.flatnonzero(usable)
     X = points.object_points[index] @ view.rotation.T + view.translation
     index, X = index[X[:, 2] > 1e-6], X[X[:, 2] > 1e-6]
     if not len(index):

@@ -1,0 +1,138 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""selfcal track and selfcal calibrate --track, as a user calls them."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from selfcal_ros.cli import main as command
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from selfcal_ros.report.poses_csv import read_poses
+from selfcal_ros.rorapid.model import write_model
+from selfcal_ros.synthetic.objects import pose_errors, tracked_object
+from selfcal_ros.synthetic.recordings import write_image_folder
+
+ROOT = Path(__file__).resolve().parents[2]
+BAG = ROOT / 'bags' / 'tracked_object'
+OBJECT = ['--model', f'{BAG}.model.yaml', '--init', f'{BAG}.pos']
+CAMERA = ['--camera', f'{BAG}.camera.yaml']
+
+
+@pytest.fixture(autouse=True)
+def in_tmp(tmp_path, monkeypatch):
+    """Let default outputs land in the temporary folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def selfcal(*arguments):
+    """Run the command in this process; returns the exit status."""
+    try:
+        return command.main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return stop.code
+
+
+def test_the_recorded_object_is_tracked_to_its_end(capsys):
+    assert selfcal('track', BAG, *OBJECT, *CAMERA) == 0
+    said = capsys.readouterr().out
+    assert 'Tracked in 75 of 75 images' in said and 'Written: poses.csv.' in said
+    poses = read_poses('poses.csv')
+    truth = json.loads(Path(f'{BAG}.truth.json').read_text(encoding='utf-8'))
+    true = np.array(truth['cam_from_object'])
+    angle, share = pose_errors(poses['rotation'], poses['translation'], true[:, :, :3],
+                               true[:, :, 3])
+    assert np.sqrt(np.mean(np.rad2deg(angle)**2)) < 0.3
+    assert np.sqrt(np.mean(share**2)) < 0.005
+    assert list(poses['stamp_ns']) == truth['stamps_ns']
+
+
+def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
+    write_image_folder(tracked_object(1, 'cube', size=(480, 360)), 'one')
+    grey = np.full((360, 480), 90, np.uint8)
+    for k in range(1, 9):
+        cv2.imwrite(f'one/{k:04d}.png', grey)
+    assert selfcal('track', 'one', *OBJECT, *CAMERA, '--quiet') == 1
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.startswith('Lost at the end')
+    # a lost image has no pose
+    assert ',lost,,,' in Path('poses.csv').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['nowhere.mcap', *OBJECT, *CAMERA], 'nowhere.mcap does not exist'),
+    ([BAG, *OBJECT[:2], *CAMERA], 'Say where the object is'),
+    ([BAG, '--model', 'missing.cao', *OBJECT[2:], *CAMERA], 'missing.cao'),
+    ([BAG, '--model', 'broken.cao', *OBJECT[2:], *CAMERA], 'broken.cao'),
+    ([BAG, *OBJECT[:2], '--init', '0 0 nan 0 0 0', *CAMERA], 'finite'),
+    ([BAG, *OBJECT[:2], '--init', '0 0 -1 0 0 0', *CAMERA], 'behind the camera'),
+    ([BAG, *OBJECT, '--camera', 'small.yaml'], '480x360, the calibration is for 320x240'),
+    ([BAG, *OBJECT, *CAMERA, '--overlay', 'video.txt'], '.mp4'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'v.mp4', '--overlay', 'v.mp4'], 'same name'),
+    ([BAG, *OBJECT, *CAMERA, '--output', 'no/folder/p.csv'], 'does not exist'),
+    ([BAG, *OBJECT, *CAMERA, '--camera-model', 'affine', '--motion', 'planar'], 'affine'),
+    (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])
+def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
+    Path('broken.cao').write_text('V1\n3\n0 0 0\n1 0 0\n0 1 0\n0\n0\n1\n3 0 1 7\n0\n0\n')
+    Path('tracks.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')
+    camera, _ = read_camera_yaml(f'{BAG}.camera.yaml')
+    write_camera_yaml('small.yaml', type(camera)(camera.K, (), 320, 240), 'small')
+    before = sorted(Path().iterdir())
+    assert selfcal('track', *arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 1
+    assert heard.err.startswith('selfcal track: ') and words in heard.err
+    assert sorted(Path().iterdir()) == before, 'nothing half-written'
+
+
+def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys):
+    recording = tracked_object(36, 'step_block', size=(480, 360), speed=4.0)
+    write_image_folder(recording, 'images')
+    write_model(recording.model, 'model.yaml')
+    pose = ' '.join(f'{v:.4f}' for v in (*recording.translations[0],
+                                         *rotation_vector(recording.rotations[0])))
+    status = selfcal('calibrate', 'images', '--motion', 'known-object', '--track', '--model',
+                     'model.yaml', '--init', pose, '--distortion', 'none', '--json', 'r.json',
+                     '--report', 'r.html')
+    said = capsys.readouterr().out
+    assert status == 0, said
+    content = json.loads(Path('r.json').read_text(encoding='utf-8'))
+    true = recording.camera.K
+    for name, value in (('fx', true[0, 0]), ('cx', true[0, 2]), ('cy', true[1, 2])):
+        assert abs(content['camera'][name] - value) < 4 * content['sigma'][name], name
+    assert abs(content['camera']['fx'] / true[0, 0] - 1) < 0.01
+    assert content['motion'] == 'known-object' and 'was followed in' in said
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--track'], 'needs the wireframe'),
+    (['--track', '--model', f'{BAG}.model.yaml'], 'where the object is'),
+    (['--model', f'{BAG}.model.yaml'], 'add --track'),
+    (['--track', '--object', 'chessboard:9x6:0.025'], 'exclude each other'),
+    (['--track', *OBJECT, '--motion', 'planar'], '--track and --motion planar'),
+    (['--track', *OBJECT, '--image-size', '640', '480'], 'leave it out'),
+    (['--motion', 'known-object'], '--track')])
+def test_options_that_do_not_go_together_are_refused(capsys, arguments, words):
+    assert selfcal('calibrate', BAG, *arguments) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_the_demo_follows_the_object_without_ros(capsys):
+    assert selfcal('demo', '--recording', 'object', '--no-ros', '--output-dir', 'out') == 0
+    said = capsys.readouterr().out
+    assert 'straight from the bag' in said and 'against the truth' in said
+    assert {path.name for path in Path('out').iterdir()} == {'poses.csv', 'overlay.mp4'}
