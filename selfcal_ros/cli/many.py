@@ -140,8 +140,8 @@ def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
         result = camera.joint.calibration
         written += [
             write_camera_yaml(folder / f'{name}.yaml', result.camera, name,
-                              [f'{result.software}: {len(camera.members)} recordings together',
-                               verdict_of(camera)]),
+                              [f'{result.software}: {int(camera.joint.used.sum())} recordings '
+                               'together', verdict_of(camera).replace('±', '+-')]),
             write_result_json(folder / f'{name}.json', result),
             atomic_write(folder / ('summary.png' if lone else f'{name}.png'),
                          picture(parameter_history(camera), 'png'))]
@@ -158,11 +158,11 @@ def _text(summary) -> str:
         wide = min(max([len(row.name) for row in rows] + [9]), 40)
         lines += [f'{camera.topic or "Camera"}, {size}', '',
                   f'{"recording":<{wide}}' + ''.join(f' {name:>17}' for name in COLUMNS)
-                  + f' {"rms":>6} {"sigmas":>6}  status']
+                  + f' {"rms":>6} {"px":>5} {"sigmas":>6}  status']
         for row in rows:
             name = row.name if len(row.name) <= wide else f'...{row.name[3 - wide:]}'
             lines.append(f'{name:<{wide}}' + ''.join(f' {value:>17}' for value in row.values)
-                         + f' {row.rms:>6} {row.deviation:>6}  {row.status}')
+                         + f' {row.rms:>6} {row.apart_px:>5} {row.deviation:>6}  {row.status}')
         lines += ['', verdict_of(camera), *camera.notes, '']
     if summary.failures:
         lines += ['Cannot be used:', *(f'  {outcome.error}' for outcome in summary.failures), '']

@@ -79,7 +79,7 @@ class Outcome:
         return self.topic, self.image_size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraSummary:
     """
     All recordings of one camera.

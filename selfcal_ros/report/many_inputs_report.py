@@ -18,11 +18,14 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import lru_cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+import numpy as np
 
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
+from selfcal_ros.report.comparison import compare_cameras, SAME_PX
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.result_json import plain, result_to_dict
 from selfcal_ros.report.wording import with_sigma
@@ -39,6 +42,7 @@ class HistoryRow:
     start: str
     values: tuple[str, ...]
     rms: str
+    apart_px: str
     deviation: str
     status: str
     good: bool
@@ -46,7 +50,7 @@ class HistoryRow:
 
 def rows_of(camera: CameraSummary) -> list[HistoryRow]:
     """Return the table of a camera, a row a recording."""
-    rows = []
+    rows, apart = [], apart_px(camera)
     for number, outcome in enumerate(camera.outcomes):
         result, deviation, status = outcome.result, '', 'not calibrated'
         if result:
@@ -64,7 +68,8 @@ def rows_of(camera: CameraSummary) -> list[HistoryRow]:
         rows.append(HistoryRow(
             _name(outcome), _time(outcome.start_ns),
             tuple(_value(result, name) if result else '' for name in COLUMNS),
-            f'{result.reprojection_rms_px:.3f}' if result else '', deviation, status,
+            f'{result.reprojection_rms_px:.3f}' if result else '',
+            f'{apart[number]:.2f}' if number in apart else '', deviation, status,
             bool(result) and status == 'calibrated'))
     return rows
 
@@ -87,6 +92,22 @@ def _value(result, name: str) -> str:
     return f'{value} ± {sigma}' if sigma else value
 
 
+@lru_cache(maxsize=64)
+def apart_px(camera: CameraSummary) -> dict[int, float]:
+    """Return the largest difference over the image from the joint estimate, by recording."""
+    if camera.joint is None:
+        return {}
+    joint = camera.joint.calibration.camera
+    return {number: float(np.nanmax(compare_cameras(joint, outcome.result.camera).distance_px))
+            for number, outcome in enumerate(camera.outcomes) if outcome.result}
+
+
+def is_settled(camera: CameraSummary) -> bool:
+    """Tell whether the recordings agree, by chance or because nobody would notice."""
+    return camera.joint is not None and (
+        camera.joint.agree or max(apart_px(camera).values()) < SAME_PX)
+
+
 def verdict_of(camera: CameraSummary) -> str:
     """Say in a sentence or two what came of a camera, and whether its recordings agree."""
     total = len(camera.outcomes)
@@ -95,13 +116,21 @@ def verdict_of(camera: CameraSummary) -> str:
     joint = camera.joint
     if joint is None:
         return f'None of {total} recordings calibrates.'
-    figures = ', '.join(f'{name} = {_value(joint.calibration, name)} px' for name in COLUMNS)
+    figures = {name: _value(joint.calibration, name) for name in COLUMNS}
+    if figures['fx'] == figures['fy']:
+        figures = {'fx = fy': figures.pop('fy'), **figures}
+        del figures['fx']
+    figures = ', '.join(f'{name} = {value} px' for name, value in figures.items())
     sentence = f'{of_many}; together {figures}.'
     if len(camera.members) < 2:
         return f'{sentence} With one recording nothing can be compared.'
     chance = f'p = {joint.p_value:.2g}' if joint.p_value >= 1e-6 else 'p < 1e-6'
     test = f'chi2 {joint.chi2:.4g} with {joint.freedom} degrees of freedom, {chance}'
-    left = int((~joint.used).sum())
+    left, most = int((~joint.used).sum()), max(apart_px(camera).values())
+    if not joint.agree and most < SAME_PX:
+        return (f'{sentence} The recordings scatter {joint.scatter:.2f} times as much as their '
+                f'sigmas say ({test}), but by {most:.2g} px at most over the image, which nobody '
+                'will notice. The joint sigma is widened.')
     if joint.agree:
         wide = (f'; they scatter {joint.scatter:.2f} times as much as their sigmas say, by which '
                 'the joint sigma is widened' if joint.p_value < 0.001 else '')
@@ -146,6 +175,7 @@ def _camera_to_dict(camera: CameraSummary) -> dict:
         recordings.append({
             'path': outcome.path, 'start_ns': outcome.start_ns, 'seconds': outcome.seconds,
             'result': result_to_dict(outcome.result), 'notes': outcome.notes,
+            'apart_px': apart_px(camera).get(number),
             'deviation_sigmas': None if place is None else joint.deviation[place],
             'used': place is not None and bool(joint.used[place])})
     tested = joint is not None and joint.freedom > 0
@@ -170,8 +200,8 @@ def write_summary_page(path, summary: Summary) -> Path:
 
     """
     cameras = [{'title': camera.topic or 'Camera', 'size': '{} × {} px'.format(*camera.image_size),
-                'verdict': verdict_of(camera), 'rows': rows_of(camera), 'notes': camera.notes,
-                'agree': camera.joint is not None and camera.joint.agree,
+                'verdict': _unbroken(verdict_of(camera)), 'rows': rows_of(camera),
+                'notes': camera.notes, 'agree': is_settled(camera),
                 'picture': _picture(camera)} for camera in summary.cameras]
     # whatever a topic or a file is called, it is text
     templates = Environment(loader=PackageLoader('selfcal_ros.report', 'templates'),
@@ -180,6 +210,11 @@ def write_summary_page(path, summary: Summary) -> Path:
     return atomic_write(path, templates.get_template('many.html.j2').render(
         cameras=cameras, failures=summary.failures, columns=COLUMNS,
         count=sum(len(camera.outcomes) for camera in summary.cameras) + len(summary.failures)))
+
+
+def _unbroken(sentence: str) -> str:
+    """Keep a number, its sigma and its unit on one line."""
+    return sentence.replace(' ± ', '\u00a0±\u00a0').replace(' px', '\u00a0px')
 
 
 def _picture(camera: CameraSummary) -> str:
