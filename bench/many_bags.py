@@ -1,0 +1,131 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A hundred bags of 24 frames: one core against two, Dask, a broken bag, the joint estimate."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+import json
+from pathlib import Path
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.frame_source import Frame
+from selfcal_ros.synthetic.recordings import agv_drive
+
+from bench.inputs import process_environment
+from bench.tables import Report
+
+#: Bags, images in each, and their size: small, so that the bench ends in minutes.
+BAGS, VIEWS, SIZE = 100, 24, (320, 240)
+#: Halls that are rendered; the bags are drives through them with noise of their own.
+HALLS, NOISE_GREY = 4, 1.0
+LEAST_SPEEDUP = 1.8
+
+
+def run(report: Report, options) -> None:
+    """Print the table."""
+    bags = options.runs or BAGS
+    report.section(f'{bags} bags of {VIEWS} frames, one of them broken',
+                   f'{SIZE[0]}x{SIZE[1]} pixels, {HALLS} halls with noise of {NOISE_GREY:g} grey '
+                   'levels; the wall clock of `selfcal calibrate FOLDER`, start and report '
+                   'included. CPU is that of all its processes.')
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / 'drives'
+        camera = write_bags(folder, bags)
+        (folder / 'broken.mcap').write_bytes(b'no bag')
+        runs = [('processes', 1), ('processes', 2)]
+        if find_spec('distributed'):
+            runs += [('dask', 1), ('dask', 2)]
+        rows, seconds, contents = [], {}, {}
+        for engine, jobs in runs:
+            wall, cpu, content = calibrate(folder, Path(temporary) / f'{engine}{jobs}', engine,
+                                           jobs)
+            seconds[engine, jobs], contents[engine, jobs] = wall, content
+            rows.append((engine, jobs, f'{wall:.1f}', f'{cpu:.1f}', f'{wall / bags:.2f}',
+                         f'{seconds[engine, 1] / wall:.2f}'))
+    report.table(('engine', 'processes', 's', 'CPU s', 's a bag', 'speed-up'), rows)
+    report.say('')
+    speedup = seconds['processes', 1] / seconds['processes', 2]
+    report.judge(speedup >= LEAST_SPEEDUP, f'two processes are {speedup:.2f} times as fast as '
+                 f'one, required {LEAST_SPEEDUP:g}')
+    if ('dask', 2) in seconds:
+        speedup = seconds['dask', 1] / seconds['dask', 2]
+        report.judge(speedup >= LEAST_SPEEDUP, f'two workers of Dask are {speedup:.2f} times as '
+                     f'fast as one, required {LEAST_SPEEDUP:g}')
+    else:
+        report.say('Dask is not installed: left out.')
+    check(report, bags, camera, contents)
+
+
+def check(report: Report, bags: int, camera, contents) -> None:
+    """Judge the results themselves."""
+    first = contents['processes', 1]
+    found = first['cameras'][0]
+    good = sum(one['result']['status'] == 'calibrated' for one in found['recordings'])
+    report.judge(len(first['failures']) == 1 and len(found['recordings']) == bags,
+                 f'the broken bag costs its own line only: {len(found["recordings"])} of {bags} '
+                 f'others are there, {good} calibrate')
+    same = all(content['cameras'][0]['joint'] == found['joint'] for content in contents.values())
+    report.judge(same, 'all engines give the same joint estimate, bit by bit')
+    joint = found['joint']
+    error = joint['camera']['fx'] - camera.K[0, 0]
+    report.say(f'joint fx {joint["camera"]["fx"]:.3f} ± {joint["sigma"]["fx"]:.3f} px, error '
+               f'{error:+.3f} px; a single bag has ± '
+               f'{np.median([_sigma(one) for one in found["recordings"] if _sigma(one)]):.3f} px')
+    report.say(found['verdict'])
+
+
+def _sigma(recording) -> float | None:
+    return (recording['result']['sigma'] or {}).get('fx')
+
+
+def write_bags(folder: Path, count: int):
+    """Write bags of drives through a few halls; returns the true camera."""
+    folder.mkdir()
+    clean = []
+    for hall in range(min(HALLS, count)):
+        recording = agv_drive(VIEWS, SIZE, noise_sigma=0.0, seed=hall + 1)
+        clean.append([image.astype(np.float32) for image, _ in recording.frames()])
+    for number in range(count):
+        rng = np.random.default_rng(number)
+        # a bag an hour
+        start = 1_700_000_000_000_000_000 + number * 3_600_000_000_000
+        frames = [Frame(k, start + k * 66_666_667,
+                        np.clip(np.rint(image + NOISE_GREY * rng.standard_normal(
+                            image.shape, np.float32)), 0, 255).astype(np.uint8))
+                  for k, image in enumerate(clean[number % len(clean)])]
+        write_image_bag(folder / f'drive_{number:03d}', frames)
+    return recording.camera
+
+
+def calibrate(folder: Path, output: Path, engine: str, jobs: int):
+    """Run the command; returns its wall clock, its CPU time, and what it wrote."""
+    call = [sys.executable, '-c',
+            'import sys; from selfcal_ros.cli.main import main\n'
+            'if __name__ == "__main__": sys.exit(main())',
+            'calibrate', str(folder), '--output-dir', str(output), '--engine', engine, '--jobs',
+            str(jobs), '--quiet']
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(call, cwd=folder, env=process_environment(OMP_NUM_THREADS='1'),
+                   stderr=subprocess.DEVNULL, timeout=3600, check=True)
+    wall = time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall, cpu, json.loads((output / 'summary.json').read_text(encoding='utf-8'))
