@@ -41,6 +41,8 @@ _FOUND_PX, _TUKEY = 1.75, 4.5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
+#: Mean of the biweight over Gaussian residuals, over the efficiency of the estimate (0.95).
+_MEAN_WEIGHT = 0.87
 #: So many corners must agree before they lead the edges.
 _LEAST_TEXTURE = 5
 #: After a sudden motion the object is sought so far around, pixels.
@@ -297,6 +299,8 @@ class ModernCycle:
             q = np.linalg.solve(information, g + corner_g - prior @ back)
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
+        # Gaussian residuals weigh 0.87 on average, but the estimate is nearly as good as with 1
+        information = H / _MEAN_WEIGHT + corner_H + prior
         return (after, np.linalg.inv(information), view, at, residual,
                 contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
 

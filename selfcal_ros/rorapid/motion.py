@@ -156,4 +156,10 @@ class PlaneLearner:
             axis = -axis                      # towards the camera
         needed = self.least_spread**2 * self._count
         gap = values[1] - values[0]
-        return LearnedPlane(axis, float(1 / np.sqrt(gap)) if gap > needed else np.inf)
+        if not gap > needed:
+            return LearnedPlane(axis, np.inf)
+        # the error of the first rotation is in all turns and does not average out
+        common = 0.0
+        if np.trace(along) > 0.01 * np.trace(information):
+            common = 0.5 * noise_r / max(np.trace(self._turns) / self._count, 1e-12)
+        return LearnedPlane(axis, float(np.sqrt(1 / gap + common)))
