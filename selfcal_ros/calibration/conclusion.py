@@ -48,7 +48,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
         state, inner, residuals = field.state, field.covariance, field.residual
         notes = (*dependence.notes('track'), field.note())
     ratio, added = model.stretches
-    inner = inner + added
+    inner = inner + added + model.valley * dependence.inflation**2
     notes += stretch_note(ratio)
     camera = state.camera(*problem.size)
     covariance = parameter_covariance(inner, state.intrinsics)
@@ -56,7 +56,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
-    path = describe_path(state, model.exact, problem.motion.keeps_plane)
+    path = describe_path(state, model.exact, problem.motion.keeps_plane, model.turned)
     status = parameter_status(camera, covariance, facts)
     rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
     rejected = (fit.outliers + graph.rejected) / max(fit.outliers + graph.rejected

@@ -155,7 +155,7 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
         if turned:
             notes = ('The frames that were said to be related by translation turned by up to '
                      f'{np.degrees(turned):.2g} degrees, which was estimated too.',)
-    model = choose_model(window, fit)
+    model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.bundle.motion
     if motion.parallel:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
+from selfcal_ros.calibration.motion import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.problem import Problem, start_priors
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
@@ -27,18 +28,38 @@ from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose
                                             refit)
 from selfcal_ros.calibration.state import (aligned, BundleState, parameter_covariance,
                                            priors_from_facts)
+from selfcal_ros.calibration.valley import follow_valley
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 
 
 @dataclass(frozen=True)
 class Model:
-    """What was decided on a share of the tracks: distortion, and how planar the motion is."""
+    """
+    What was decided on a share of the tracks.
+
+    Attributes
+    ----------
+    fit : Fit
+    facts : CameraFacts
+        The distortion model chosen.
+    exact : bool
+        Whether the motion is exactly planar.
+    stretches : (float, ndarray of shape (9, 9))
+        Of `stretch_excess`.
+    valley : ndarray, shape (9, 9)
+        Covariance of the internal parameters beyond that from the curvature at the optimum.
+    turned : bool
+        Whether the images show a rotation.
+
+    """
 
     fit: Fit
     facts: CameraFacts
     exact: bool
     stretches: tuple[float, np.ndarray]
+    valley: np.ndarray
+    turned: bool
 
 
 def first_fit(problem: Problem, observations: Observations, state: BundleState) -> Fit:
@@ -47,8 +68,23 @@ def first_fit(problem: Problem, observations: Observations, state: BundleState) 
                         1.5 * problem.noise_px)
 
 
-def choose_model(problem: Problem, fit: Fit) -> Model:
-    """Choose the distortion model, if the facts leave it open, and how planar motion is."""
+def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
+    """
+    Choose the distortion model, if the facts leave it open, and how planar motion is.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+        Of a share of the tracks.
+    share : float
+        That share.
+
+    Returns
+    -------
+    Model
+
+    """
     facts = problem.facts
     if facts.distortion == 'auto':
         dependence = dependence_of(fit, problem.size).inflation**2
@@ -68,9 +104,14 @@ def choose_model(problem: Problem, fit: Fit) -> Model:
     exact = False
     if problem.motion.keeps_plane:
         fit, exact = choose_motion(fit, known)
+    turned = True
+    if largest_turn_rad(fit.state, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
+        every = tuple(range(len(fit.state.views)))
+        turned = hold_parallel(fit, every, problem.size)[1] > 0
+    fit, valley = follow_valley(fit, problem.size, share)
     independent = fit.bundle.covariance(fit.state)[:9, :9]
     return Model(fit, facts, exact,
-                 stretch_excess(*leave_out_stretches(fit), independent, known))
+                 stretch_excess(*leave_out_stretches(fit), independent, known), valley, turned)
 
 
 def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) -> tuple[Fit, float]:

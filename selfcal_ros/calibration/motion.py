@@ -24,8 +24,12 @@ from selfcal_ros.calibration.state import BundleState
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 
-#: Less rotation than this in all, and K is not worth asking for (radians).
-LEAST_ROTATION_RAD = np.radians(2.0)
+#: With less rotation than this in all it is tested whether there is any (radians): without, a
+#: small sigma would be an accident of a wrong optimum.
+DOUBTFUL_ROTATION_RAD = np.radians(6.0)
+#: What helps then.
+TURN = ('Turn the camera by 20 degrees or more: on a vehicle in curves to the left and to the '
+        'right, on an arm about two axes.')
 #: A motion that leaves the plane by more than this is not planar (radians, root mean square).
 MOST_TILT_RAD = np.radians(5.0)
 #: A path is circular when the axis keeps its place in the camera to this share of its distance.
@@ -67,6 +71,10 @@ class PathDescription:
         if self.refusal:
             return self.refusal, self.advice
         names = ', '.join(missing)
+        turned = np.degrees(self.rotation_rad)
+        if self.rotation_rad < DOUBTFUL_ROTATION_RAD / 3:
+            return (f'The camera did not rotate enough ({turned:.1f} degrees in all) to determine '
+                    f'{names}.', TURN)
         if facts.aspect_ratio is None and facts.principal_point is None:
             if facts.skew is None:
                 return (f'Planar motion alone leaves one parameter of the camera open ({names} '
@@ -79,7 +87,6 @@ class PathDescription:
                         'unobservable; thesis 5.2.3).',
                         'State the aspect ratio (square pixels: 1) or the principal point, or '
                         'mount the camera with a roll of 20 degrees or more.')
-        turned = np.degrees(self.rotation_rad)
         return (f'The images do not determine {names}: the camera turned by {turned:.0f} degrees '
                 f'in all ({self.motion} motion).',
                 'Turn more, left and right, near structure at several distances; or state the '
@@ -98,7 +105,16 @@ def not_planar(tilt_rad: float) -> tuple[str, str]:
             'Use a stretch of the recording on even ground, or say that the motion is general.')
 
 
-def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> PathDescription:
+def largest_turn_rad(state: BundleState, keeps_plane: bool) -> float:
+    """Largest angle between a view and the first."""
+    R = state.rotations()
+    turn = float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
+    # in a plane the way round may exceed half a turn
+    return max(turn, float(np.ptp(state.views[:, 0]))) if keeps_plane else turn
+
+
+def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
+                  turned: bool = True) -> PathDescription:
     """
     Classify the motion of an optimum of the bundle adjustment.
 
@@ -109,30 +125,25 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True) -> 
         Whether the motion is exactly planar as far as the data can tell.
     keeps_plane : bool
         False: the motion was estimated without a plane.
+    turned : bool
+        Whether the images show a rotation at all.
 
     Returns
     -------
     PathDescription
 
     """
-    R = state.rotations()
-    rotation = float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
-    if keeps_plane:
-        # the way round may exceed half a turn
-        rotation = max(rotation, float(np.ptp(state.views[:, 0])))
+    rotation = largest_turn_rad(state, keeps_plane)
     tilt = out_of_plane_rad(state)
     axis = state.mount[:, 2]
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     notes = []
     motion, refusal, advice = ('planar' if keeps_plane else 'general'), '', ''
-    if rotation < LEAST_ROTATION_RAD:
+    if not turned:
         motion = 'translation'
-        refusal = (f'The camera did not rotate ({np.degrees(rotation):.2f} degrees in all); '
-                   'self-calibration needs rotation.')
-        advice = ('Drive curves: turn by 30 degrees or more, left and right.' if keeps_plane else
-                  'Turn the camera by 20 degrees or more: about two axes, or, on a vehicle, in '
-                  'curves to the left and to the right.')
+        refusal = 'The camera did not rotate measurably; self-calibration needs rotation.'
+        advice = TURN
     elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
         refusal, advice = not_planar(tilt)

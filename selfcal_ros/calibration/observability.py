@@ -55,6 +55,17 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
     return held
 
 
+def observability_limits(camera: Camera) -> np.ndarray:
+    """Sigma beyond which each of `PARAMETER_NAMES` counts as unobservable, shape (9,)."""
+    diagonal = float(np.hypot(camera.width, camera.height))
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    corner = diagonal / 2 / fx
+    return np.array([
+        FOCAL_SHARE * fx, FOCAL_SHARE * fy, PRINCIPAL_POINT_SHARE * diagonal,
+        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx, DISTORTION_SHARE / corner**2,
+        DISTORTION_SHARE / corner**4, DISTORTION_SHARE / corner, DISTORTION_SHARE / corner])
+
+
 def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, str]:
     """
     Tell 'estimated', 'held' or 'unobservable' for each of `PARAMETER_NAMES`.
@@ -72,18 +83,11 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts)
 
     """
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
-    diagonal = float(np.hypot(camera.width, camera.height))
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    corner = diagonal / 2 / fx
-    limits = dict(zip(PARAMETER_NAMES, (
-        FOCAL_SHARE * fx, FOCAL_SHARE * fy, PRINCIPAL_POINT_SHARE * diagonal,
-        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx, DISTORTION_SHARE / corner**2,
-        DISTORTION_SHARE / corner**4, DISTORTION_SHARE / corner, DISTORTION_SHARE / corner)))
     held = held_facts(facts)
     status = {}
-    for name, value in zip(PARAMETER_NAMES, sigma):
+    for name, value, limit in zip(PARAMETER_NAMES, sigma, observability_limits(camera)):
         if name in held:
             status[name] = 'held'
         else:
-            status[name] = 'estimated' if value <= limits[name] else 'unobservable'
+            status[name] = 'estimated' if value <= limit else 'unobservable'
     return status

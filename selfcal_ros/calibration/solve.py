@@ -32,6 +32,12 @@ from selfcal_ros.version import __version__
 #: With fewer views a small translation hides in the noise, yet moves the calibration by several
 #: sigmas: that the camera only rotates must then be said.
 ROTATION_LEAST_VIEWS = 5
+#: Below this ratio of homographies' misfit to that of epipolar geometry (which lens distortion
+#: raises, too) it is tried whether rotation alone explains the images.
+DOUBTFUL_PARALLAX = 10.0
+#: Rotation alone is taken where it leaves no more than so many times the noise: depths that
+#: rest on so little would lead the calibration astray.
+ROTATION_NOISE = 1.2
 METHODS = (*MOTION_MODELS, 'translation', 'rotation')
 
 
@@ -85,11 +91,19 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     else:
         result = calibrate_from_motion(graph, size, facts, [start] if start else [],
                                        MOTION_MODELS[motion])
-        if (motion == 'auto' and not result and result.motion == 'rotation'
+        if (motion == 'auto' and graph.parallax < DOUBTFUL_PARALLAX
                 and len(graph.frames) >= ROTATION_LEAST_VIEWS):
-            # no parallax: a plane before the camera stays refused there
-            result = calibrate_rotating(graph.tracks, size, facts) or result
+            # a plane before the camera stays refused there
+            result = _simpler(calibrate_rotating(graph.tracks, size, facts), result)
     return replace(result, software=f'selfcal_ros {__version__}')
+
+
+def _simpler(rotating, moving) -> Calibration | NotCalibrated:
+    """Choose between a camera that only rotates and one that moves, too."""
+    if rotating and moving and (rotating.noise_sigma_px
+                                > ROTATION_NOISE * moving.noise_sigma_px):
+        return moving
+    return rotating or moving
 
 
 def _size_from(tracks: Tracks) -> tuple[int, int]:

@@ -1,0 +1,76 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""At the edge of what self-calibration can do: right within the sigmas, or refused."""
+
+import numpy as np
+import pytest
+
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
+
+SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
+
+
+def outcome(name, seed):
+    """Return the result and its largest deviation from the truth in stated sigmas."""
+    sequence = HARD_SCENES[name](np.random.default_rng([seed, 5]))
+    result = calibrate(sequence.tracks, facts=SQUARE)
+    if not result:
+        return result, 0.0
+    away = (result.camera.parameters - sequence.camera.parameters) / np.maximum(
+        np.sqrt(np.diag(result.covariance)), 1e-12)
+    estimated = [result.status[name] == 'estimated' for name in PARAMETER_NAMES]
+    return result, float(np.abs(away[estimated]).max())
+
+
+@pytest.mark.parametrize('name', [
+    'S-curve, level camera', 'S-curve of 2 degrees', 'about image x, S-curve',
+    'general, three views', 'three views in a row, turning', 'floor and wall',
+    'a moving body, a fifth of the points', 'outliers, a fifth',
+    'points in a corner of the image', 'long lens'])
+def test_what_the_images_determine_is_found(name):
+    result, away = outcome(name, 0)
+
+    assert result, result.reason
+    assert away < 4
+
+
+@pytest.mark.parametrize('name', [
+    'forward only', 'sideways only', 'one image twelve times', 'two views',
+    'general, about z only', '8 points'])
+def test_what_the_images_leave_open_is_refused(name):
+    result, _ = outcome(name, 0)
+
+    assert not result
+    assert result.reason
+
+
+@pytest.mark.parametrize('name', ['on the spot, no translation', 'on the spot, 1 mm off the axis',
+                                  'far scene, 2000 steps away'])
+@pytest.mark.parametrize('seed', [0, 3])
+def test_rotation_is_told_from_motion_with_little_parallax(name, seed):
+    result, away = outcome(name, seed)
+
+    assert result.motion == 'rotation'
+    assert away < 4
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_a_long_valley_widens_the_sigmas(seed):
+    """Around a near axis the curvature at the optimum promises sigmas that are too small."""
+    result, away = outcome('on the spot, 0.1 m off the axis', seed)
+
+    assert away < 4
+    assert result or 'determine' in result.reason
