@@ -39,6 +39,7 @@ BENCHES = {
     'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
     'speed': 'time of the estimate, of the command, and their growth',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
+    'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
 }
