@@ -11,9 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Names of the image topics of a node: `image`, and what lies beside it."""
+"""The image topics of a node: `image` and what lies beside it, and how to subscribe to them."""
 
 from __future__ import annotations
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_IN_RELIABLE
 
 #: As image_transport names them.
 COMPRESSED = 'compressed'
@@ -33,3 +37,26 @@ def compressed_topic(node) -> str:
     if resolved != beside or image == plain:
         return f'image/{COMPRESSED}'
     return f'{image}/{COMPRESSED}'
+
+
+def image_profile(node, topic: str, reliability: str) -> QoSProfile:
+    """
+    Return how to subscribe to an image topic now; publishers come and go.
+
+    A best-effort subscription hears everybody, but with the default buffers of Fast DDS it loses
+    most images that are larger than half a megabyte. A reliable one gets them all, but only from
+    publishers that are reliable, too.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topic : str
+    reliability : {'auto', 'best_effort', 'reliable'}
+
+    """
+    if reliability == 'auto':
+        found = [info.qos_profile.reliability for info in node.get_publishers_info_by_topic(topic)]
+        reliable = bool(found) and set(found) == {ReliabilityPolicy.RELIABLE}
+    else:
+        reliable = reliability == 'reliable'
+    return IMAGES_IN_RELIABLE if reliable else IMAGES_IN

@@ -132,6 +132,10 @@ class FeatureTrackerParameters:
     image_transport: str = parameter(
         'auto', 'which of the topics image and image/compressed to follow; auto takes the one '
         'that speaks first', one_of=('auto', 'raw', 'compressed'))
+    reliability: str = parameter(
+        'auto', 'of the subscription to the images; auto: reliable where all publishers are, '
+        'best effort otherwise, which fits every publisher', one_of=('auto', 'best_effort',
+                                                                     'reliable'))
     max_features: int = parameter(400, 'points to follow at once', 20, 5000)
     lazy: bool = parameter(True, 'subscribe to images only while somebody listens to the tracks')
     silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)

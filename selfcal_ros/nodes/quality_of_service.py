@@ -18,6 +18,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 #: Images: best effort matches every publisher; late images are worth nothing.
 IMAGES_IN = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Images of publishers that are reliable: large ones then arrive whatever the size of the
+#: transport's buffers, if later.
+IMAGES_IN_RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 #: Images for people: viewers may ask for reliable ones, and want the newest.
 IMAGES_OUT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: One message an image: tracks, camera_info.

@@ -30,7 +30,7 @@ MOST_SUGGESTIONS = 5
 
 class SilenceWatch:
     """
-    Warns once a silence lasts, and again when it comes back.
+    Warns once a silence lasts, and again when it comes back or its reason changes.
 
     The sentence names the topics as they resolve and looks at the publishers at that moment:
     'no images on /cam/image_raw for 5 s; 1 publisher, best effort (driver)'. Where nobody
@@ -52,7 +52,7 @@ class SilenceWatch:
     def __init__(self, node, what: str, topics: Callable, limit_s: float):
         self._node, self._what, self._topics, self._limit_s = node, what, topics, limit_s
         self._last = time.monotonic()
-        self._warned = False
+        self._warned = ''
         self._timer = node.create_timer(min(1.0, limit_s / 4), self._check, clock=STEADY)
 
     def heard(self) -> None:
@@ -60,7 +60,7 @@ class SilenceWatch:
         self._last = time.monotonic()
         if self._warned:
             self._node.get_logger().info(f'{self._what} arrive again')
-            self._warned = False
+            self._warned = ''
 
     @property
     def silent_s(self) -> float:
@@ -68,16 +68,19 @@ class SilenceWatch:
         return time.monotonic() - self._last
 
     def _check(self):
-        if self._warned or self.silent_s < self._limit_s:
+        if self.silent_s < self._limit_s:
             return
         topics = sorted(self._topics())
         if not topics:
             self._last = time.monotonic()
             return
-        self._warned = True
-        self._node.get_logger().warning(
-            f'no {self._what} on {" or ".join(topics)} for {self._limit_s:g} s; '
-            + self._publishers(topics))
+        # again only when there is something new to say: a publisher has come, or gone
+        text = f'no {self._what} on {" or ".join(topics)}'
+        publishers = self._publishers(topics)
+        if text + publishers != self._warned:
+            self._warned = text + publishers
+            self._node.get_logger().warning(
+                f'{text} for {max(self._limit_s, int(self.silent_s)):g} s; {publishers}')
 
     def _publishers(self, topics: list[str]) -> str:
         """Describe who publishes what we listen to."""

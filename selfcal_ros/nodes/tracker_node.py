@@ -22,14 +22,15 @@ from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import stamp_ns
 from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.klt import KltTracker
-from selfcal_ros.nodes.image_topics import compressed_topic
+from selfcal_ros.nodes.image_topics import compressed_topic, image_profile
 from selfcal_ros.nodes.parameters import declare, FeatureTrackerParameters
-from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
 from selfcal_ros.report.tracks_overlay import TracksOverlay
@@ -74,6 +75,7 @@ class FeatureTracker(Node):
         self._transport = self.parameters.image_transport
         self._topics = {'raw': 'image', 'compressed': compressed_topic(self)}
         self._inputs = {}
+        self._profiles = {}
         self.tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
         self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
         self._silence = SilenceWatch(self, 'images', lambda: [s.topic_name for s in
@@ -89,13 +91,19 @@ class FeatureTracker(Node):
         if not self.parameters.lazy or self.listeners or self.tracks.get_subscription_count() \
                 or self._overlay.get_subscription_count():
             wanted = set(TRANSPORTS) if self._transport == 'auto' else {self._transport}
-        for name in set(self._inputs) - wanted:
-            self.destroy_subscription(self._inputs.pop(name))
+        profiles = {name: image_profile(self, self._topics[name], self.parameters.reliability)
+                    for name in wanted}
+        for name in set(self._inputs):
+            # a publisher that sends in another way may have come
+            if self._profiles[name] is not profiles.get(name):
+                self.destroy_subscription(self._inputs.pop(name))
+        self._profiles = profiles
         for name in wanted - set(self._inputs):
             self._inputs[name] = self.create_subscription(
                 TRANSPORTS[name], self._topics[name],
-                lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+                lambda msg, name=name: self._on_image(msg, name), profiles[name],
+                qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY,
+                                                             QoSPolicyKind.DEPTH]))
 
     def _say_idle(self):
         """Tell, once, why nothing happens while nobody listens."""

@@ -51,16 +51,17 @@ def compressed(frame, frame_id='camera_optical_frame'):
 
 def play(graph, publisher, make, heard, count, first=0):
     """
-    Publish images one at a time, each after something was heard of the last; count of them.
+    Publish images one at a time, each after something with the stamp of the last was heard.
 
     The first ones may be lost while only one side knows of the other; they are sent again.
     """
     for frame in range(first, first + count):
-        for _ in range(100):
-            known = len(heard)
-            publisher.publish(make(frame))
+        message, known = make(frame), len(heard)
+        for _ in range(30):
+            publisher.publish(message)
             try:
-                graph.wait_for(lambda: len(heard) > known, 0.3)
+                graph.wait_for(lambda: message.header.stamp in [
+                    msg.header.stamp for msg in heard[known:]], 1.0 if frame > first else 0.3)
                 break
             except AssertionError:
                 continue
