@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.shared_files import shared_file
+    from selfcal_ros.pipeline.sources import open_source
     recording, calibrator = RECORDINGS[args.recording]
     bag = args.bag or shared_file(recording)
     folder = args.output_dir
@@ -84,7 +85,8 @@ def run(args: argparse.Namespace) -> int:
     text = result_text(direct, truth=read_truth(bag))
     if not result:
         print(f'\n{text}')
-    written += outputs.write(direct, text, str(bag), tracks)
+    written += outputs.write(direct, text, str(bag), tracks,
+                             lambda: open_source(bag, colour=True))
     print(f'\nWritten: {", ".join(map(str, written))}.')
     return EXIT_DONE if result or direct else EXIT_NOT_CALIBRATED
 

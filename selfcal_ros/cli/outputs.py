@@ -83,7 +83,8 @@ class Outputs:
         tracks : Tracks, optional
             The observations, for the report's figures and for the structure.
         open_frames : callable, optional
-            Opens the images again (as a context manager), for the colours of the structure.
+            Opens the images again (as a context manager), for the report's pictures and the
+            colours of the structure.
         notes : tuple of str
             Further sentences for the report.
 
@@ -107,7 +108,8 @@ class Outputs:
                 written.append(self.result_json)
         if self.report:
             written.append(write_page(self.report, result, text, source, tracks=tracks,
-                                      camera_name=self.camera_name, notes=notes))
+                                      camera_name=self.camera_name, notes=notes,
+                                      open_frames=open_frames))
         # a camera that only rotates sees no depth
         if self.ply and result and result.motion != 'rotation':
             written.append(self._write_structure(result, source, tracks, open_frames))

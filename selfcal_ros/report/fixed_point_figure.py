@@ -22,8 +22,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observed import Observed
 from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry, single_pairs
-from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_figure,
-                                      ORANGE, PURPLE, RED, styled)
+from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_panel,
+                                      ORANGE, PAPER, PURPLE, RED, styled)
 
 #: The whole view reaches no farther from the image than so many of its longer sides.
 FARTHEST = 3.0
@@ -59,22 +59,24 @@ def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Dr
     if not single:
         pairs = pair_geometry(result.reconstruction, result.camera.K)
     with styled():
-        figure = new_figure(9.2, 4.9)
-        whole, zoom = figure.subplots(1, 2)
-        _draw(whole, result, pairs, _whole_window(result, pairs), 'Image plane')
+        whole, zoom = new_panel(5.1), new_panel(5.1)
+        _draw(whole, result, pairs, _whole_window(result, pairs), 'The whole image plane')
         _draw(zoom, result, pairs, _zoom_window(result.camera), 'The image')
         note = _principal_point(zoom, result)
         _vanishing_point(whole, result)
-        entries = {label: handle for axes in (whole, zoom)
-                   for handle, label in zip(*axes.get_legend_handles_labels())}
-        figure.legend(entries.values(), entries.keys(), loc='lower center', ncol=7,
-                      columnspacing=1.2, handlelength=1.4)
-        figure.get_layout_engine().set(rect=(0, 0.06, 1, 0.94))
+        circular = _circular_points(whole, fixed)
+        for axes in (whole, zoom):
+            axes.figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center',
+                               ncol=3, columnspacing=1.4, handlelength=1.6, frameon=False)
     caption = ('In undistorted pixels. Under planar motion all epipoles lie on the horizon and '
                'all screw axes pass through the vanishing point of the rotation axis')
     caption += _distances(result, pairs) if single else '.'
+    if circular:
+        caption += (' The bar on the horizon is the pair of circular points, i and j = Re ± i Im, '
+                    'from Re − Im to Re + Im: its ends are directions of the plane at right '
+                    'angles, which is how the focal length shows.')
     return Drawing('fixed-points', 'Fixed points of the motion',
-                   caption + (f' {note}.' if note else ''), figure)
+                   caption + (f' {note}.' if note else ''), (whole.figure, zoom.figure))
 
 
 def _distances(result: Calibration, pairs: PairGeometry) -> str:
@@ -139,6 +141,9 @@ def _whole_window(result: Calibration, pairs: PairGeometry) -> tuple[np.ndarray,
     v = _finite(result.fixed_points.vanishing_point)
     if len(v) and np.abs(v[0] - centre).max() < FARTHEST * longer:
         low, high = np.minimum(low, v[0]), np.maximum(high, v[0])
+    bar = _circular_bar(result.fixed_points)
+    if len(bar) and np.abs(bar - centre).max() < FARTHEST * longer:
+        low, high = np.minimum(low, bar.min(axis=0)), np.maximum(high, bar.max(axis=0))
     half = 0.5 * float((high - low).max()) + 0.15 * longer
     return (low + high) / 2, half
 
@@ -211,12 +216,34 @@ def _vanishing_point(axes, result: Calibration) -> None:
     axes.plot([], [], marker='>', linestyle='none', color=GREEN, label='towards v')
 
 
+def _circular_bar(fixed) -> np.ndarray:
+    """Return real part less and plus imaginary part of i, shape (2, 2); empty if infinite."""
+    i = np.asarray(fixed.circular_point, complex)
+    if not np.isfinite(i).all() or abs(i[2]) <= 1e-9 * np.linalg.norm(i):
+        return np.empty((0, 2))
+    i = i[:2] / i[2]
+    return np.stack([i.real - i.imag, i.real + i.imag])
+
+
+def _circular_points(axes, fixed) -> bool:
+    """Mark the circular points on the horizon; tells whether they are in the panel."""
+    bar = _circular_bar(fixed)
+    window = np.array([axes.get_xlim(), sorted(axes.get_ylim())])
+    if not len(bar) or (bar < window[:, 0]).any() or (bar > window[:, 1]).any():
+        return False
+    axes.plot(*bar.T, color=RED, linewidth=3.2, alpha=0.35, solid_capstyle='butt',
+              label='circular points i, j')
+    axes.plot(*bar.T, 'o', color=RED, markersize=3.2)
+    axes.plot(*bar.mean(axis=0), '|', color=RED, markersize=9, markeredgewidth=1.4)
+    return True
+
+
 def _label(axes, text: str, point: np.ndarray) -> None:
     """Write beside a point, on the side that has room."""
     side = 1 if point[0] < np.mean(axes.get_xlim()) else -1
     axes.annotate(text, point, (9 * side, 6), textcoords='offset points', color=GREEN,
                   ha='left' if side > 0 else 'right', va='center', zorder=9,
-                  bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1})
+                  bbox={'facecolor': PAPER, 'edgecolor': 'none', 'alpha': 0.85, 'pad': 1})
 
 
 def _principal_point(axes, result: Calibration) -> str:

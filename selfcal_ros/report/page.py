@@ -14,13 +14,17 @@
 """
 A page for a person: one self-contained HTML file that needs no network.
 
-Everything that comes from outside (names of topics, frames and files) is escaped by the template;
-figures are images inside the page, in which nothing can run.
+Everything that comes from outside (names of topics, frames and files) is escaped by the template.
+Figures are elements of the page without scripts; the one script, which turns the view of the
+scene, gets numbers only, and the page allows no other by its hash.
 """
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
+import hashlib
+from importlib.resources import files
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -31,12 +35,14 @@ from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.first_look import distortion, grade, matrix, px_text, quality
 from selfcal_ros.report.wording import facts_lines, parameter_rows, verdict
 
 
 def write_page(path, result: Calibration | NotCalibrated, text: str, source: str = '',
                figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
-               camera_name: str = 'camera', notes: tuple[str, ...] = ()) -> Path:
+               camera_name: str = 'camera', notes: tuple[str, ...] = (),
+               open_frames: Callable | None = None) -> Path:
     """
     Write the page; it appears whole or not at all.
 
@@ -51,11 +57,13 @@ def write_page(path, result: Calibration | NotCalibrated, text: str, source: str
     figures : tuple of str
         Further SVG elements, from this program alone: they are put in as they are.
     tracks : Tracks, optional
-        Those that were calibrated from; residuals over the image and coverage need them.
+        Those that were calibrated from; residuals, coverage and the scene need them.
     camera_name : str
         Name inside the camera file.
     notes : tuple of str
         Further sentences, beside those of the result.
+    open_frames : callable, optional
+        Opens the images again (as a context manager), to show some of them with their tracks.
 
     Raises
     ------
@@ -64,33 +72,83 @@ def write_page(path, result: Calibration | NotCalibrated, text: str, source: str
 
     """
     return atomic_write(path, page_html(result, text, source, figures, tracks=tracks,
-                                        camera_name=camera_name, notes=notes))
+                                        camera_name=camera_name, notes=notes,
+                                        open_frames=open_frames))
 
 
 def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
               figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
-              camera_name: str = 'camera', notes: tuple[str, ...] = ()) -> str:
+              camera_name: str = 'camera', notes: tuple[str, ...] = (),
+              open_frames: Callable | None = None) -> str:
     """Return the page as text; see `write_page` for the parameters."""
-    # Matplotlib takes a while to load, and most runs write no page
-    from selfcal_ros.report.figures import draw_figures
-    drawings = [{'name': drawing.name, 'title': drawing.title, 'caption': drawing.caption,
-                 'data': base64.b64encode(drawing.svg()).decode('ascii'),
-                 'width': round(96 * drawing.figure.get_figwidth())}
-                for drawing in draw_figures(result, tracks)]
     calibrated = bool(result)
+    pictures, scene = _images_and_scene(result, tracks, open_frames)
+    script = _script() if scene else None
     return _environment().get_template('page.html.j2').render(
-        calibrated=calibrated, result=result, text=text, source=source, drawings=drawings,
-        figures=[Markup(figure) for figure in figures], camera_name=camera_name,
+        calibrated=calibrated, result=result, text=text, source=source, grade=grade(result),
+        drawings=_drawings(result, tracks), figures=[Markup(figure) for figure in figures],
+        camera_name=camera_name, pictures=pictures, scene=scene, script=script,
+        policy=_policy(script),
         verdict=_unbroken(verdict(result)) if calibrated else result.reason,
+        quality=_unbroken(quality(result)) if calibrated else '',
+        matrix=matrix(result) if calibrated else [],
+        distortion=distortion(result) if calibrated else [],
         rows=parameter_rows(result) if calibrated else [],
         facts=facts_lines(result.facts),
         notes=list(dict.fromkeys([*(result.notes if calibrated else ()), *notes])),
         numbers=_numbers(result), yaml=_yaml(result, camera_name))
 
 
+def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | None]:
+    """Return what the template shows of images and of the scene."""
+    if not result or tracks is None:
+        return [], None
+    from selfcal_ros.report.keyframe_pictures import pictures_and_colours
+    from selfcal_ros.report.scene import scene_of
+    pictures, colours = [], {}
+    if open_frames is not None:
+        pictures, colours = pictures_and_colours(result, tracks, open_frames)
+    scene = scene_of(result, tracks, colours)
+    shown = [{'picture': picture, 'data': base64.b64encode(picture.jpeg).decode('ascii')}
+             for picture in pictures]
+    if scene is None:
+        return shown, None
+    return shown, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
+                   'points': len(scene.points), 'path': scene.path}
+
+
+def _drawings(result, tracks) -> dict:
+    """Return the figures as elements of a page, by name."""
+    # Matplotlib takes a while to load, and most runs write no page
+    from selfcal_ros.report.figures import draw_figures
+    from selfcal_ros.report.inline_svg import inline_svg
+    return {drawing.name: {
+        'name': drawing.name, 'title': drawing.title, 'caption': drawing.caption,
+        'panels': [inline_svg(svg, f'{drawing.name}-{k}', drawing.title)
+                   for k, svg in enumerate(drawing.svgs(words=True))]
+    } for drawing in draw_figures(result, tracks)}
+
+
+def _script() -> Markup:
+    """Return the viewer, which is a file of this package."""
+    return Markup(files('selfcal_ros.report').joinpath('templates', 'viewer.js')
+                  .read_text(encoding='utf-8'))
+
+
+def _policy(script: str | None) -> str:
+    """Allow what the page brings along, and no script but the one that has this hash."""
+    policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+    if script:
+        digest = base64.b64encode(hashlib.sha256(script.encode('utf-8')).digest()).decode('ascii')
+        policy += f"; script-src 'sha256-{digest}'"
+    return policy
+
+
 def _unbroken(sentence: str) -> str:
     """Keep a number, its sigma and its unit on one line."""
-    return sentence.replace(' ± ', '\u00a0±\u00a0').replace(' px', '\u00a0px')
+    for words in (' ± ', ' px', ' = ', '± '):
+        sentence = sentence.replace(words, words.replace(' ', '\u00a0'))
+    return sentence
 
 
 def _environment() -> Environment:
@@ -107,8 +165,8 @@ def _numbers(result: Calibration | NotCalibrated) -> list[tuple[str, str]]:
         share = 100 * result.outlier_count / max(total, 1)
         numbers += [('observations', str(result.observation_count)),
                     ('rejected', f'{share:.1f} %'),
-                    ('reprojection rms', f'{result.reprojection_rms_px:.3g} px'),
-                    ('image noise σ', f'{result.noise_sigma_px:.3g} px'),
+                    ('reprojection rms', px_text(result.reprojection_rms_px)),
+                    ('image noise σ', px_text(result.noise_sigma_px)),
                     ('image size', f'{result.camera.width} × {result.camera.height} px')]
     return numbers
 

@@ -19,7 +19,7 @@ from matplotlib.collections import LineCollection
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.style import Drawing, GREY, INK, new_figure, SEQUENTIAL, styled
+from selfcal_ros.report.style import Drawing, GREY, INK, new_panel, SEQUENTIAL, styled
 
 #: More cameras than this hide each other.
 MOST_CONES = 24
@@ -60,8 +60,7 @@ def path_figure(result: Calibration) -> Drawing | None:
     points = _finite_points(result.reconstruction.points) / step
     points = points[:, :2] * mirror
     with styled():
-        figure = new_figure(6.4, 5.2)
-        axes = figure.subplots()
+        axes = new_panel(4.2)
         low, high = _window(path, points)
         axes.plot(*points.T, '.', color=GREY, markersize=2.6, markeredgewidth=0, alpha=0.7,
                   rasterized=True, label=f'points ({len(points)})')
@@ -80,11 +79,11 @@ def path_figure(result: Calibration) -> Drawing | None:
         axes.set_ylabel('y / distance between views')
         axes.set_title('Plan view')
         axes.legend(loc='best', handlelength=1.2, markerscale=2)
-        bar = figure.colorbar(lines, ax=axes, fraction=0.035, pad=0.02)
+        bar = axes.figure.colorbar(lines, ax=axes, fraction=0.035, pad=0.02)
         bar.set_label('view')
     return Drawing('path', 'Camera path and structure', 'Seen along the rotation axis; the unit '
                    'is the root mean square distance between successive views, because images '
-                   'alone tell no scale.', figure)
+                   'alone tell no scale.', (axes.figure,))
 
 
 def _finite_points(points: np.ndarray) -> np.ndarray:

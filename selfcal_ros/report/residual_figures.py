@@ -20,7 +20,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.observed import Observed
 from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
-                                      new_figure, ORANGE, SEQUENTIAL, styled)
+                                      new_panel, ORANGE, PALE, SEQUENTIAL, styled)
 
 #: Cells along the longer side of the image.
 RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
@@ -65,15 +65,15 @@ def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | Non
         caption += '.' if len(beside) < 10 else '; the distribution is that of what remains.'
         values = values if len(beside) < 10 else beside
     with styled():
-        figure = new_figure(9.2 if seen else 4.6, 4.0)
+        panels = [new_panel()]
+        _histogram(panels[0], values)
         if seen is not None:
-            left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
-            _field(left, result, seen.xy[seen.used], residual)
+            height = image_height_in(result.camera.width, result.camera.height) + 0.5
+            panels.insert(0, new_panel(height))
+            _field(panels[0], result, seen.xy[seen.used], residual)
         else:
-            right = figure.subplots()
             caption = 'Residuals in both image coordinates.'
-        _histogram(right, values)
-    return Drawing('residuals', 'Residuals', caption, figure)
+    return Drawing('residuals', 'Residuals', caption, tuple(axes.figure for axes in panels))
 
 
 def _exceeds(residual: np.ndarray, result: Calibration) -> bool:
@@ -183,16 +183,15 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     index, shape, _ = cells(size, xy, COVERAGE_CELLS)
     count = np.bincount(index, minlength=shape[0] * shape[1]).reshape(shape)
     with styled():
-        figure = new_figure(5.4, image_height_in(*size))
-        axes = figure.subplots()
+        axes = new_panel(image_height_in(*size))
         shown = np.ma.masked_equal(count, 0)
         side = max(size) / COVERAGE_CELLS
         picture = axes.imshow(shown, extent=(-0.5, shape[1] * side - 0.5,
                                              shape[0] * side - 0.5, -0.5),
                               cmap=SEQUENTIAL, interpolation='nearest', vmin=0)
         image_axes(axes, *size)
-        axes.set_facecolor('#f3f3f3')
-        bar = figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        axes.set_facecolor(PALE)
+        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
         bar.set_label('observations')
         bar.outline.set_edgecolor(GREY)
         axes.set_title('Observations in cells')
@@ -200,4 +199,4 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     caption = ('There are observations all over the image.' if empty < 0.005 else
                f'{100 * empty:.0f} % of the image has no observation; distortion is extrapolated '
                'there.')
-    return Drawing('coverage', 'Coverage of the image', caption, figure)
+    return Drawing('coverage', 'Coverage of the image', caption, (axes.figure,))

@@ -23,15 +23,20 @@ import matplotlib
 from matplotlib.figure import Figure
 
 #: Colours that remain apart for colour-blind readers and in grey print (Okabe and Ito 2008).
-INK, GREY, PALE = '#222222', '#8a8f98', '#d9dce1'
+INK, GREY, PALE, PAPER = '#222222', '#8a8f98', '#d9dce1', '#ffffff'
+#: On pictures and coloured cells, which look the same on dark paper.
+BLACK, WHITE = '#111111', '#fefefe'
 BLUE, ORANGE, GREEN, RED, PURPLE = '#0072b2', '#d55e00', '#009e73', '#c0143c', '#8a3f8f'
+#: Width of a figure; a page shows two beside each other, a telephone one.
+PANEL_WIDTH_IN = 4.7
 #: Colour map of quantities that start at zero.
 SEQUENTIAL = 'viridis'
 
 _STYLE = {
-    'font.family': 'DejaVu Sans', 'font.size': 8.5, 'axes.titlesize': 9.5,
-    'axes.titlelocation': 'left', 'axes.labelsize': 8.5, 'legend.fontsize': 7.5,
-    'xtick.labelsize': 7.5, 'ytick.labelsize': 7.5, 'axes.edgecolor': GREY,
+    'font.family': 'DejaVu Sans', 'font.size': 9, 'axes.titlesize': 9.5,
+    'axes.titleweight': 'bold', 'axes.titlelocation': 'left', 'axes.labelsize': 9,
+    'legend.fontsize': 8, 'axes.facecolor': PAPER, 'legend.facecolor': PAPER,
+    'xtick.labelsize': 8, 'ytick.labelsize': 8, 'axes.edgecolor': GREY,
     'axes.labelcolor': INK, 'text.color': INK, 'xtick.color': GREY, 'ytick.color': GREY,
     'xtick.labelcolor': INK, 'ytick.labelcolor': INK, 'axes.linewidth': 0.7,
     'legend.frameon': True, 'legend.framealpha': 0.9, 'legend.edgecolor': PALE,
@@ -47,50 +52,61 @@ _OF_THE_SESSION = {'backend', 'backend_fallback', 'interactive', 'toolbar', 'tim
 @dataclass(frozen=True)
 class Drawing:
     """
-    A figure with its name, its title and a caption of one sentence or two.
+    One or more figures that tell one thing, with name, title and a caption of a few sentences.
 
     Attributes
     ----------
     name : str
         For file names and anchors.
     title, caption : str
-    figure : matplotlib.figure.Figure
+    panels : tuple of matplotlib.figure.Figure
+        Side by side where there is room, else one below the other.
 
     """
 
     name: str
     title: str
     caption: str
-    figure: Figure
+    panels: tuple[Figure, ...]
 
-    def svg(self) -> bytes:
-        """Return the figure as an SVG document; the same figure gives the same bytes."""
-        return self._save('svg', metadata={'Date': None, 'Creator': None})
+    def svgs(self, words: bool = False) -> list[bytes]:
+        """
+        Return the panels as SVG documents; the same panel gives the same bytes.
 
-    def png(self) -> bytes:
-        """Return the figure as a PNG image."""
-        return self._save('png')
+        Parameters
+        ----------
+        words : bool
+            Leave the text as text, in whatever font its reader has, instead of outlines.
 
-    def _save(self, kind: str, **options) -> bytes:
-        stream = io.BytesIO()
-        with styled():
-            self.figure.savefig(stream, format=kind, facecolor='white', **options)
-        return stream.getvalue()
+        """
+        return [_saved(panel, 'svg', {'svg.fonttype': 'none' if words else 'path'},
+                       metadata={'Date': None, 'Creator': None}) for panel in self.panels]
+
+    def pngs(self) -> list[bytes]:
+        """Return the panels as PNG images."""
+        return [_saved(panel, 'png') for panel in self.panels]
 
 
-def styled():
+def _saved(figure: Figure, kind: str, settings: dict | None = None, **options) -> bytes:
+    stream = io.BytesIO()
+    with styled(settings):
+        figure.savefig(stream, format=kind, facecolor=PAPER, **options)
+    return stream.getvalue()
+
+
+def styled(settings: dict | None = None):
     """Return a context in which Matplotlib draws in this look."""
     with warnings.catch_warnings():
         # reading settings that a version has deprecated warns
         warnings.simplefilter('ignore')
         plain = {key: matplotlib.rcParamsDefault[key] for key in matplotlib.rcParamsDefault
                  if key.partition('.')[0] not in _OF_THE_SESSION}
-        return matplotlib.rc_context({**plain, **_STYLE})
+        return matplotlib.rc_context({**plain, **_STYLE, **(settings or {})})
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure of the given size in inches."""
-    return Figure(figsize=(width_in, height_in), layout='constrained')
+def new_panel(height_in: float = 3.4):
+    """Return the axes of an empty figure as wide as a column, of the given height."""
+    return Figure(figsize=(PANEL_WIDTH_IN, height_in), layout='constrained').subplots()
 
 
 def image_axes(axes, width: int, height: int) -> None:
@@ -103,5 +119,5 @@ def image_axes(axes, width: int, height: int) -> None:
 
 
 def image_height_in(width: int, height: int) -> float:
-    """Return the height of a figure 5.4 inches wide that shows one image of such a shape."""
-    return 5.0 * min(max(height / width, 0.2), 1.4)
+    """Return the height of a panel that shows one image of such a shape beside a scale."""
+    return 0.45 + 0.82 * PANEL_WIDTH_IN * min(max(height / width, 0.2), 1.4)

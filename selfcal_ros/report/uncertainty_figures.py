@@ -20,8 +20,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
-from selfcal_ros.report.style import (BLUE, Drawing, image_axes, image_height_in, INK,
-                                      new_figure, SEQUENTIAL, styled)
+from selfcal_ros.report.style import (BLACK, BLUE, Drawing, image_axes, image_height_in,
+                                      new_panel, SEQUENTIAL, styled, WHITE)
 
 
 def sigma_figure(result: Calibration) -> Drawing | None:
@@ -47,8 +47,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
     correlation = np.asarray(result.covariance)[np.ix_(free, free)] / np.outer(sigma, sigma)
     effect = _corner_effect(result)[free] * sigma
     with styled():
-        figure = new_figure(9.2, 3.5)
-        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        left, right = new_panel(), new_panel()
         left.barh(range(len(free)), effect, color=BLUE, height=0.6)
         left.set_yticks(range(len(free)), names)
         left.invert_yaxis()
@@ -57,7 +56,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
         left.spines[['top', 'right']].set_visible(False)
         for k, value in enumerate(effect):
             left.annotate(f'{value:.2g}', (value, k), (3, 0), textcoords='offset points',
-                          va='center', fontsize=7.5)
+                          va='center', fontsize=8)
         left.margins(x=0.15)
         picture = right.imshow(correlation, cmap='RdBu_r', vmin=-1, vmax=1)
         right.set_xticks(range(len(free)), names)
@@ -66,13 +65,14 @@ def sigma_figure(result: Calibration) -> Drawing | None:
         for i, row in enumerate(correlation):
             for j, value in enumerate(row):
                 right.text(j, i, f'{value:+.2f}'.replace('+1.00', '1').replace('-0.00', '0.00'),
-                           ha='center', va='center', fontsize=7,
-                           color='white' if abs(value) > 0.6 else INK)
+                           ha='center', va='center', fontsize=8,
+                           color=WHITE if abs(value) > 0.6 else BLACK)
         right.set_title('Correlation')
-        figure.colorbar(picture, ax=right, fraction=0.046, pad=0.03)
+        right.figure.colorbar(picture, ax=right, fraction=0.046, pad=0.03)
     return Drawing('sigmas', 'Uncertainty of the parameters', 'What one sigma of each parameter '
                    'alone moves in the corner of the image; parameters that are strongly '
-                   'correlated move together and hide part of this.', figure)
+                   'correlated move together and hide part of this.',
+                   (left.figure, right.figure))
 
 
 def _corner_effect(result: Calibration) -> np.ndarray:
@@ -112,20 +112,19 @@ def projection_figure(result: Calibration) -> Drawing | None:
     if sigma.count() == 0:
         return None
     with styled():
-        figure = new_figure(5.4, image_height_in(camera.width, camera.height))
-        axes = figure.subplots()
+        axes = new_panel(image_height_in(camera.width, camera.height))
         top = float(sigma.max())
         picture = axes.pcolormesh(found.u, found.v, sigma, cmap=SEQUENTIAL, vmin=0, vmax=top,
                                   shading='gouraud' if not sigma.mask.any() else 'nearest',
                                   rasterized=True)
         if sigma.max() > 1.05 * sigma.min():
-            lines = axes.contour(found.u, found.v, sigma, 6, colors='white', linewidths=0.6)
-            axes.clabel(lines, fmt='%.2g', fontsize=7)
+            lines = axes.contour(found.u, found.v, sigma, 6, colors=WHITE, linewidths=0.6)
+            axes.clabel(lines, fmt='%.2g', fontsize=8)
         image_axes(axes, camera.width, camera.height)
-        axes.plot(camera.K[0, 2], camera.K[1, 2], '+', color='white', markersize=7)
-        bar = figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        axes.plot(camera.K[0, 2], camera.K[1, 2], '+', color=WHITE, markersize=7)
+        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
         bar.set_label('σ / px')
         axes.set_title('σ of a projected point, worst direction')
     return Drawing('projection', 'Uncertainty of projection', f'All parameters together, after '
                    f'the best small rotation: at most {top:.2g} px, '
-                   f'{float(np.ma.median(sigma)):.2g} px in the median.', figure)
+                   f'{float(np.ma.median(sigma)):.2g} px in the median.', (axes.figure,))

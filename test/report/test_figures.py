@@ -176,12 +176,12 @@ def test_all_figures_are_drawn_and_are_reproducible(calibration, sequence):
     images = []
     for drawing in drawings:
         assert drawing.caption and drawing.title
-        svg = drawing.svg()
-        ElementTree.fromstring(svg)
-        images.append(svg)
-        assert drawing.png().startswith(b'\x89PNG')
+        images.append(drawing.svgs())
+        for svg in images[-1]:
+            ElementTree.fromstring(svg)
+        assert all(png.startswith(b'\x89PNG') for png in drawing.pngs())
     again = draw_figures(calibration, sequence.tracks)
-    assert [drawing.svg() for drawing in again] == images
+    assert [drawing.svgs() for drawing in again] == images
 
 
 def test_pyplot_is_left_alone(calibration, sequence):
@@ -196,7 +196,7 @@ def test_little_is_enough(calibration):
     assert [d.name for d in draw_figures(bare)] == ['path']
     unknown = replace(calibration, covariance=np.full((9, 9), np.inf))
     for drawing in draw_figures(unknown):
-        drawing.svg()
+        drawing.svgs()
     assert draw_figures(NotCalibrated('No.')) == []
     assert coverage_figure(np.empty((0, 2)), (640, 480)) is None
 
@@ -207,7 +207,7 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
                                                     vanishing_point=np.array(v, float)))
     drawing = draw_figures(far)[0]
     assert drawing.name == 'fixed-points'
-    drawing.svg()
+    drawing.svgs()
 
 
 @pytest.mark.parametrize('broken', [
@@ -219,7 +219,7 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
 @pytest.mark.filterwarnings('error')
 def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, broken):
     for drawing in draw_figures(replace(calibration, **broken), sequence.tracks):
-        drawing.svg()
+        drawing.svgs()
 
 
 @pytest.mark.filterwarnings('error')
@@ -233,12 +233,12 @@ def test_strange_geometry_is_drawn_as_far_as_it_goes(calibration, sequence):
                     replace(shape, cam_from_world=shape.cam_from_world[[0] * 6])):
         for drawing in draw_figures(replace(calibration, reconstruction=changed),
                                     sequence.tracks):
-            drawing.svg()
+            drawing.svgs()
     # a camera that looks straight down: the horizon is at infinity, v the principal point
     down = replace(calibration.fixed_points, horizon=np.array([0, 0, 1.0]),
                    vanishing_point=np.array([400, 300, 1.0]))
     drawings = draw_figures(replace(calibration, fixed_points=down), sequence.tracks)
-    assert drawings[0].name == 'fixed-points' and drawings[0].svg()
+    assert drawings[0].name == 'fixed-points' and drawings[0].svgs()
 
 
 def test_coverage_says_how_much_is_empty():

@@ -13,15 +13,25 @@
 # limitations under the License.
 """The page: self-contained, escaped, and with the verdict in front."""
 
+import base64
+import contextlib
 from dataclasses import replace
+import hashlib
 from html.parser import HTMLParser
+import json
+import re
+import types
 
+import cv2
 import numpy as np
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.report.inline_svg import VARIABLES
+from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
+from selfcal_ros.report.scene import scene_of
 from selfcal_ros.report.wording import facts_lines, parameter_rows, verdict, with_sigma
 
 HOSTILE = '<script>alert(1)</script>"\'><img src=x onerror=alert(2)> {{ 7 * 7 }} \u202e'
@@ -48,7 +58,7 @@ class Reader(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if self.open and self.open[-1] != 'style':
+        if self.open and self.open[-1] not in ('style', 'script'):
             self.words.append(data)
 
     @property
@@ -66,19 +76,113 @@ def test_a_calibration(tmp_path, calibration, sequence):
                   'skew = 0', 'distortion = radial2', 'camera_info/front.yaml',
                   'camera_name: front', 'selfcal_ros 0.0'):
         assert words in text, words
-    assert page.tags.count('img') == page.tags.count('figure') == 6
+    assert page.tags.count('figure') == 6 and page.tags.count('img') == 0
     assert [p.name for p in tmp_path.iterdir()] == ['report.html']
 
 
-def test_the_page_needs_no_network_and_runs_nothing(calibration, sequence):
-    page = Reader(page_html(calibration, 'text', tracks=sequence.tracks))
-    assert not {'script', 'link', 'iframe', 'object', 'base', 'form'} & set(page.tags)
+def test_the_page_needs_no_network_and_runs_its_own_script_alone(calibration, sequence):
+    html = page_html(calibration, 'text', tracks=sequence.tracks)
+    page = Reader(html)
+    assert not {'link', 'iframe', 'object', 'base', 'form'} & set(page.tags)
     for name, value in page.attributes:
         assert not name.startswith('on')
-        assert name != 'src' or value.startswith('data:image/svg+xml;base64,')
-        assert name != 'href'
-    assert ('content', "default-src 'none'; style-src 'unsafe-inline'; img-src data:") \
-        in page.attributes
+        assert name != 'src' or value.startswith('data:image/')
+        assert name not in ('href', 'xlink:href') or value.startswith(('#', 'data:image/png'))
+    script, = re.findall(r'<script>(.*?)</script>', html, re.DOTALL)
+    assert page.tags.count('script') == 1
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert ('content', "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+            f"script-src 'sha256-{digest}'") in page.attributes
+
+
+def test_without_a_scene_there_is_no_script(calibration, sequence):
+    for html in (page_html(calibration, 'text'),
+                 page_html(replace(calibration, motion='rotation'), '', tracks=sequence.tracks)):
+        assert '<script' not in html and 'script-src' not in html and '<canvas' not in html
+
+
+def test_identifiers_of_figures_do_not_mix(calibration, sequence):
+    page = Reader(page_html(calibration, 'text', tracks=sequence.tracks))
+    names = [value for name, value in page.attributes if name == 'id']
+    assert len(names) == len(set(names))
+    for name, value in page.attributes:
+        if value and name != 'd':
+            used = re.findall(r'url\(#([^)]+)\)', value)
+            used += [value[1:]] if name.endswith('href') and value.startswith('#') else []
+            assert set(used) <= set(names)
+
+
+def test_figures_take_the_colours_of_the_page(calibration, sequence):
+    html = page_html(calibration, 'text', tracks=sequence.tracks)
+    css = html[html.index('<style>'):html.index('</style>')]
+    figures = ''.join(re.findall(r'<svg class="plot".*?</svg>', html, re.DOTALL))
+    assert figures and not re.search('|'.join(VARIABLES), figures, re.IGNORECASE)
+    for name in re.findall(r'var\((--[a-z]+)\)', figures + css):
+        # in light, in dark, and in print
+        assert css.count(f'{name}:') >= (1 if name == '--grade' else 3), name
+
+
+def test_the_scene_is_that_of_the_calibration(calibration, sequence):
+    colours = {3: (1, 2, 3)}
+    scene = scene_of(calibration, sequence.tracks, colours)
+    assert scene.colours[scene.tracks == 3].tolist() == [[1, 2, 3]]
+    data = json.loads(scene.as_json())
+    cameras, points = (np.frombuffer(base64.b64decode(data[name]), '<f4').reshape(-1, n)
+                       for name, n in (('cameras', 12), ('points', 3)))
+    assert len(cameras) == 6 and len(points) == len(scene.points) > 200
+    # what the viewer gets projects to where the points were seen
+    R = cameras[:, 3:].reshape(-1, 3, 3).astype(float)
+    X = np.einsum('vij,vpj->vpi', R, points[None] - cameras[:, None, :3].astype(float))
+    seen = calibration.camera.pixels(X[..., :2] / X[..., 2:])
+    assert np.abs(seen - sequence.true_pixels[:, scene.tracks]).max() < 1e-2
+    # the first camera looks ahead, and up is up
+    assert cameras[0, 9] > 0.5 and (R[:, 1, 2] < 0).all()
+
+
+def test_a_scene_needs_depth(calibration, sequence):
+    assert scene_of(replace(calibration, motion='rotation'), sequence.tracks) is None
+    shape = calibration.reconstruction
+    one = replace(shape, frames=shape.frames[:1], cam_from_world=shape.cam_from_world[:1])
+    assert scene_of(replace(calibration, reconstruction=one), sequence.tracks) is None
+    known = scene_of(replace(calibration, motion='known-object'), sequence.tracks)
+    assert known.unit == 'm' and not known.path
+
+
+def test_pictures_show_used_and_rejected_tracks(calibration, sequence):
+    class Source(contextlib.nullcontext):
+        kind = 'images'
+
+        def __iter__(self):
+            for index in range(1000):
+                assert index < 6, 'there is no need to read on'
+                yield types.SimpleNamespace(index=index, bgr=None, image=np.full(
+                    sequence.tracks.image_size[::-1], 40 * index, np.uint8))
+
+        def __enter__(self):
+            return self
+
+    xy = sequence.tracks.xy.copy()
+    astray = sequence.tracks.track == 7
+    xy[astray] += 30
+    tracks = replace(sequence.tracks, xy=xy)
+    result = replace(calibration, observation_count=len(tracks) - 6)
+    pictures, colours = pictures_and_colours(result, tracks, Source)
+    assert [p.frame for p in pictures] == [2, 3, 4, 5]
+    assert len(colours) == 300 and colours[0] == (100, 100, 100)
+    for picture in pictures:
+        assert picture.rejected_count >= 1 and picture.used_count > 250
+        place = xy[astray & (tracks.frame == picture.frame)][0]
+        assert 'M{:.1f} {:.1f}h0'.format(*place) in picture.rejected
+        image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert max(image.shape) <= 720 and abs(int(image.mean()) - 40 * picture.frame) < 2
+    html = page_html(calibration, '', tracks=tracks, open_frames=Source)
+    assert html.count('data:image/jpeg;base64,') == 4
+
+
+def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):
+    def gone():
+        raise InputError('drive.mcap does not exist.')
+    assert pictures_and_colours(calibration, sequence.tracks, gone) == ([], {})
 
 
 def test_hostile_names_are_shown_as_they_are(calibration):
@@ -86,7 +190,7 @@ def test_hostile_names_are_shown_as_they_are(calibration):
                            held_by={'skew': HOSTILE}),
                    NotCalibrated(HOSTILE, HOSTILE, frames=(1,), status={HOSTILE: HOSTILE})):
         page = Reader(page_html(result, HOSTILE, HOSTILE, notes=(HOSTILE,)))
-        assert 'script' not in page.tags
+        assert 'script' not in page.tags and 'img' not in page.tags
         assert not any(name.startswith('on') for name, _ in page.attributes)
         assert page.text.count('{{ 7 * 7 }}') >= 4
 

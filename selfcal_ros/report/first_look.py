@@ -1,0 +1,119 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What one asks of a calibration first: may I use it, what is K, and what does it rest on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.report.projection_uncertainty import projection_uncertainty
+from selfcal_ros.report.wording import with_sigma
+
+#: Where a parameter is from, by its status.
+ORIGINS = {'estimated': 'images', 'held': 'fact', 'unobservable': 'unknown'}
+#: The entries of K, rows first; None: zero or one by definition.
+_K = (('fx', 'skew', 'cx'), (None, 'fy', 'cy'), (None, None, None))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """
+    A number with its sigma and where it is from.
+
+    Attributes
+    ----------
+    name, value, sigma : str
+        The sigma is empty where there is none.
+    origin : str
+        'images', 'fact', 'unknown' or 'definition'.
+
+    """
+
+    name: str
+    value: str
+    sigma: str
+    origin: str
+
+
+def _entry(result: Calibration, name: str) -> Entry:
+    k = PARAMETER_NAMES.index(name)
+    status = result.status.get(name, 'estimated')
+    variance = float(np.asarray(result.covariance, float)[k, k])
+    sigma = float(np.sqrt(max(variance, 0))) if np.isfinite(variance) else np.inf
+    value, spread = with_sigma(float(result.camera.parameters[k]),
+                               sigma if status == 'estimated' else 0.0)
+    return Entry(name, value, spread, ORIGINS.get(status, 'unknown'))
+
+
+def matrix(result: Calibration) -> list[list[Entry]]:
+    """Return the rows of K, entry by entry."""
+    return [[Entry('', '1' if i == j == 2 else '0', '', 'definition') if name is None
+             else _entry(result, name) for j, name in enumerate(row)] for i, row in enumerate(_K)]
+
+
+def distortion(result: Calibration) -> list[Entry]:
+    """Return the distortion coefficients in the order of ROS."""
+    return [_entry(result, name) for name in ('k1', 'k2', 'p1', 'p2')] + [
+        Entry('k3', f'{result.camera.distortion[4]:.6g}', '', 'fact')]
+
+
+def projection_sigmas(result: Calibration) -> tuple[float, float] | None:
+    """Return the median and the largest sigma of projection over the image, px."""
+    camera, covariance = result.camera, np.asarray(result.covariance, float)
+    if min(camera.width, camera.height) <= 0 or not np.isfinite(covariance).all() \
+            or not covariance.any():
+        return None
+    sigma = projection_uncertainty(camera, covariance, 40).sigma_px
+    sigma = sigma[np.isfinite(sigma)]
+    return (float(np.median(sigma)), float(sigma.max())) if len(sigma) else None
+
+
+def grade(result) -> str:
+    """Return 'good', 'partial' (something is not determined) or 'bad' (no calibration)."""
+    if not result:
+        return 'bad'
+    covariance = np.asarray(result.covariance, float)
+    weak = 'unobservable' in result.status.values() or not np.isfinite(covariance).all()
+    return 'partial' if weak else 'good'
+
+
+def quality(result: Calibration) -> str:
+    """Say in a sentence or two how well the camera projects, measured by the images' noise."""
+    found = projection_sigmas(result)
+    if found is None:
+        return ''
+    median, worst = found
+    sentence = ('It says where a point of the scene is in the image to '
+                f'± {px_text(median)} (one σ, median over the image), ± {px_text(worst)} at worst')
+    noise = result.noise_sigma_px
+    if not noise > 0 or not np.isfinite(noise):
+        return sentence + '.'
+    point = f'a single image point is measured to ± {px_text(noise)}'
+    if worst <= noise:
+        return sentence + f'; {point}, so the camera is not what limits a measurement.'
+    if median <= noise:
+        return sentence + f'; {point}, so the camera limits a measurement near the border only.'
+    return sentence + (f'; {point}, so the camera limits every measurement: more views, more '
+                       'rotation and points near the border would help.')
+
+
+def px_text(value: float) -> str:
+    """Write with two digits that mean something, and without an exponent."""
+    if not 0 < value < 1e6:
+        return f'{value:.0f} px'
+    return f'{value:.{max(1 - int(np.floor(np.log10(value))), 0)}f} px'

@@ -1,0 +1,338 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The page in a real browser: no complaint, nothing sticks out, the scene turns."""
+
+import base64
+import fcntl
+import json
+import os
+from pathlib import Path
+import select
+import shutil
+import subprocess
+import tempfile
+import time
+
+import cv2
+import numpy as np
+import pytest
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.report.page import write_page
+
+NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome',
+         'chrome-headless-shell')
+WAIT_S = 60
+
+
+def find_chromium():
+    """Return the browser's path: of $CHROMIUM, or by its usual names; None if there is none."""
+    named = os.environ.get('CHROMIUM')
+    return named or next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Chromium:
+    """A headless browser, spoken to through two pipes (its protocol for developer tools)."""
+
+    def __init__(self, path):
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        # the browser reads commands from 3 and writes to 4; keep the ends that we copy above those
+        theirs_in, self._out = (fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 20) for end in os.pipe())
+        self._in, theirs_out = (fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 20) for end in os.pipe())
+
+        def ends():
+            os.dup2(theirs_in, 3)
+            os.dup2(theirs_out, 4)
+
+        options = ['--headless', '--disable-gpu', '--no-first-run', '--remote-debugging-pipe',
+                   '--disable-dev-shm-usage', '--hide-scrollbars', '--force-device-scale-factor=1',
+                   f'--user-data-dir={self._folder.name}']
+        # Chromium refuses to run as root with its sandbox, as in most containers
+        options += ['--no-sandbox'] if os.geteuid() == 0 else []
+        self._process = subprocess.Popen(
+            [path, *options, 'about:blank'], preexec_fn=ends, close_fds=False,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        os.close(theirs_in)
+        os.close(theirs_out)
+        self._buffer, self._count, self.events = b'', 0, []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        try:
+            self.send('Browser.close')
+            self._process.wait(20)
+        except (OSError, TimeoutError, subprocess.TimeoutExpired):
+            self._process.kill()
+            self._process.wait()
+        os.close(self._in)
+        os.close(self._out)
+        self._folder.cleanup()
+
+    def send(self, method, session=None, **parameters):
+        """Send a command and return its answer; what happens meanwhile goes to `events`."""
+        self._count += 1
+        message = {'id': self._count, 'method': method, 'params': parameters}
+        if session:
+            message['sessionId'] = session
+        os.write(self._out, json.dumps(message).encode() + b'\0')
+        while True:
+            answer = self.receive()
+            if answer.get('id') == message['id']:
+                assert 'error' not in answer, (method, answer['error'])
+                return answer['result']
+            self.events.append(answer)
+
+    def receive(self):
+        """Return the next message."""
+        end = time.monotonic() + WAIT_S
+        while b'\0' not in self._buffer:
+            ready, _, _ = select.select([self._in], [], [], max(end - time.monotonic(), 0))
+            if not ready:
+                raise TimeoutError('The browser does not answer.')
+            data = os.read(self._in, 1 << 20)
+            if not data:
+                raise TimeoutError('The browser has gone away.')
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b'\0')
+        return json.loads(line)
+
+    def open(self, path, width, height=900, scheme='light', scripts=True):
+        """Open a file in a window of the given size in pixels."""
+        target = self.send('Target.createTarget', url='about:blank')['targetId']
+        session = self.send('Target.attachToTarget', targetId=target, flatten=True)['sessionId']
+        return Page(self, session, path, width, height, scheme, scripts)
+
+
+class Page:
+    """One page, loaded."""
+
+    def __init__(self, browser, session, path, width, height, scheme, scripts):
+        self._browser, self._session = browser, session
+        for domain in ('Page', 'Runtime', 'Log', 'Network'):
+            self.send(f'{domain}.enable')
+        self.send('Emulation.setScriptExecutionDisabled', value=not scripts)
+        self.send('Emulation.setDeviceMetricsOverride', width=width, height=height,
+                  deviceScaleFactor=1, mobile=width < 600)
+        self.media('screen', scheme)
+        browser.events.clear()
+        self.send('Page.navigate', url=Path(path).absolute().as_uri())
+        while not any(e.get('method') == 'Page.loadEventFired' for e in self._mine()):
+            browser.events.append(browser.receive())
+        if scripts:
+            self.frames(2)
+
+    def _mine(self):
+        return [e for e in self._browser.events if e.get('sessionId') == self._session]
+
+    def send(self, method, **parameters):
+        return self._browser.send(method, self._session, **parameters)
+
+    def media(self, kind, scheme='light'):
+        self.send('Emulation.setEmulatedMedia', media=kind, features=[
+            {'name': 'prefers-color-scheme', 'value': scheme}])
+
+    def frames(self, count=1):
+        """Wait until so many frames have been drawn."""
+        self.evaluate('new Promise(done => { let n = %d; const next = () => n-- ? '
+                      'requestAnimationFrame(next) : done(1); next(); })' % count)
+
+    def evaluate(self, expression):
+        """Return the value of an expression in the page."""
+        answer = self.send('Runtime.evaluate', expression=expression, returnByValue=True,
+                           awaitPromise=True)
+        assert 'exceptionDetails' not in answer, answer['exceptionDetails']
+        return answer['result'].get('value')
+
+    @property
+    def complaints(self):
+        """Exceptions, errors, warnings and messages of the console, broken policy included."""
+        self.evaluate('1')
+        return [e['params'] for e in self._mine() if e['method'] in (
+            'Runtime.exceptionThrown', 'Runtime.consoleAPICalled', 'Log.entryAdded')]
+
+    @property
+    def requests(self):
+        """Addresses that were asked for."""
+        return [e['params']['request']['url'] for e in self._mine()
+                if e['method'] == 'Network.requestWillBeSent']
+
+    def screenshot(self, full=False):
+        clip = {}
+        if full:
+            height = self.evaluate('document.documentElement.scrollHeight')
+            width = self.evaluate('innerWidth')
+            clip = {'clip': {'x': 0, 'y': 0, 'width': width, 'height': height, 'scale': 1}}
+        return base64.b64decode(self.send('Page.captureScreenshot', captureBeyondViewport=full,
+                                          **clip)['data'])
+
+    def pdf(self):
+        self.media('print')
+        return base64.b64decode(self.send('Page.printToPDF', printBackground=True,
+                                          preferCSSPageSize=True, paperWidth=8.27,
+                                          paperHeight=11.69)['data'])
+
+    def mouse(self, kind, x, y, **more):
+        self.send('Input.dispatchMouseEvent', type=kind, x=x, y=y, **more)
+
+
+@pytest.fixture(scope='module')
+def browser():
+    """Start the browser once."""
+    path = find_chromium()
+    if path is None:
+        pytest.skip('There is no Chromium here (looked for $CHROMIUM and the names '
+                    f'{", ".join(NAMES)}); install the package chromium to look at the page.')
+    with Chromium(path) as chromium:
+        yield chromium
+
+
+@pytest.fixture(scope='module')
+def images(sequence):
+    """Return what opens the images of the sequence: noise, of its size."""
+    rng = np.random.default_rng(2)
+
+    class Source:
+        kind = 'images'
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def __iter__(self):
+            width, height = sequence.tracks.image_size
+            for index in range(6):
+                grey = cv2.resize(rng.integers(0, 255, (30, 40), dtype=np.uint8), (width, height))
+                yield type('Frame', (), {'index': index, 'image': grey, 'bgr': None})
+    return Source
+
+
+@pytest.fixture(scope='module')
+def report(tmp_path_factory, calibration, sequence, images):
+    return write_page(tmp_path_factory.mktemp('page') / 'report.html', calibration, 'as printed',
+                      'drive.mcap <b>' + 'long_name/' * 20, tracks=sequence.tracks,
+                      camera_name='front', open_frames=images)
+
+
+#: Elements that stick out of the window, and text in figures too small to read.
+STICKING_OUT = '''[...document.querySelectorAll('body *')].filter(e => {
+    const box = e.getBoundingClientRect();
+    return box.width && (box.right > innerWidth + 1 || box.left < -1)
+           && !e.closest('pre, svg, .equals');
+}).map(e => e.tagName + '.' + e.className)'''
+SMALLEST_TEXT_PX = '''Math.min(...[...document.querySelectorAll('svg.plot text')].filter(e =>
+    e.getBoundingClientRect().width).map(e => parseFloat(getComputedStyle(e).fontSize)
+    * Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b)))'''
+
+
+@pytest.mark.parametrize('width, scheme', [(1280, 'light'), (1280, 'dark'), (400, 'dark'),
+                                           (320, 'light')])
+def test_opens_without_a_complaint_and_fits(browser, report, width, scheme):
+    assert report.stat().st_size < 5e6
+    page = browser.open(report, width, scheme=scheme)
+    assert page.complaints == []
+    assert [url.partition(':')[0] for url in page.requests if not url.startswith('data:')] \
+        == ['file']
+    assert page.evaluate('document.documentElement.scrollWidth') <= width
+    assert page.evaluate(STICKING_OUT) == []
+    assert page.evaluate(SMALLEST_TEXT_PX) > (6 if width < 400 else 8)
+    colours = page.evaluate('[getComputedStyle(document.body).color, '
+                            'getComputedStyle(document.body).backgroundColor]')
+    ink, ground = (sum(map(int, c[4:-1].split(',')[:3])) for c in colours)
+    assert (ink > ground) == (scheme == 'dark') and abs(ink - ground) > 450
+    image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape[1] == width and image.std() > 10
+
+
+def test_the_scene_turns_and_zooms(browser, report):
+    page = browser.open(report, 1280)
+    page.evaluate('document.querySelector("canvas").scrollIntoView({block: "center", '
+                  'behavior: "instant"})')
+    page.frames(30)     # longer than the pause after which a wheel means the picture
+
+    def view():
+        page.frames(3)
+        return [float(v) for v in page.evaluate(
+            'document.querySelector("canvas").dataset.view').split()]
+
+    def picture():
+        return page.evaluate('document.querySelector("canvas").toDataURL()')
+    box = page.evaluate('(b => [b.left + b.width / 2, b.top + b.height / 2])'
+                        '(document.querySelector("canvas").getBoundingClientRect())')
+    before, seen = view(), picture()
+    page.mouse('mousePressed', *box, button='left', buttons=1, clickCount=1)
+    page.mouse('mouseMoved', box[0] + 80, box[1] + 16, button='left', buttons=1)
+    page.mouse('mouseReleased', box[0] + 80, box[1] + 16, button='left', clickCount=1)
+    turned = view()
+    assert turned[0] == pytest.approx(before[0] - 0.5, abs=1e-3)
+    assert turned[1] == pytest.approx(before[1] + 0.1, abs=1e-3)
+    assert turned[2] == before[2] and picture() != seen
+    page.mouse('mouseMoved', *box)
+    page.evaluate('new Promise(done => setTimeout(done, 300))')
+    page.mouse('mouseWheel', *box, deltaX=0, deltaY=-100)
+    assert view()[2] == pytest.approx(turned[2] * np.exp(-0.2), rel=1e-3)
+    page.evaluate('document.querySelector("canvas").focus()')
+    page.send('Input.dispatchKeyEvent', type='keyDown', key='ArrowLeft')
+    assert view()[0] == pytest.approx(turned[0] + 0.1, abs=1e-3)
+    page.evaluate('document.querySelector("button[value=behind]").click()')
+    assert view() == before
+    page.send('Emulation.setTouchEmulationEnabled', enabled=True)
+    page.send('Input.dispatchTouchEvent', type='touchStart',
+              touchPoints=[{'x': box[0], 'y': box[1], 'id': 0}])
+    page.send('Input.dispatchTouchEvent', type='touchMove',
+              touchPoints=[{'x': box[0] + 160, 'y': box[1], 'id': 0}])
+    page.send('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
+    assert view()[0] == pytest.approx(before[0] - 1, abs=0.15)
+    assert page.complaints == []
+
+
+SHOWN = '[...document.querySelectorAll("{}")].map(e => getComputedStyle(e).display != "none")'
+
+
+def test_without_scripts_and_in_print_there_is_a_still_picture(browser, report):
+    page = browser.open(report, 1280)
+    assert page.evaluate(SHOWN.format('#viewer canvas, #viewer .still')) == [True, False]
+    page.media('print', 'dark')
+    assert page.evaluate(SHOWN.format('#viewer canvas, #viewer .still')) == [False, True]
+    assert page.evaluate('getComputedStyle(document.body).color') == 'rgb(0, 0, 0)'
+    pdf = page.pdf()
+    assert pdf.startswith(b'%PDF') and 2 <= pdf.count(b'/Type /Page\n') <= 8
+    silent = browser.open(report, 400, scripts=False)
+    assert silent.evaluate(SHOWN.format('#viewer canvas, #viewer .still')) == [False, True]
+    assert silent.complaints == []
+
+
+def test_hostile_text_runs_nothing(browser, tmp_path, calibration, sequence):
+    hostile = ('</pre></script><script>window.harm = 1</script>'
+               '"\'><img src=x onerror="window.harm = 1"><svg onload="window.harm = 1">')
+    path = write_page(tmp_path / 'r.html', calibration, hostile, hostile, tracks=sequence.tracks,
+                      camera_name=hostile, notes=(hostile,))
+    page = browser.open(path, 1280)
+    assert page.evaluate('typeof window.harm') == 'undefined' and page.complaints == []
+    # were something to get through, the policy of the page would stop it
+    page.evaluate('document.body.insertAdjacentHTML("beforeend", '
+                  '"<img src=x onerror=\'window.harm = 1\'>")')
+    page.evaluate('new Promise(done => setTimeout(done, 200))')
+    assert page.evaluate('typeof window.harm') == 'undefined' and page.complaints
+
+
+def test_without_a_calibration(browser, tmp_path):
+    result = NotCalibrated('The camera did not rotate.', 'Drive curves.', 'translation',
+                           (1, 2, 3), CameraFacts(skew=0), {'fx': 'unobservable'}, 'selfcal 1')
+    page = browser.open(write_page(tmp_path / 'r.html', result, 'text'), 400)
+    assert page.complaints == [] and page.evaluate(STICKING_OUT) == []
+    assert page.evaluate('document.querySelector("h1").innerText') == 'Not calibrated'
