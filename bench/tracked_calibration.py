@@ -1,0 +1,67 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Calibration from the edges of a tracked object, against truth (thesis 8.2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import tempfile
+
+import numpy as np
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
+from selfcal_ros.synthetic.objects import tracked_object
+from selfcal_ros.synthetic.recordings import write_image_folder
+
+from bench.tables import Report
+
+#: Object, speed of its motion, distortion of the lens.
+CASES = (('cube', 2.0, ()), ('step_block', 2.0, ()), ('spool', 2.0, ()),
+         ('cube', 2.0, (-0.12, 0.05, 0, 0, 0)))
+IMAGES = 120
+FOCAL_SHARE, SIGMAS = 0.01, 3.0
+
+
+def run(report: Report, options) -> None:
+    """Print the camera that is found without any knowledge of it."""
+    images = options.runs or IMAGES
+    report.section('Calibration from a tracked object', f'{images} images 640x480, nothing known '
+                   'of the lens but square pixels; fx 520, principal point (328, 235).')
+    rows, worst, focal = [], 0.0, 0.0
+    for shape, speed, distortion in CASES:
+        recording = tracked_object(images, shape, distortion=distortion, speed=speed)
+        pose = (*recording.translations[0], *rotation_vector(recording.rotations[0]))
+        with tempfile.TemporaryDirectory() as folder:
+            result, _ = calibrate_tracked_object(
+                write_image_folder(recording, Path(folder) / 'images'), recording.model,
+                CameraFacts(aspect_ratio=1.0, skew=0.0,
+                            distortion='auto' if distortion else 'none'),
+                init=' '.join(map(str, pose)))
+        name = shape + (', distorted' if distortion else '')
+        if not result:
+            rows.append((name, str(result)[:60], '', '', '', ''))
+            worst = np.inf
+            continue
+        error = result.camera.parameters - recording.camera.parameters
+        sigma = np.array(list(result.sigma.values()))
+        judged = [0, 2, 3]
+        ratio = np.abs(error[judged]) / sigma[judged]
+        worst, focal = max(worst, ratio.max()), max(focal, abs(error[0] / 520))
+        rows.append((name, *(f'{error[k]:+.2f} ± {sigma[k]:.2f}' for k in judged),
+                     f'{ratio.max():.1f}', f'{result.noise_sigma_px:.3f}'))
+    report.table(('object', 'fx px', 'cx px', 'cy px', 'most sigmas', 'edge noise px'), rows)
+    report.say('')
+    report.verdict('focal length, worst', 100 * focal, 100 * FOCAL_SHARE, '%')
+    report.verdict('truth from the result, worst, in stated sigmas', worst, SIGMAS)
