@@ -26,8 +26,8 @@ from selfcal_ros.calibration.pair_tests import homography_cost
 from selfcal_ros.calibration.selection import verified
 from selfcal_ros.calibration.start import PairGeometry
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.geometry.fundamental import (eight_point, PairMatches, refine_general,
-                                              sampson_distance)
+from selfcal_ros.geometry.epipolar_distance import sampson_distance
+from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.ransac import ransac_inliers
 
 #: Every view is compared with so many successors.

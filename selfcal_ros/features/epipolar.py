@@ -25,7 +25,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from selfcal_ros.geometry.fundamental import PairMatches, refine_general, sampson_distance
+from selfcal_ros.geometry.epipolar_distance import sampson_distance
+from selfcal_ros.geometry.fundamental import PairMatches, refine_general
 
 #: Values of lambda that are tried; barrel distortion is negative.
 _DIVISION_GRID = (0.0, -0.02, -0.04, -0.07, -0.1, -0.14, -0.19, -0.25, -0.33, 0.03, 0.07)

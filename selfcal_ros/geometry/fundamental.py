@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, homogeneous,
+from selfcal_ros.geometry.projective import (completed_frame, cross_matrix,
                                              normalising_transform, small_rotation)
 from selfcal_ros.geometry.propagation import pair_influence, residual_slopes
 
@@ -118,56 +118,6 @@ class FundamentalEstimate:
         """Root mean square distance with m - p degrees of freedom."""
         spare = max(len(self.residuals) - self.degrees_of_freedom, 1)
         return float(np.sqrt((self.residuals ** 2).sum() / (2 * spare)))
-
-
-def epipolar_residuals(F, xy_a, xy_b) -> np.ndarray:
-    """
-    Signed distances of the symmetric epipolar error (A.2).
-
-    Parameters
-    ----------
-    F : array_like, shape (..., 3, 3)
-    xy_a, xy_b : array_like, shape (m, 2)
-
-    Returns
-    -------
-    ndarray, shape (..., m, 2)
-        Second image, first image; pixels.
-
-    """
-    a, b = homogeneous(np.asarray(xy_a, float)), homogeneous(np.asarray(xy_b, float))
-    F = np.asarray(F, float)
-    line_b, line_a = a @ np.swapaxes(F, -1, -2), b @ F
-    product = (line_b * b).sum(axis=-1)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return np.stack([product / np.hypot(line_b[..., 0], line_b[..., 1]),
-                         product / np.hypot(line_a[..., 0], line_a[..., 1])], axis=-1)
-
-
-def sampson_distance(F, xy_a, xy_b) -> np.ndarray:
-    """
-    Signed first-order distance of matches to the epipolar constraint.
-
-    Hartley and Zisserman, 2nd ed., eq. (11.9); x_b' F x_a = 0. For independent noise of one
-    sigma in every coordinate it has that sigma.
-
-    Parameters
-    ----------
-    F : ndarray, shape (3, 3)
-    xy_a, xy_b : ndarray, shape (m, 2)
-        Pixels.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Pixels.
-
-    """
-    line_b = xy_a @ F[:, :2].T + F[:, 2]
-    line_a = xy_b @ F[:2] + F[2]
-    product = (xy_b * line_b[:, :2]).sum(axis=1) + line_b[:, 2]
-    square = (line_b[:, :2] ** 2).sum(axis=1) + (line_a[:, :2] ** 2).sum(axis=1)
-    return product / np.sqrt(np.maximum(square, 1e-300))
 
 
 def pair_residuals(data: PairMatches, F, derivative: bool = False):

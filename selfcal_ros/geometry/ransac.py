@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.geometry.epipolar_distance import epipolar_residuals
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.fundamental import (eight_point, epipolar_residuals, PairMatches,
-                                              refine_general)
+from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform
 
 #: Hypotheses that are scored at a time.

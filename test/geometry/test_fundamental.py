@@ -15,7 +15,8 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry import fundamental, planar_batch, planar_pairs, projective, ransac
+from selfcal_ros.geometry import (epipolar_distance, fundamental, planar_batch, planar_pairs,
+                                  projective, ransac)
 from selfcal_ros.synthetic import scenes, special_scenes
 
 PAIRS = ((0, 1), (1, 2), (0, 2))
@@ -76,7 +77,7 @@ def test_residuals_are_distances_to_epipolar_lines(rng):
     line = projective.homogeneous(xy[0]) @ found.F.T
     distance = (line * projective.homogeneous(xy[1])).sum(1) / np.hypot(line[:, 0], line[:, 1])
     assert np.abs(found.residuals[:, 0]) == pytest.approx(np.abs(distance))
-    again = fundamental.epipolar_residuals(found.F, xy[0], xy[1])
+    again = epipolar_distance.epipolar_residuals(found.F, xy[0], xy[1])
     assert np.abs(again) == pytest.approx(np.abs(found.residuals))
 
 
