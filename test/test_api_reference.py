@@ -1,0 +1,52 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The reference of the Python interface can be made, and names what there is."""
+
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+import re
+
+import pytest
+
+import selfcal_ros
+
+DOCS = Path(__file__).resolve().parents[1] / 'docs'
+
+
+@pytest.fixture(scope='module')
+def make_api():
+    spec = spec_from_file_location('make_api', DOCS / 'make_api.py')
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def headings(text):
+    return re.findall(r'^#{2,3} (\S+)$', text, re.M)
+
+
+def test_the_reference_has_every_public_name_and_says_something_of_each(make_api, tmp_path):
+    assert make_api.main(['--output', str(tmp_path / 'api.md')]) == 0
+    text = (tmp_path / 'api.md').read_text(encoding='utf-8')
+    for name in selfcal_ros.__all__:
+        assert name.startswith('__') or name in headings(text)
+    for entry in re.split(r'^### ', text, flags=re.M)[1:]:
+        said = entry.split('```', 2)[2]
+        assert len(said.strip()) > 15, f'{entry.splitlines()[0]} has no docstring'
+    assert '0x' not in text and str(Path.home()) not in text
+
+
+def test_the_page_in_docs_names_what_there_is(make_api):
+    written = (DOCS / 'api.md').read_text(encoding='utf-8')
+    assert headings(written) == headings(make_api.page()), 'run: python docs/make_api.py'
