@@ -65,6 +65,11 @@ class ClassicCycle:
         self._weight[:] = 1
         self._reach[:] = self.options.search_most_px
 
+    def switch(self, basis: np.ndarray, camera_model: str) -> None:
+        """Go on with another basis of corrections, or another camera model."""
+        self.basis = basis
+        self.control.projection.become(camera_model)
+
     def measure(self, image: np.ndarray, predicted: ObjectState, spread=None) -> Measured:
         """Search from the predicted state and correct it once."""
         options, control = self.options, self.control
@@ -145,7 +150,7 @@ class ClassicCycle:
         if not determined:
             return Measured(predicted, np.eye(len(g)), False, view, offset, found,
                             np.zeros((0, 2)), share, False, False,
-                            'The edges found do not determine the pose.')
+                            np.inf, 'The edges found do not determine the pose.')
         q = np.linalg.solve(H, g)
         control = self.control
         state = control.projection.moved(predicted, self.basis @ q)
@@ -155,8 +160,10 @@ class ClassicCycle:
         # weights are confidence, not precision: the spread is that of the weighted mean
         inverse = np.linalg.inv(H)
         covariance = sigma**2 * inverse @ ((rows * (w * w)[:, None]).T @ rows) @ inverse
+        focal = np.sqrt((self.basis @ covariance @ self.basis.T)[6, 6]) if (
+            control.projection.model == 'zoom') else 0.0
         return Measured(state, covariance, False, after, residual, found, np.zeros((0, 2)), share,
-                        True, share >= self.options.tracking_share)
+                        True, share >= self.options.tracking_share, float(focal))
 
     def _remember(self, view, offset, found):
         """Stability weights, and the search range of each primitive (8 to 24 px)."""

@@ -139,6 +139,8 @@ class Measured:
         Whether the measurement determines all of the correction.
     certain : bool
         Whether it would do to recognise an object that was lost.
+    focal_sigma : float
+        Relative standard deviation of the focal length from this image alone (zoom).
     reason : str
         Why not, or why the share is low; one sentence.
 
@@ -154,4 +156,5 @@ class Measured:
     share: float
     determined: bool
     certain: bool = False
+    focal_sigma: float = 0.0
     reason: str = ''

@@ -95,6 +95,12 @@ class ModernCycle:
         self.texture.forget()
         self._views.forget()
 
+    def switch(self, basis: np.ndarray, camera_model: str) -> None:
+        """Go on with another basis of corrections, or another camera model."""
+        self.basis = basis
+        self.projection.become(camera_model)
+        self._pinhole.become(camera_model)
+
     def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool):
         """
         Propose other states, one at a time, the cheapest first.
@@ -378,14 +384,30 @@ class ModernCycle:
         alike = found[at] & _alike(contrast, self._contrast[view.ids[at]])
         edges = float(alike.mean()) if len(at) else 0.0
         share, certain = self._confirmation(edges, matches, agree)
-        scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-        determined = bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
+        determined = self._determined(information)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         self._latest = (region, at, found, contrast, view, matches, agree, edges)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
-                        determined, certain=certain)
+                        determined, certain, self._focal_sigma(information, determined))
+
+    def _determined(self, information) -> bool:
+        """Whether one image determines the pose; the focal length may stay open."""
+        if self.projection.model == 'zoom':
+            information = (self.basis @ information @ self.basis.T)[:6, :6]
+        scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+        return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
+
+    def _focal_sigma(self, information, determined) -> float:
+        """Relative standard deviation of the focal length from one image."""
+        if self.projection.model != 'zoom':
+            return 0.0
+        if not determined:
+            return float('inf')
+        row = self.basis[6]
+        floor = np.diag(1e-9 * np.diagonal(information) + 1e-12)
+        return float(np.sqrt(row @ np.linalg.solve(information + floor, row)))
 
     def _confirmation(self, edges: float, matches, agree) -> tuple[float, bool]:
         """

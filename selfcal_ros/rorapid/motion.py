@@ -129,6 +129,11 @@ class PlaneLearner:
         self._turns = np.zeros((3, 3))
         self._noise = np.zeros(2)
 
+    @property
+    def count(self) -> int:
+        """Number of poses so far."""
+        return self._count
+
     def add(self, rotation: np.ndarray, translation: np.ndarray, covariance: np.ndarray) -> None:
         """Take in a pose and its covariance (6, 6), (theta, Delta)."""
         if self._first is None:

@@ -100,11 +100,16 @@ class Projection:
 
     def __init__(self, camera: Camera, model: str = 'perspective'):
         """Take the pixel map of the camera apart."""
-        self.camera, self.model = camera, model
-        self.size = {'perspective': 6, 'weak': 6, 'zoom': 7, 'affine': 8}[model]
+        self.camera = camera
+        self.become(model)
         self._pixel = camera.K[:2, :2].copy()
         self._centre = camera.K[:2, 2].copy()
         self._distorted = bool(camera.distortion.any())
+
+    def become(self, model: str) -> None:
+        """Take another camera model."""
+        self.model = model
+        self.size = {'perspective': 6, 'weak': 6, 'zoom': 7, 'affine': 8}[model]
 
     def project(self, state: ObjectState, points: np.ndarray) -> ProjectedPoints:
         """

@@ -43,7 +43,7 @@ class TrackedFrame:
     ----------
     state : TrackerState
     reason : str
-        One sentence; empty while TRACKING.
+        One sentence; empty while TRACKING as asked for.
     rotation : ndarray, shape (3, 3)
     translation : ndarray, shape (3,)
         Pose of the object in the camera's optical frame, X = R Xm + T, metres.

@@ -33,8 +33,8 @@ from selfcal_ros.rorapid.visibility import VisibleModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Uncertainty of a first guess: share of the distance, and radians.
-_START_SHARE, _START_RAD = 0.02, 0.05
+#: Uncertainty of a first guess: share of the distance, diameters across, and radians.
+_START_SHARE, _START_DIAMETERS, _START_RAD = 0.02, 0.1, 0.05
 #: Unknown first velocity: diameters of the object, and radians, per second.
 _START_SPEED, _START_TURN = 2.0, 1.0
 #: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
@@ -43,6 +43,10 @@ _PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 _DAMPING = 0.3
 #: Random walk of what a restricted motion does not change, per square root of a second.
 _WANDER_RAD, _WANDER_DIAMETERS = 2e-3, 1e-3
+#: The plane of motion is learned when its normal is known so well, from so many poses.
+_PLANE_RAD, _PLANE_POSES = 0.005, 30
+#: Zoom is left when so many images in a row leave the focal length open by this share.
+_ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -80,20 +84,24 @@ class RorapidTracker:
         options = self.options
         self._camera_model = camera_model
         self._projection = Projection(self.camera, camera_model)
-        motion = options.motion
-        if motion == 'planar' and self._axis is None:
-            motion = 'general'                # until the plane is learned
-        self._motion = motion
-        self._basis = motion_basis(motion, self._projection.size, self._axis)
-        self._free = self._basis.shape[1]
-        if options.method == 'modern':
-            # what the motion does not change is estimated all the same, from all images
-            self._basis = completed(self._basis)
+        self._lay_basis()
         size = (self.camera.width or 1 << 30, self.camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
         cycle = ModernCycle if options.method == 'modern' else ClassicCycle
         self._cycle = cycle(self._control, self._basis, options, self._rng)
         self._seeks = options.method == 'modern' and options.recovery
+
+    def _lay_basis(self) -> None:
+        """Lay out the corrections that motion and camera model allow."""
+        options = self.options
+        motion = options.motion
+        if motion == 'planar' and self._axis is None:
+            motion = 'general'                # until the plane is learned
+        self._basis = motion_basis(motion, self._projection.size, self._axis)
+        self._free = self._basis.shape[1]
+        if options.method == 'modern':
+            # what the motion does not change is estimated all the same, from all images
+            self._basis = completed(self._basis)
 
     @property
     def state(self) -> TrackerState:
@@ -104,6 +112,12 @@ class RorapidTracker:
         """Forget pose, texture and plane; a new start is needed."""
         self._cycle.reset()
         self._plane.reset()
+        self._axis = self.options.plane_axis
+        if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
+            self._camera_model = self.options.camera_model
+            self._projection.become(self._camera_model)
+            self._lay_basis()
+            self._cycle.switch(self._basis, self._camera_model)
         self._filter = None
         self._state = TrackerState.LOST
         self._stamp_ns = None
@@ -139,7 +153,10 @@ class RorapidTracker:
             raise ArgumentError('The start pose puts the object behind the camera (z is not '
                                 'positive).')
         if covariance is None:
-            spread = np.diag([_START_RAD**2] * 3 + [(_START_SHARE * centred[2])**2] * 3)
+            # a guess is right to some pixels, however far away the object is
+            depth = _START_SHARE * centred[2]
+            lateral = min(depth, _START_DIAMETERS * self.model.diameter_m)
+            spread = np.diag(np.square([_START_RAD] * 3 + [lateral, lateral, depth]))
         else:
             spread = np.asarray(covariance, float)
             if spread.shape != (6, 6) or not np.isfinite(spread).all():
@@ -151,7 +168,7 @@ class RorapidTracker:
         state = self._projection.from_pose(rotation, centred)
         self._start_filter(state, spread)
         self._state = TrackerState.INITIALISING
-        self._misses, self._stamp_ns, self._good = 0, None, None
+        self._misses, self._open, self._stamp_ns, self._good = 0, 0, None, None
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
@@ -250,6 +267,36 @@ class RorapidTracker:
             sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
         return (self._basis.T * sigma**2) @ self._basis
 
+    def _adapt(self, measured: Measured) -> None:
+        """Learn the plane of motion; leave a zoom that the images leave open."""
+        if self.options.motion == 'planar' and self._axis is None:
+            state, B = self._filter.state, self._basis
+            self._plane.add(state.rotation, state.translation,
+                            (B @ self._filter.spread @ B.T)[:6, :6])
+            plane = self._plane.plane()
+            if plane.sigma_rad < _PLANE_RAD and self._plane.count >= _PLANE_POSES:
+                self._axis = plane.axis
+                self._switch(self._camera_model)
+        if self._camera_model == 'zoom':
+            self._open = self._open + 1 if measured.focal_sigma > _ZOOM_OPEN else 0
+            if self._open >= _ZOOM_FRAMES:
+                self._switch('weak')
+
+    def _switch(self, camera_model: str) -> None:
+        """Go on from the same pose with another basis of corrections."""
+        kalman, old = self._filter, self._basis
+        full, velocity = old @ kalman.spread @ old.T, old @ kalman.velocity
+        self._camera_model = camera_model
+        self._projection.become(camera_model)
+        self._lay_basis()
+        self._cycle.switch(self._basis, camera_model)
+        self._start_filter(kalman.state, full[:6, :6])
+        B, size = self._basis, self._projection.size
+        m = B.shape[1]
+        self._filter.covariance[:m, :m] = B.T @ full[:size, :size] @ B + 1e-12 * np.eye(m)
+        self._filter.velocity = B.T @ velocity[:size]
+        self._filter.velocity[self._free:] = 0
+
     def _grey(self, image):
         """Check an image and make it grey."""
         image = np.asarray(image)
@@ -290,6 +337,7 @@ class RorapidTracker:
                 self._filter.absorb(measured.state, measured.covariance)
             else:
                 self._filter.update(measured.state, measured.covariance)
+            self._adapt(measured)
             tracking = measured.share >= options.tracking_share
             self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
             self._good = measured.state
@@ -297,6 +345,9 @@ class RorapidTracker:
                 self._cycle.remember(measured, tracking or measured.certain)
             reason = '' if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
+            if tracking and self._camera_model != options.camera_model:
+                reason = ('Focal length and distance cannot be told apart in these views; weak '
+                          'perspective is used with the last focal length.')
         else:
             self._misses += 1
             if not lost and self._misses >= options.frames_to_lost:
