@@ -80,13 +80,16 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     # the recording was installed: the demo did not find it in the repository
     assert (tmp_path / 'venv' / 'share' / 'selfcal_ros' / 'bags' / 'agv_drive').is_dir()
     assert (tmp_path / 'venv' / 'share' / 'selfcal_ros' / 'bags' / 'arm_move').is_dir()
+    for name in ('tracked_object/metadata.yaml', 'tracked_object.model.yaml',
+                 'tracked_object.camera.yaml', 'tracked_object.pos'):
+        assert (tmp_path / 'venv' / 'share' / 'selfcal_ros' / 'bags' / name).is_file()
     content = json.loads((tmp_path / 'selfcal_demo' / 'result.json').read_text(encoding='utf-8'))
     assert abs(content['camera']['fx'] - 520) < 0.002 * 520
     # what ros2 run, launch and ament look for
     prefix = tmp_path / 'venv'
     assert (prefix / 'share/ament_index/resource_index/packages/selfcal_ros').is_file()
     assert (prefix / 'share/selfcal_ros/package.xml').is_file()
-    for name in ('agv', 'arm'):
+    for name in ('agv', 'arm', 'track'):
         assert (prefix / f'share/selfcal_ros/launch/{name}.launch.py').is_file()
     assert (prefix / 'share/selfcal_ros/config/fastdds.xml').is_file()
     shims = prefix / 'lib' / 'selfcal_ros'

@@ -15,9 +15,11 @@
 
 from msg_adapters.diagnostics import (diagnostics_message, status_level, status_message, STALE,
                                       WARN)
-from msg_adapters.markers import delete_markers, path_markers, structure_markers
+from msg_adapters.markers import (delete_markers, object_markers, path_markers,
+                                  structure_markers)
 from msg_adapters.poses import (camera_poses, path_message, pose_covariance, pose_matrix,
-                                pose_message, pose_stamped_message, pose_with_covariance_message)
+                                pose_message, pose_stamped_message, pose_with_covariance_message,
+                                transform_message)
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -124,3 +126,25 @@ def test_structure_and_deletion(types, header):
     marker, = structure_markers(points, header, types).markers
     assert [(p.x, p.y, p.z) for p in marker.points] == [(1, 2, 3)]
     assert delete_markers(header, types).markers[0].action == 3
+
+
+def test_a_wireframe_is_drawn_at_its_pose(types, header):
+    segments = np.random.default_rng(4).normal(size=(5, 2, 3))
+    pose = random_poses(1)[0]
+    marker, = object_markers(segments, pose, header, types, (0.1, 0.6, 0.4), 0.002, 1.5).markers
+    points = np.array([[p.x, p.y, p.z] for p in marker.points])
+    # a list of lines: two points each, in the frame of the object
+    assert (marker.type, len(points)) == (5, 10)
+    assert np.allclose(points, segments.reshape(-1, 3))
+    assert np.allclose(pose_matrix(marker.pose)[:3], pose)
+    assert (marker.lifetime.sec, marker.lifetime.nanosec) == (1, 500_000_000)
+    assert marker.color.a == 1.0 and marker.scale.x == 0.002
+
+
+def test_a_transform_is_its_pose(types, header):
+    pose = random_poses(1)[0]
+    msg = transform_message(pose, header, 'object', types)
+    q, t = msg.transform.rotation, msg.transform.translation
+    assert np.allclose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), pose[:, :3])
+    assert np.allclose([t.x, t.y, t.z], pose[:, 3])
+    assert msg.child_frame_id == 'object' and msg.header.frame_id == header.frame_id
