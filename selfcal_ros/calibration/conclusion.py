@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.advice import say, suggest_motions
 from selfcal_ros.calibration.dependence import stretch_note
+from selfcal_ros.calibration.identifiability import identify
 from selfcal_ros.calibration.lens_field import find_lens_field
 from selfcal_ros.calibration.model_choice import dependence_of, Model
 from selfcal_ros.calibration.motion import describe_path
@@ -32,6 +34,9 @@ from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
 #: A larger share of outliers than this, and the rest proves nothing.
 MOST_OUTLIERS = 1 / 3
+#: A calibration whose weakest direction has more than this share of the sigma that would make it
+#: unobservable comes with advice.
+WEAK = 0.05
 
 
 def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
@@ -72,7 +77,16 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
             # without rotation a small sigma is an accident of a wrong optimum
             status = {name: 'held' if name in held else 'unobservable' for name in status}
         reason, advice = path.explain(missing, camera, facts)
-        return NotCalibrated(reason, advice, path.motion, frames, facts, status)
+        names = tuple(missing) or tuple(n for n in ('fx', 'cx', 'cy') if n not in held)
+        better = say(suggest_motions(model.fit, problem.size, names, model.share), names)
+        return NotCalibrated(reason, f'{advice} {better}'.strip(), path.motion, frames, facts,
+                             status)
+    estimated = tuple(name for name in status if status[name] == 'estimated')
+    known = identify(model.fit, problem.size, estimated)
+    if known.weakest_share > WEAK:
+        names = tuple(n for n in known.weakest if n in ('fx', 'fy', 'cx', 'cy', 'skew'))
+        notes += tuple(filter(None, [say(suggest_motions(model.fit, problem.size, names,
+                                                         model.share), names)]))
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
         facts=facts, frames=frames, reprojection_rms_px=rms,
@@ -81,7 +95,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
         reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
                                       fit.observations.track, state.points),
         fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
-        notes=path.notes + notes, residuals=residuals)
+        notes=path.notes + notes, residuals=residuals, identifiability=known)
 
 
 def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:

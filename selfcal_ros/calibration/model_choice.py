@@ -51,6 +51,8 @@ class Model:
         Covariance of the internal parameters beyond that from the curvature at the optimum.
     turned : bool
         Whether the images show a rotation.
+    share : float
+        Of all observations that the fit uses.
 
     """
 
@@ -60,6 +62,7 @@ class Model:
     stretches: tuple[float, np.ndarray]
     valley: np.ndarray
     turned: bool
+    share: float
 
 
 def first_fit(problem: Problem, observations: Observations, state: BundleState) -> Fit:
@@ -111,7 +114,8 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
     fit, valley = follow_valley(fit, problem.size, share)
     independent = fit.bundle.covariance(fit.state)[:9, :9]
     return Model(fit, facts, exact,
-                 stretch_excess(*leave_out_stretches(fit), independent, known), valley, turned)
+                 stretch_excess(*leave_out_stretches(fit), independent, known), valley, turned,
+                 share)
 
 
 def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) -> tuple[Fit, float]:

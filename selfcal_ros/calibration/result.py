@@ -70,6 +70,48 @@ class Reconstruction:
 
 
 @dataclass(frozen=True)
+class Identifiability:
+    """
+    Where the knowledge of each parameter comes from.
+
+    Attributes
+    ----------
+    from_images : dict of str to float
+        Share of the variance of every estimated parameter that the image noise causes; the rest
+        is the uncertainty of stated facts.
+    without : dict of str to dict of str to float
+        For every stated fact, the factor by which the sigma of each estimated parameter would
+        grow without it; infinite where the images alone leave the parameter unobservable.
+    weakest : dict of str to float
+        The direction of the parameters that is determined worst: one sigma along it, in the
+        units of the parameters.
+    weakest_share : float
+        Its length as a share of what makes a parameter unobservable.
+
+    """
+
+    from_images: dict
+    without: dict
+    weakest: dict
+    weakest_share: float
+
+    def sentences(self) -> tuple:
+        """Say it: what rests on which fact, and what is weakest."""
+        said = []
+        for fact, factors in self.without.items():
+            lost = [name for name, factor in factors.items() if not np.isfinite(factor)]
+            if lost:
+                said.append(f'Without the stated {fact}, the images would not determine '
+                            f'{", ".join(lost)}.')
+                continue
+            name = max(factors, key=factors.get)
+            if factors[name] > 2:
+                said.append(f'Without the stated {fact}, the sigma of {name} would be '
+                            f'{factors[name]:.2g} times as large.')
+        return tuple(said)
+
+
+@dataclass(frozen=True)
 class Calibration:
     """
     A calibrated camera with the uncertainty of every parameter; true in a condition.
@@ -97,6 +139,10 @@ class Calibration:
     notes : tuple of str
         What a user should know, one sentence each.
     software : str
+    residuals : ndarray, shape (N, 2), optional
+        Of the observations used, pixels.
+    identifiability : Identifiability, optional
+        What the images say and what the facts say.
 
     """
 
@@ -116,6 +162,7 @@ class Calibration:
     notes: tuple = ()
     software: str = ''
     residuals: np.ndarray | None = field(default=None, repr=False)
+    identifiability: Identifiability | None = field(default=None, repr=False)
 
     def __bool__(self) -> bool:
         """Be true: there is a calibration."""

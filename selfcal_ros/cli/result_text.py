@@ -74,6 +74,8 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         lines.append(f'{row}   {status}' + (f' by {held}' if held and status == 'held' else ''))
     lines += ['', facts_text(result.facts)]
     lines += list(result.notes) + list(notes)
+    if result.identifiability is not None:
+        lines += result.identifiability.sentences()
     return '\n'.join(lines)
 
 

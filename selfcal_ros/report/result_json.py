@@ -45,7 +45,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'status' ('calibrated' or 'not_calibrated'), 'reason', 'advice', 'motion', 'camera',
         'sigma', 'covariance' (9x9 in the order of 'parameter_names'), 'parameter_names',
         'parameters', 'held_by', 'frames', 'reprojection_rms_px', 'noise_sigma_px',
-        'observations', 'outliers', 'fixed_points', 'facts', 'notes', 'software'.
+        'observations', 'outliers', 'fixed_points', 'identifiability' ('from_images',
+        'without', 'weakest', 'weakest_share'; an infinite factor in 'without' is None), 'facts',
+        'notes', 'software'.
 
     """
     good = isinstance(result, Calibration)
@@ -69,10 +71,16 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'fixed_points': None if fixed is None else {
             'horizon': fixed.horizon, 'vanishing_point': fixed.vanishing_point,
             'circular_point': fixed.circular_point},
+        'identifiability': _identifiability(result) if good else None,
         'facts': dataclasses.asdict(result.facts),
         'notes': result.notes if good else (),
         'software': result.software,
     })
+
+
+def _identifiability(result: Calibration) -> dict | None:
+    known = result.identifiability
+    return None if known is None else dataclasses.asdict(known)
 
 
 def write_result_json(path, result: Calibration | NotCalibrated) -> Path:
