@@ -26,8 +26,6 @@ from selfcal_ros.rorapid.robust import (case_deletion, ransac_conics, ransac_lin
 
 #: Edgels are not known better than this, pixels.
 _LEAST_SIGMA_PX = 0.3
-#: RAPiD has no adaptive range; it searches so far between the two bounds.
-_FIXED_SHARE = 0.5
 
 
 class ClassicCycle:
@@ -45,12 +43,12 @@ class ClassicCycle:
     """
 
     def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
-        """Start with full weights and the widest search."""
+        """Start with full weights and the nearest search; it widens where nothing is found."""
         self.control, self.basis, self.options, self.rng = control, basis, options, rng
         self.robust = options.method == 'rorapid'
         primitives = len(control.is_conic)
         self._weight = np.ones(control.size)
-        self._reach = np.full(primitives, float(options.search_most_px))
+        self._reach = np.full(primitives, float(options.search_least_px))
         self._least = np.where(control.is_conic, options.least_per_conic, options.least_per_line)
         # place of each control point in its primitive
         counts = np.where(control.is_conic, options.control_points_per_conic,
@@ -63,7 +61,7 @@ class ClassicCycle:
     def reset(self) -> None:
         """Forget weights and ranges."""
         self._weight[:] = 1
-        self._reach[:] = self.options.search_most_px
+        self._reach[:] = self.options.search_least_px
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
@@ -74,9 +72,9 @@ class ClassicCycle:
         """Search from the predicted state and correct it once."""
         options, control = self.options, self.control
         view = control.view(predicted)
-        low, high = options.search_least_px, options.search_most_px
+        # RAPiD has no adaptive range: the smaller bound, where fewest wrong edges are
         reach = self._reach if self.robust else np.full_like(
-            self._reach, low + _FIXED_SHARE * (high - low))
+            self._reach, options.search_least_px)
         at = np.flatnonzero(view.searched)
         offset = np.full(len(view.ids), np.nan)
         if len(at):
