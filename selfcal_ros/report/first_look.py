@@ -26,6 +26,8 @@ from selfcal_ros.report.wording import with_sigma
 
 #: Where a parameter is from, by its status.
 ORIGINS = {'estimated': 'images', 'held': 'fact', 'unobservable': 'unknown'}
+#: A camera that is so many times less certain than one image point can be improved with ease.
+MUCH_MORE = 3.0
 #: The entries of K, rows first; None: zero or one by definition.
 _K = (('fx', 'skew', 'cx'), (None, 'fy', 'cy'), (None, None, None))
 
@@ -93,23 +95,33 @@ def grade(result) -> str:
 
 
 def quality(result: Calibration) -> str:
-    """Say in a sentence or two how well the camera projects, measured by the images' noise."""
+    """Say in a sentence or two how well the camera projects: in pixels, and far ahead."""
     found = projection_sigmas(result)
     if found is None:
         return ''
     median, worst = found
-    sentence = ('It says where a point of the scene is in the image to '
-                f'± {px_text(median)} (one σ, median over the image), ± {px_text(worst)} at worst')
+    focal_px = float(np.sqrt(abs(result.camera.K[0, 0] * result.camera.K[1, 1])))
+    near, far = (_length_text(10 * sigma / focal_px) for sigma in found)
+    sentence = (f'It places a point of the scene in the image to ± {px_text(median)} in the '
+                f'median and ± {px_text(worst)} at worst (one σ): ± {near} and ± {far} sideways '
+                'at 10 m.')
     noise = result.noise_sigma_px
     if not noise > 0 or not np.isfinite(noise):
-        return sentence + '.'
-    point = f'a single image point is measured to ± {px_text(noise)}'
-    if worst <= noise:
-        return sentence + f'; {point}, so the camera is not what limits a measurement.'
-    if median <= noise:
-        return sentence + f'; {point}, so the camera limits a measurement near the border only.'
-    return sentence + (f'; {point}, so the camera limits every measurement: more views, more '
-                       'rotation and points near the border would help.')
+        return sentence
+    sentence += f' A single image point was measured to ± {px_text(noise)}'
+    if median > MUCH_MORE * noise:
+        sentence += (', so there is room: more views, more rotation and points near the border '
+                     'would make the camera more certain')
+    return sentence + '.'
+
+
+def _length_text(metres: float) -> str:
+    """Write a length with two digits, in the unit that suits it."""
+    for unit, size in (('m', 1.0), ('cm', 0.01), ('mm', 0.001)):
+        if metres >= size or unit == 'mm':
+            break
+    text = px_text(metres / size).removesuffix(' px')
+    return f'{text} {unit}'
 
 
 def px_text(value: float) -> str:

@@ -109,24 +109,30 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | N
     if open_frames is not None:
         pictures, colours = pictures_and_colours(result, tracks, open_frames)
     scene = scene_of(result, tracks, colours)
+    from selfcal_ros.report.scene_figure import scene_figure
     shown = [{'picture': picture, 'data': base64.b64encode(picture.jpeg).decode('ascii')}
              for picture in pictures]
     if scene is None:
         return shown, None
     return shown, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
-                   'points': len(scene.points), 'path': scene.path}
+                   'points': len(scene.points), 'path': scene.path,
+                   'still': _drawn([scene_figure(scene)])['still']}
 
 
 def _drawings(result, tracks) -> dict:
     """Return the figures as elements of a page, by name."""
     # Matplotlib takes a while to load, and most runs write no page
     from selfcal_ros.report.figures import draw_figures
+    return _drawn(draw_figures(result, tracks))
+
+
+def _drawn(drawings) -> dict:
     from selfcal_ros.report.inline_svg import inline_svg
     return {drawing.name: {
         'name': drawing.name, 'title': drawing.title, 'caption': drawing.caption,
         'panels': [inline_svg(svg, f'{drawing.name}-{k}', drawing.title)
                    for k, svg in enumerate(drawing.svgs(words=True))]
-    } for drawing in draw_figures(result, tracks)}
+    } for drawing in drawings}
 
 
 def _script() -> Markup:
@@ -146,7 +152,7 @@ def _policy(script: str | None) -> str:
 
 def _unbroken(sentence: str) -> str:
     """Keep a number, its sigma and its unit on one line."""
-    for words in (' ± ', ' px', ' = ', '± '):
+    for words in (' ± ', ' px', ' = ', '± ', ' mm', ' cm', ' 10 m'):
         sentence = sentence.replace(words, words.replace(' ', '\u00a0'))
     return sentence
 
@@ -159,7 +165,7 @@ def _environment() -> Environment:
 
 def _numbers(result: Calibration | NotCalibrated) -> list[tuple[str, str]]:
     """Return the numbers that say on what the result rests, with their names."""
-    numbers = [('motion', result.motion), ('views', str(len(result.frames)))]
+    numbers = [('motion', result.motion.replace('-', ' ')), ('views', str(len(result.frames)))]
     if result:
         total = result.observation_count + result.outlier_count
         share = 100 * result.outlier_count / max(total, 1)

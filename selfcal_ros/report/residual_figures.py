@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from matplotlib.colors import LinearSegmentedColormap
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
@@ -24,6 +25,8 @@ from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_hei
 
 #: Cells along the longer side of the image.
 RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
+#: From what chance leaves to what it does not, to be seen on light and on dark paper.
+_SURPRISE = LinearSegmentedColormap.from_list('surprise', ['#9aa3ad', '#d98a1e', '#d4213d'])
 #: A cell with fewer residuals has no mean worth drawing.
 LEAST_IN_CELL = 5
 
@@ -119,20 +122,19 @@ def _field(axes, result: Calibration, xy, residual) -> None:
     place = np.stack([np.bincount(index, xy[:, k], minlength=len(count))
                       for k in (0, 1)], axis=1)[keep] / count[keep, None]
     length = np.linalg.norm(mean, axis=1)
-    # a round factor that makes the long arrows about a cell long
-    raw = side / max(float(np.percentile(length, 90)), 1e-12)
-    scale = _round_down(raw)
+    # most arrows stay within their cell
+    scale = side / max(float(np.percentile(length, 80)), 1e-12)
     # what chance alone leaves of the mean of so many residuals
     chance = np.std(residual) * np.sqrt(2 / count[keep])
     arrows = axes.quiver(place[:, 0], place[:, 1], mean[:, 0], mean[:, 1], length / chance,
-                         angles='xy', scale_units='xy', scale=1 / scale, cmap='viridis_r',
-                         clim=(0, 4), width=0.004)
+                         angles='xy', scale_units='xy', scale=1 / scale, cmap=_SURPRISE,
+                         clim=(0, 4), width=0.005)
     bar = axes.figure.colorbar(arrows, ax=axes, location='bottom', shrink=0.6,
                                aspect=35, pad=0.02, extend='max')
     bar.set_label('length / expected from noise')
     sample = _round_down(side / scale)
-    axes.quiverkey(arrows, 0.86, 1.035, sample, f'{sample:g} px', labelpos='E', color=INK,
-                   fontproperties={'size': 8})
+    axes.quiverkey(arrows, 0.82, 1 - 0.1 / axes.figure.get_figheight(), sample, f'{sample:g} px',
+                   labelpos='E', color=INK, coordinates='figure', fontproperties={'size': 8})
     axes.set_title('Mean residual in cells')
 
 

@@ -28,6 +28,8 @@ import pytest
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.report.first_look import (distortion, grade, matrix, projection_sigmas, px_text,
+                                           quality)
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
@@ -80,8 +82,13 @@ def test_a_calibration(tmp_path, calibration, sequence):
     assert [p.name for p in tmp_path.iterdir()] == ['report.html']
 
 
-def test_the_page_needs_no_network_and_runs_its_own_script_alone(calibration, sequence):
-    html = page_html(calibration, 'text', tracks=sequence.tracks)
+@pytest.fixture(scope='module')
+def html(calibration, sequence):
+    """Return a page that has everything but images."""
+    return page_html(calibration, 'text', tracks=sequence.tracks)
+
+
+def test_the_page_needs_no_network_and_runs_its_own_script_alone(html):
     page = Reader(html)
     assert not {'link', 'iframe', 'object', 'base', 'form'} & set(page.tags)
     for name, value in page.attributes:
@@ -96,13 +103,12 @@ def test_the_page_needs_no_network_and_runs_its_own_script_alone(calibration, se
 
 
 def test_without_a_scene_there_is_no_script(calibration, sequence):
-    for html in (page_html(calibration, 'text'),
-                 page_html(replace(calibration, motion='rotation'), '', tracks=sequence.tracks)):
-        assert '<script' not in html and 'script-src' not in html and '<canvas' not in html
+    html = page_html(replace(calibration, motion='rotation'), '', tracks=sequence.tracks)
+    assert '<script' not in html and 'script-src' not in html and '<canvas' not in html
 
 
-def test_identifiers_of_figures_do_not_mix(calibration, sequence):
-    page = Reader(page_html(calibration, 'text', tracks=sequence.tracks))
+def test_identifiers_of_figures_do_not_mix(html):
+    page = Reader(html)
     names = [value for name, value in page.attributes if name == 'id']
     assert len(names) == len(set(names))
     for name, value in page.attributes:
@@ -112,8 +118,7 @@ def test_identifiers_of_figures_do_not_mix(calibration, sequence):
             assert set(used) <= set(names)
 
 
-def test_figures_take_the_colours_of_the_page(calibration, sequence):
-    html = page_html(calibration, 'text', tracks=sequence.tracks)
+def test_figures_take_the_colours_of_the_page(html):
     css = html[html.index('<style>'):html.index('</style>')]
     figures = ''.join(re.findall(r'<svg class="plot".*?</svg>', html, re.DOTALL))
     assert figures and not re.search('|'.join(VARIABLES), figures, re.IGNORECASE)
@@ -175,8 +180,6 @@ def test_pictures_show_used_and_rejected_tracks(calibration, sequence):
         assert 'M{:.1f} {:.1f}h0'.format(*place) in picture.rejected
         image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert max(image.shape) <= 720 and abs(int(image.mean()) - 40 * picture.frame) < 2
-    html = page_html(calibration, '', tracks=tracks, open_frames=Source)
-    assert html.count('data:image/jpeg;base64,') == 4
 
 
 def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):
@@ -246,3 +249,27 @@ def test_facts_with_their_spread():
                                     principal_point=(320, 240), principal_point_sigma_px=5))
     assert lines == ['aspect ratio fy / fx = 1 (σ = 0.01)', 'skew = 0 px (exact)',
                      'principal point = (320, 240) px (σ = 5 px)', 'distortion model: auto']
+
+
+def test_first_look_says_where_numbers_are_from_and_how_good_they_are(calibration):
+    status = {**calibration.status, 'cy': 'unobservable'}
+    rows = matrix(replace(calibration, status=status))
+    assert [[entry.origin for entry in row] for row in rows] == [
+        ['images', 'fact', 'images'], ['definition', 'images', 'unknown'], ['definition'] * 3]
+    assert (rows[0][0].value, rows[0][0].sigma) == ('900.0', '2.0')
+    assert [entry.origin for entry in distortion(calibration)] == ['images'] * 2 + ['fact'] * 3
+    assert (grade(calibration), grade(replace(calibration, status=status)),
+            grade(NotCalibrated('No.'))) == ('good', 'partial', 'bad')
+    # half a pixel everywhere, as a rotation hides none of a change of scale alone
+    one = replace(calibration, covariance=np.diag([4.0] + [0] * 8))
+    median, worst = projection_sigmas(one)
+    assert 0 < median < worst < 2 * 400 / 900 * 1.2
+    sentence = quality(one)
+    assert f'± {worst:.1f} px at worst' in sentence or f'± {worst:.2f} px at worst' in sentence
+    # a pixel is 10 m / 900 wide there
+    assert f'{1000 * worst * 10 / 900:.1f} mm' in sentence
+    assert 'there is room' in sentence
+    assert 'there is room' not in quality(replace(one, noise_sigma_px=1.0))
+    assert quality(replace(one, covariance=np.full((9, 9), np.inf))) == ''
+    assert [px_text(value) for value in (0, 0.0123, 0.5, 12.3, np.inf, np.nan)] == [
+        '0 px', '0.012 px', '0.50 px', '12 px', 'inf px', 'nan px']

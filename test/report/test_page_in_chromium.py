@@ -243,6 +243,7 @@ SMALLEST_TEXT_PX = '''Math.min(...[...document.querySelectorAll('svg.plot text')
                                            (320, 'light')])
 def test_opens_without_a_complaint_and_fits(browser, report, width, scheme):
     assert report.stat().st_size < 5e6
+    assert report.read_bytes().count(b'data:image/jpeg;base64,') == 4
     page = browser.open(report, width, scheme=scheme)
     assert page.complaints == []
     assert [url.partition(':')[0] for url in page.requests if not url.startswith('data:')] \

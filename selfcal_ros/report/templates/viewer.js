@@ -126,10 +126,10 @@
       if (p[2] > near()) { seen.push([p[2], k, ...toScreen(p)]); }
     }
     seen.sort((a, b) => b[0] - a[0]);
-    const large = Math.min(2.6, Math.max(1.5, 90 / Math.sqrt(count + 1)));
+    const large = Math.min(4, Math.max(1.5, 90 / Math.sqrt(count + 1)));
     context.fillStyle = colour.soft;
     for (const [depth, k, x, y] of seen) {
-      const side = Math.max(1.2, Math.min(5, large * now.distance / depth));
+      const side = Math.max(1.2, Math.min(scene.path ? 5 : 7, large * now.distance / depth));
       if (colours) {
         let [r, g, b] = colours.subarray(3 * k, 3 * k + 3);
         // paper-white and night-black points would not be seen on their ground
@@ -169,11 +169,18 @@
       context.lineWidth = 1.6;
       context.stroke();
     }
-    if (scene.path) { label(centre(0), 'first view'); label(centre(views - 1), 'last view'); }
+    if (scene.path) {
+      const first = label(centre(0), 'first view', 15);
+      // one above, the other below, where they would meet
+      const p = inEye(...centre(views - 1)), last = p[2] > near() && toScreen(p);
+      const meet = first && last && Math.abs(first[0] - last[0]) < 80
+        && Math.abs(first[1] - last[1]) < 22;
+      label(centre(views - 1), 'last view', meet ? -8 : 15);
+    }
   }
-  function label(place, text) {
+  function label(place, text, below) {
     const p = inEye(...place);
-    if (p[2] < near()) { return; }
+    if (p[2] < near()) { return null; }
     const [x, y] = toScreen(p);
     context.beginPath();
     context.arc(x, y, 3.2, 0, 7);
@@ -182,8 +189,9 @@
     context.font = '600 12px ' + getComputedStyle(figure).fontFamily;
     context.lineWidth = 4;
     context.strokeStyle = colour.card;
-    context.strokeText(text, x + 8, y + 15);
-    context.fillText(text, x + 8, y + 15);
+    context.strokeText(text, x + 8, y + below);
+    context.fillText(text, x + 8, y + below);
+    return [x, y];
   }
 
   // come as near as the picture allows, so that the path and most of the points fill it
@@ -288,7 +296,12 @@
     if (performance.now() - scrolled < 250) { return; }
     event.preventDefault();
     const pixels = event.deltaY * (event.deltaMode === 1 ? 16 : 1);
-    zoom(Math.exp(Math.min(Math.max(pixels, -200), 200) / 500));
+    const factor = Math.exp(Math.min(Math.max(pixels, -200), 200) / 500);
+    // what is under the pointer stays there
+    const box = canvas.getBoundingClientRect();
+    shift((factor - 1) * (event.clientX - box.left - width / 2),
+      (factor - 1) * (event.clientY - box.top - height / 2));
+    zoom(factor);
   }, { passive: false });
   const keys = {
     ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, 0.1),
