@@ -103,9 +103,14 @@ def _values(K) -> dict:
             'principal_point': K[:2, 2] / K[0, 0]}
 
 
-def mu_from_skew(C, ll) -> list[float]:
-    """Member without skew (5.7); none if the horizon is exactly level."""
-    return [-C[0, 1] / ll[0, 1]] if ll[0, 1] != 0 else []
+def mu_from_skew(C, ll, shear: float = 0.0) -> list[float]:
+    """
+    Member with the skew shear * fy; without it (5.7). None if the horizon is exactly level.
+
+    omega12 + shear omega11 = 0.
+    """
+    below = ll[0, 1] + shear * ll[0, 0]
+    return [-(C[0, 1] + shear * C[0, 0]) / below] if below != 0 else []
 
 
 def mu_from_aspect(C, ll, aspect_ratio: float) -> list[float]:
@@ -240,7 +245,18 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
 
 def _closed_form(name, C, ll, facts, T):
     if name == 'skew':
-        return mu_from_skew(C, ll)
+        shear, found = 0.0, []
+        # the skew is known in pixels but enters in focal lengths: a few rounds settle it
+        for _ in range(20 if facts.skew else 1):
+            found = mu_from_skew(C, ll, shear)
+            K = _camera(C, ll, found[0]) if found else None
+            if not isinstance(K, np.ndarray):
+                break
+            new = facts.skew * T[0, 0] / K[1, 1]
+            if abs(new - shear) < 1e-15:
+                break
+            shear = new
+        return found
     if name == 'aspect_ratio':
         return mu_from_aspect(C, ll, facts.aspect_ratio)
     return mu_from_principal_point(C, ll, (T @ [*facts.principal_point, 1.0])[:2])

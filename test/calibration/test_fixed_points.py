@@ -50,7 +50,7 @@ def test_exact_without_noise(rng, method, views):
 
 
 @pytest.mark.parametrize('facts', [
-    CameraFacts(aspect_ratio=1.1), CameraFacts(skew=5.0, aspect_ratio=1.1),
+    CameraFacts(aspect_ratio=1.1), CameraFacts(skew=5.0), CameraFacts(skew=5.0, aspect_ratio=1.1),
     CameraFacts(principal_point=(400, 300)),
     CameraFacts(principal_point=(400, 300), skew=5.0, aspect_ratio=1.1)])
 def test_every_fact_gives_the_camera_exactly(rng, facts):
