@@ -53,6 +53,8 @@ _SETTLE_ROUNDS, _STRONG = 4, 40.0
 _CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
 #: The contrast of an edge changes by this factor at the most while it is the same edge.
 _CHANGE = 2.5
+#: While lost, edges alone are searched in every so many images.
+_EDGE_SEARCH_EVERY = 3
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
 _WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
@@ -86,6 +88,7 @@ class ModernCycle:
         self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
+        self._turn = 0
         self._outline = np.asarray(model.extent, float) - control.centre
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
@@ -101,7 +104,7 @@ class ModernCycle:
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
-    def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool):
+    def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool, spread):
         """
         Propose other states, one at a time, the cheapest first.
 
@@ -112,6 +115,8 @@ class ModernCycle:
             Expected.
         everywhere : bool
             Search the whole image, not only around the expected state.
+        spread : ndarray, shape (m, m)
+            Covariance of where it may be.
 
         Yields
         ------
@@ -131,6 +136,10 @@ class ModernCycle:
         if everywhere:
             size = np.array(image.shape[::-1])
             yield from self._views.recognised(self._lens.part(image, 0 * size, size))
+            # without texture there are the edges alone; a slow search, and not in every image
+            self._turn += 1
+            if self._turn % _EDGE_SEARCH_EVERY == 0:
+                yield self._best_start(image, state, spread)
 
     def measure(self, image: np.ndarray, predicted: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -211,7 +220,10 @@ class ModernCycle:
         points, pixels = matches.object_points[good], matches.pixels[good]
         rows, residual = self._corner_rows(predicted, points, pixels)
         score = matches.score[good]
-        best = self._sample(rows, residual, prior, score)
+        if np.count_nonzero((residual**2).sum(axis=0) < _AGREE_PX**2) > 0.7 * len(good):
+            best = np.zeros(rows.shape[2])            # the prediction is right already
+        else:
+            best = self._sample(rows, residual, prior, score)
         if best is None:
             return predicted, agree
         state, m = predicted, self.basis.shape[1]
@@ -326,6 +338,10 @@ class ModernCycle:
         Measured
 
         """
+        return self.measure(image, self._best_start(image, guess, spread), spread)
+
+    def _best_start(self, image, guess, spread) -> ObjectState:
+        """Try starts around a guess; return the state with the strongest edges."""
         values, vectors = np.linalg.eigh(spread)
         shifts = vectors * np.sqrt(values)
         starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
@@ -343,7 +359,7 @@ class ModernCycle:
             score = self._edge_score(image, view)
             if score > best_score:
                 best, best_score = state, score
-        return self.measure(image, best, spread)
+        return best
 
     def _edge_score(self, image, view) -> float:
         """Strength of the edges that lie on the control points, grey levels."""

@@ -186,6 +186,9 @@ def tukey_weight(residual: np.ndarray, limit) -> np.ndarray:
 
 def robust_sigma(residual: np.ndarray, least: float) -> float:
     """Standard deviation from the median absolute residual, never below `least`."""
-    if not len(residual):
+    count = len(residual)
+    if not count:
         return least
-    return max(1.4826 * float(np.median(np.abs(residual))), least)
+    # np.median is slow on small arrays
+    middle = np.partition(np.abs(residual), count // 2)[count // 2]
+    return max(1.4826 * float(middle), least)

@@ -255,8 +255,9 @@ class TextureMemory:
         view = centre / np.linalg.norm(centre)
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
-            self._open = np.array([_seen_share(f, k, centre, self._triangles) > 0.6
-                                   for k, f in enumerate(self._faces)])
+            self._open = np.array([
+                slope > 0.5 * _LEAST_COSINE and _seen_share(f, centre, self._triangles) > 0.6
+                for slope, f in zip(cosine, self._faces)])
         self._visible = self._open & (cosine > _LEAST_COSINE)
         return self._visible
 
@@ -515,7 +516,7 @@ def _lay_frame(corners: np.ndarray) -> _Face:
                  corners, inner, whole)
 
 
-def _seen_share(face: _Face, index: int, camera: np.ndarray, triangles: np.ndarray) -> float:
+def _seen_share(face: _Face, camera: np.ndarray, triangles: np.ndarray) -> float:
     """Share of sample points of a face that no triangle hides from the camera."""
     rows, columns = np.nonzero(face.mask)
     if not len(rows):

@@ -245,7 +245,8 @@ class RorapidTracker:
 
     def _seek(self, image, measured: Measured, lost: bool) -> Measured:
         """Try other places for the object; return the measurement that is confirmed best."""
-        proposals = self._cycle.proposals(image, self._filter.state, lost)
+        proposals = self._cycle.proposals(image, self._filter.state, lost,
+                                          self._wide(self._filter.state))
         for state in proposals:
             other = self._cycle.measure(image, state, self._wide(state))
             if other.determined and (other.certain, other.share) > (
