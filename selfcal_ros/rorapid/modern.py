@@ -36,6 +36,8 @@ _AGREE_PX = 2.5
 _CERTAIN = 10
 #: With so many edges found the texture may be wrong.
 _EDGES_DO = 0.65
+#: An object is recognised by so many edges, if they look as they are remembered.
+_EDGES_CERTAIN = 0.75
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
@@ -437,16 +439,18 @@ class ModernCycle:
 
         """
         if matches is None or len(agree) < 2 * _LEAST_TEXTURE:
-            return float(edges), edges >= self.options.tracking_share
+            return float(edges), edges >= max(self.options.tracking_share, _EDGES_DO)
         count, followed = int(agree.sum()), int(matches.followed.sum())
         if count < _LEAST_TEXTURE or count < 0.4 * followed:
             # edges alone, where the texture says no
-            return (0.75 if edges > _EDGES_DO else 0.4) * float(edges), False
+            return ((0.75 if edges > _EDGES_DO else 0.4) * float(edges),
+                    edges > _EDGES_CERTAIN)
         share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
                     self.options.lost_share)
         if count < _CERTAIN and edges < 0.3:
             share *= 0.5
-        return float(share), count >= _CERTAIN and count >= 0.6 * followed
+        return float(share), edges > _EDGES_CERTAIN or (
+            count >= _CERTAIN and count >= 0.6 * followed)
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
