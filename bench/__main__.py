@@ -33,6 +33,7 @@ BENCHES = {
     'chapter6': 'thesis tables 6.2-6.13 and 6.20: lines, v, l and K of the closed form',
     'coverage': 'is the stated covariance of K true? 90 cells, 1000 runs each: hours',
     'si_degenerate': 'degenerate motions and scenes: right, or refused for the right reason',
+    'hard_scenes': 'sequences at the edge: never confidently wrong, never refused needlessly',
     'rendered_drive': 'rendered drive, images to K, beside COLMAP',
     'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
     'dinosaur': 'the turntable of vgg_dino: steps and fixed points',
