@@ -36,6 +36,8 @@ _AGREE_PX = 2.5
 _CERTAIN = 10
 #: With so many edges found the texture may be wrong.
 _EDGES_DO = 0.65
+#: A texture of so many corners is rich enough to be the judge.
+_RICH = 24
 #: An object is recognised by so many edges, if they look as they are remembered.
 _EDGES_CERTAIN = 0.75
 #: An edgel agrees within this, and Tukey's limit in sigmas.
@@ -442,14 +444,16 @@ class ModernCycle:
             return float(edges), edges >= max(self.options.tracking_share, _EDGES_DO)
         count, followed = int(agree.sum()), int(matches.followed.sum())
         if count < _LEAST_TEXTURE or count < 0.4 * followed:
-            # edges alone, where the texture says no
+            # edges alone, where the texture says no; a rich texture has the last word
+            if len(agree) >= _RICH:
+                return 0.4 * float(edges), False
             return ((0.75 if edges > _EDGES_DO else 0.4) * float(edges),
                     edges > _EDGES_CERTAIN)
         share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
                     self.options.lost_share)
         if count < _CERTAIN and edges < 0.3:
             share *= 0.5
-        return float(share), edges > _EDGES_CERTAIN or (
+        return float(share), (edges > _EDGES_CERTAIN and len(agree) < _RICH) or (
             count >= _CERTAIN and count >= 0.6 * followed)
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
@@ -461,7 +465,7 @@ class ModernCycle:
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)
-            if measured.certain or edges > _EDGES_DO:
+            if measured.certain or (edges > _EDGES_DO and measured.share > _EDGES_DO):
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)
