@@ -18,17 +18,16 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_drive,
+                                   MeasuredDrive, recalibrated, window_of)
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import Camera
 from selfcal_ros.calibration.camera_change import CHANGES, MonitorSettings
 from selfcal_ros.calibration.monitor import ChangeMonitor
 from selfcal_ros.calibration.window_score import window_score, WindowScore
-
-from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_drive,
-                                   MeasuredDrive, recalibrated, window_of)
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 RUNS, PERIOD_S = 100, 1.0
 #: Keyframes before a change, within which it is to be noticed, and that a slow drift takes.
@@ -67,13 +66,14 @@ def run(report: Report, options) -> None:
                      f'{np.median([r[1] for r in results]):.2f}'))
     report.table(('change', 'keyframes, median', 'p95', 'noticed', 'stated change / true'), rows)
     report.say(f'\nProcessor time: a window of {MonitorSettings().keyframes} keyframes takes '
-               f'{1000 * np.median(seconds):.0f} ms (p99 {1000 * np.percentile(seconds, 99):.0f} '
-               'ms).')
+               f'{1000 * np.median(seconds):.0f} ms '
+               f'(p99 {1000 * np.percentile(seconds, 99):.0f} ms).')
     for kind, part in within.items():
         report.judge(part >= 0.95, f'{kind}: noticed in {100 * part:.0f} of 100 runs, '
                      'required 95')
     step = MonitorSettings().keyframes - 1
-    report.verdict('processor time for a keyframe', 1000 * float(np.mean(seconds)) / step, 50, 'ms')
+    report.verdict('processor time for a keyframe', 1000 * float(np.mean(seconds)) / step, 50,
+                   'ms')
     from_images(report)
     false_alarms(report, drive, options, share)
 
