@@ -44,8 +44,9 @@ AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
 OUTLIER_SIGMAS = 4.0
 #: A view keeps its pose only with so many edgels of so many primitives.
 LEAST_EDGELS, LEAST_PRIMITIVES = 12, 4
-#: Edgels farther than this from the model, rms, do not belong to it (share of the diagonal).
-MISFIT_SHARE = 0.00125
+#: Edgels farther than this from the model, rms, do not belong to it (share of the diagonal): the
+#: nearest of any edges around would lie about as far.
+MISFIT_SHARE = 0.00075
 #: Focal lengths beyond these, over the longer side of the image, are those of no lens.
 FOCAL_SHARES = (0.2, 30.0)
 #: Stretches of the sequence that are left out in turn.
@@ -186,7 +187,8 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
     used, bundle, state, chosen, covariance, inflation, notes, status = found
     if not bundle.sigma_px <= MISFIT_SHARE * float(np.hypot(*size)):
         return refuse(f'The edges lie {bundle.sigma_px:.2g} px from the model: that is more than '
-                      'noise.', 'Check the proportions of the model, that the object is rigid, and '
+                      'noise.',
+                      'Check the proportions of the model, that the object is rigid, and '
                       'with `selfcal track --overlay` that its own edges are followed; a better '
                       'camera to begin with (--camera) helps.')
     missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']

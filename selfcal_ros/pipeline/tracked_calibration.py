@@ -14,7 +14,7 @@
 """
 Self-calibration from a tracked object: track, measure the edges, adjust, and measure again.
 
-The object is followed once with a supposed camera, and some images are kept. Edges are measured
+The object is followed with a few supposed cameras, and some images are kept. Edges are measured
 in them around the model at the poses of the last adjustment, ever closer, until the camera no
 longer changes; several focal lengths are tried, because a wrong one makes the tracker believe
 wrong edges.
@@ -48,6 +48,10 @@ FOCAL_SHARES = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
 TRIALS = 5
 #: Focal lengths that are tried on the images kept, over the one that tracked them.
 FOCAL_FACTORS = (0.75, 0.85, 0.92, 1.0, 1.09, 1.18, 1.33)
+#: Focal lengths that the object is followed with, over the one to begin with.
+FOLLOW_FACTORS = (1.0, 0.87, 1.15)
+#: Edges that lie nearer to the model than this (share of the diagonal) leave no doubt.
+SURE_SHARE = 0.0003
 #: More views add time and little accuracy.
 MOST_VIEWS = 60
 #: Views that the focal lengths are compared on.
@@ -133,21 +137,47 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
             raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
                              f'is for {start.width}x{start.height} pixels.')
         camera, pose = _begin(source, model, facts, init, clicks, start, seed)
-        passage = _follow(source, model, camera, pose, most, seed, progress)
-        if len(passage.views) < 2:
-            return NotCalibrated(
-                f'The object could not be followed: {passage.reason}'.rstrip('.') + '.',
-                'Check the start pose with `selfcal track --overlay`, and that the object is '
-                'seen sharply.', 'known-object', facts=facts,
-                software=f'selfcal_ros {__version__}'), _reading(source, passage, None)
         fine = VisibleModel(model, LINE_POINTS, CONIC_POINTS)
-        camera, views = _best_focal(fine, camera, passage.views, facts)
-        result, edges = _rounds(fine, camera, views, facts, progress)
+        passage, result, edges = _best_passage(fine, source, camera, pose, facts, most, seed,
+                                               progress)
         return result, _reading(source, passage, edges)
 
 
+def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, progress):
+    """
+    Follow the object with several cameras, and choose the passage whose edges fit best.
+
+    A tracker with a wrong focal length may believe wrong edges all the way, and what is measured
+    around its poses then agrees with it.
+    """
+    best = None
+    for factor in FOLLOW_FACTORS:
+        trial = _with_focal(camera, factor * camera.K[0, 0])
+        depth = float(pose[0][2] @ fine.model.centre + pose[1][2])
+        start = pose[0], pose[1] + [0.0, 0.0, (factor - 1) * depth]
+        passage = _follow(source, fine.model, trial, start, most, seed, progress)
+        result, edges = _unfollowed(passage, facts), None
+        if len(passage.views) >= 2:
+            trial, views = _best_focal(fine, trial, passage.views, facts)
+            result, edges = _rounds(fine, trial, views, facts, progress)
+        # a refusal is worth less than any calibration, and the first the more than a later
+        cost = result.noise_sigma_px if result else np.inf
+        if best is None or cost < best[0]:
+            best = cost, passage, result, edges
+        if cost < SURE_SHARE * float(np.hypot(camera.width, camera.height)):
+            break
+    return best[1:]
+
+
+def _unfollowed(passage: _Passage, facts: CameraFacts) -> NotCalibrated:
+    return NotCalibrated(
+        f'The object could not be followed: {passage.reason}'.rstrip('.') + '.',
+        'Check the start pose with `selfcal track --overlay`, and that the object is seen '
+        'sharply.', 'known-object', facts=facts, software=f'selfcal_ros {__version__}')
+
+
 def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
-    """Return the camera and the poses that explain the images best, of several focal lengths."""
+    """Return the camera and the views that explain the images best, of several focal lengths."""
     few = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, TRIAL_VIEWS).astype(int))]
     # the rest is held: a wrong edge must not bend it
     held = CameraFacts(aspect_ratio=camera.K[1, 1] / camera.K[0, 0], skew=camera.K[0, 1],
@@ -164,8 +194,8 @@ def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
             moved = _posed(moved, edges, poses)
         score = _misfit(fine, trial, moved)
         if score < least:
-            best, least = (_refocused(fine.model, camera, views,
-                                      trial.K[0, 0] / camera.K[0, 0])), score
+            least = score
+            best = _refocused(fine.model, camera, views, trial.K[0, 0] / camera.K[0, 0])
     return best
 
 
