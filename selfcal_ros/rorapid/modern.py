@@ -28,8 +28,8 @@ from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory, Undis
 #: Standard deviations that edges and texture have at the least, pixels.
 _EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.05, 0.1
 #: Corners beside edges: their common error is that of the pose in which they were learned, which
-#: does not average out, so that each counts for little.
-_BESIDE_EDGES_PX = 2.0
+#: does not average out, so that each counts for little - the more, the fewer edges there are.
+_EDGE_SHARES, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
 #: A corner of the texture agrees with a pose within this distance, pixels.
 _AGREE_PX = 2.5
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
@@ -92,13 +92,14 @@ class ModernCycle:
         self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
-        self._turn = 0
+        self._turn, self._edge_share = 0, 1.0
         self._outline = np.asarray(model.extent, float) - control.centre
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
         self._contrast[:] = 0
+        self._edge_share = 1.0
         self.texture.forget()
         self._views.forget()
 
@@ -387,7 +388,8 @@ class ModernCycle:
         rows, residual = self._corner_rows(state, matches.object_points[agree],
                                            matches.pixels[agree])
         distance = np.sqrt((residual**2).sum(axis=0))
-        sigma = robust_sigma(distance / 1.5, _BESIDE_EDGES_PX)
+        sigma = robust_sigma(distance / 1.5, float(np.interp(
+            self._edge_share, _EDGE_SHARES, _BESIDE_EDGES_PX)))
         w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
         w *= np.minimum(2 * matches.score[agree], 1.0)
         both = rows.reshape(-1, rows.shape[2])
@@ -460,6 +462,7 @@ class ModernCycle:
         """Take over contrasts and pictures of a state that was accepted."""
         region, at, found, contrast, view, matches, agree, edges = self._latest
         ids, ok = view.ids[at], found[at]
+        self._edge_share = edges
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:
