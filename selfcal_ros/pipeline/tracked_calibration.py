@@ -33,11 +33,12 @@ from selfcal_ros.calibration.tracked_object import (adjust_to_edges, calibrate_f
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
+                                                   measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import Reading
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
-from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility import VisibleModel
 from selfcal_ros.version import __version__
@@ -56,28 +57,10 @@ SURE_SHARE = 0.0003
 MOST_VIEWS = 60
 #: Views that the focal lengths are compared on.
 TRIAL_VIEWS = 20
-#: Control points that are measured on each line and each circle of a view.
-LINE_POINTS, CONIC_POINTS = 16, 24
-#: Control points that are left out at each end of a line.
-END_POINTS = 2
 #: How far from its edge an edgel is looked for, pixels, in each round; the last is repeated.
 REACH_PX = (6, 5, 4, 3)
 #: Rounds at most; they end when the focal length has changed by less than this share.
 ROUNDS, SETTLED = 8, 5e-4
-#: Edges nearer than this to the border are not measured, pixels.
-BORDER_PX = 6
-#: Weakest edge that is measured, grey levels, and candidates on each normal.
-CONTRAST, CANDIDATES = 5.0, 3
-
-
-@dataclass(frozen=True)
-class _View:
-    """One image that is kept."""
-
-    index: int
-    image: np.ndarray
-    rotation: np.ndarray
-    translation: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -186,13 +169,13 @@ def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
     for factor in FOCAL_FACTORS:
         trial, moved = _refocused(fine.model, camera, few, factor)
         for reach in REACH_PX[:2]:
-            edges = _edges(fine, trial, moved, reach)
+            edges = measure_edges(fine, trial, moved, reach)
             adjusted = None if edges is None else adjust_to_edges(edges, trial, held)
             if adjusted is None:
                 break
             trial, poses = adjusted
             moved = _posed(moved, edges, poses)
-        score = _misfit(fine, trial, moved)
+        score = edge_misfit(fine, trial, moved)
         if score < least:
             least = score
             best = _refocused(fine.model, camera, views, trial.K[0, 0] / camera.K[0, 0])
@@ -205,7 +188,7 @@ def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
     for number in range(ROUNDS):
         if progress:
             progress('Measuring edges', number, ROUNDS)
-        found = _edges(fine, camera, views, REACH_PX[min(number, len(REACH_PX) - 1)])
+        found = measure_edges(fine, camera, views, REACH_PX[min(number, len(REACH_PX) - 1)])
         if found is None:
             break
         edges = found
@@ -321,7 +304,8 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
             reason = tracked.reason or reason
             continue
         if good % step == 0:
-            views.append(_View(frame.index, frame.image, tracked.rotation, tracked.translation))
+            views.append(PosedImage(frame.index, frame.image, tracked.rotation,
+                                    tracked.translation))
         good += 1
         if len(views) > 4 * most:
             # a source that does not tell its length: every second will do from here on
@@ -329,78 +313,6 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
     if len(views) > most:
         views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
     return _Passage(views, images, good, reason)
-
-
-def _edges(fine: VisibleModel, camera: Camera, views: list, reach: int) -> EdgeViews | None:
-    """Measure the edges of all views around the model; None where there are none."""
-    measured = [(view, found) for view in views
-                if (found := _measure(fine, camera, view, reach)) is not None]
-    if len(measured) < 2:
-        return None
-    frames = np.concatenate([np.full(len(found[0]), view.index) for view, found in measured])
-    columns = [np.concatenate([found[k] for _, found in measured]) for k in range(5)]
-    poses = [np.column_stack([view.rotation, view.translation]) for view, _ in measured]
-    return EdgeViews(frames, *columns, np.array(poses), (camera.width, camera.height))
-
-
-def _measure(fine: VisibleModel, camera: Camera, view: _View, reach: int):
-    """Look for the edges of one image; returns the columns of `EdgeViews`, or None."""
-    laid = _lay_out(fine, camera, view)
-    if laid is None:
-        return None
-    points, index, pixels, normal = laid
-    edgels = find_edgels(sample_normals(view.image, pixels, normal, reach), CANDIDATES, CONTRAST)
-    # the nearest, not the strongest: the poses are those of the last adjustment
-    distance = np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), np.inf)
-    nearest = np.argmin(distance, axis=1)
-    offset = edgels.offset[np.arange(len(pixels)), nearest]
-    found = np.isfinite(offset) & (np.abs(offset) <= reach)
-    if not found.any():
-        return None
-    index = index[found]
-    return (points.ids[index], points.primitive[index], points.object_points[index],
-            points.tangents[index], pixels[found] + normal[found] * offset[found, None])
-
-
-def _lay_out(fine: VisibleModel, camera: Camera, view: _View):
-    """Project the control points: them, which are usable, pixels and normals (or None)."""
-    points = fine.control_points(view.rotation, view.translation)
-    kind = np.array(points.kind)[points.primitive]
-    # where a silhouette lies on the object depends on the pose
-    usable = points.visible & (kind != 'silhouette')
-    # next to a corner the other edges bend what is measured; lines have the first numbers
-    place = points.ids % LINE_POINTS
-    usable &= (kind != 'line') | ((place >= END_POINTS) & (place < LINE_POINTS - END_POINTS))
-    index = np.flatnonzero(usable)
-    X = points.object_points[index] @ view.rotation.T + view.translation
-    index, X = index[X[:, 2] > 1e-6], X[X[:, 2] > 1e-6]
-    if not len(index):
-        return None
-    along = points.tangents[index] @ view.rotation.T
-    pixels = camera.project(X)
-    run = camera.project(X + 1e-4 * X[:, 2:] * along) - pixels
-    run /= np.maximum(np.linalg.norm(run, axis=1, keepdims=True), 1e-12)
-    size = np.array([camera.width, camera.height])
-    inside = ((pixels > BORDER_PX) & (pixels < size - 1 - BORDER_PX)).all(axis=1)
-    if not inside.any():
-        return None
-    normal = np.column_stack([-run[:, 1], run[:, 0]])
-    return points, index[inside], pixels[inside], normal[inside]
-
-
-def _misfit(fine: VisibleModel, camera: Camera, views: list) -> float:
-    """Mean square distance of the edges from the model, none counting more than 3 px."""
-    total, count = 0.0, 0
-    for view in views:
-        laid = _lay_out(fine, camera, view)
-        if laid is None:
-            continue
-        edgels = find_edgels(sample_normals(view.image, laid[2], laid[3], 4), CANDIDATES, CONTRAST)
-        distance = np.nanmin(np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), 3.0),
-                             axis=1)
-        total += float(np.sum(np.minimum(distance, 3.0)**2))
-        count += len(distance)
-    return total / count if count else np.inf
 
 
 def _reading(source, passage: _Passage, edges: EdgeViews | None) -> Reading:

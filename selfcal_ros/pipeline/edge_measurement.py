@@ -1,0 +1,117 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Edges of a known object, measured around its model in images with approximate poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.tracked_object import EdgeViews
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.visibility import VisibleModel
+
+#: Control points that are measured on each line and each circle of a view.
+LINE_POINTS, CONIC_POINTS = 16, 24
+#: Control points that are left out at each end of a line.
+END_POINTS = 2
+#: Edges nearer than this to the border are not measured, pixels.
+BORDER_PX = 6
+#: Weakest edge that is measured, grey levels, and candidates on each normal.
+CONTRAST, CANDIDATES = 5.0, 3
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """One image that is kept."""
+
+    index: int
+    image: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+
+
+def measure_edges(fine: VisibleModel, camera: Camera, views: list,
+                  reach: int) -> EdgeViews | None:
+    """Measure the edges of all views around the model; None where there are none."""
+    measured = [(view, found) for view in views
+                if (found := _measure(fine, camera, view, reach)) is not None]
+    if len(measured) < 2:
+        return None
+    frames = np.concatenate([np.full(len(found[0]), view.index) for view, found in measured])
+    columns = [np.concatenate([found[k] for _, found in measured]) for k in range(5)]
+    poses = [np.column_stack([view.rotation, view.translation]) for view, _ in measured]
+    return EdgeViews(frames, *columns, np.array(poses), (camera.width, camera.height))
+
+
+def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int):
+    """Look for the edges of one image; returns the columns of `EdgeViews`, or None."""
+    laid = _lay_out(fine, camera, view)
+    if laid is None:
+        return None
+    points, index, pixels, normal = laid
+    edgels = find_edgels(sample_normals(view.image, pixels, normal, reach), CANDIDATES, CONTRAST)
+    # the nearest, not the strongest: the poses are those of the last adjustment
+    distance = np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), np.inf)
+    nearest = np.argmin(distance, axis=1)
+    offset = edgels.offset[np.arange(len(pixels)), nearest]
+    found = np.isfinite(offset) & (np.abs(offset) <= reach)
+    if not found.any():
+        return None
+    index = index[found]
+    return (points.ids[index], points.primitive[index], points.object_points[index],
+            points.tangents[index], pixels[found] + normal[found] * offset[found, None])
+
+
+def _lay_out(fine: VisibleModel, camera: Camera, view: PosedImage):
+    """Project the control points: them, which are usable, pixels and normals (or None)."""
+    points = fine.control_points(view.rotation, view.translation)
+    kind = np.array(points.kind)[points.primitive]
+    # where a silhouette lies on the object depends on the pose
+    usable = points.visible & (kind != 'silhouette')
+    # next to a corner the other edges bend what is measured; lines have the first numbers
+    place = points.ids % LINE_POINTS
+    usable &= (kind != 'line') | ((place >= END_POINTS) & (place < LINE_POINTS - END_POINTS))
+    index = np.flatnonzero(usable)
+    X = points.object_points[index] @ view.rotation.T + view.translation
+    index, X = index[X[:, 2] > 1e-6], X[X[:, 2] > 1e-6]
+    if not len(index):
+        return None
+    along = points.tangents[index] @ view.rotation.T
+    pixels = camera.project(X)
+    run = camera.project(X + 1e-4 * X[:, 2:] * along) - pixels
+    run /= np.maximum(np.linalg.norm(run, axis=1, keepdims=True), 1e-12)
+    size = np.array([camera.width, camera.height])
+    inside = ((pixels > BORDER_PX) & (pixels < size - 1 - BORDER_PX)).all(axis=1)
+    if not inside.any():
+        return None
+    normal = np.column_stack([-run[:, 1], run[:, 0]])
+    return points, index[inside], pixels[inside], normal[inside]
+
+
+def edge_misfit(fine: VisibleModel, camera: Camera, views: list) -> float:
+    """Mean square distance of the edges from the model, none counting more than 3 px."""
+    total, count = 0.0, 0
+    for view in views:
+        laid = _lay_out(fine, camera, view)
+        if laid is None:
+            continue
+        edgels = find_edgels(sample_normals(view.image, laid[2], laid[3], 4), CANDIDATES, CONTRAST)
+        distance = np.nanmin(np.where(np.isfinite(edgels.offset), np.abs(edgels.offset), 3.0),
+                             axis=1)
+        total += float(np.sum(np.minimum(distance, 3.0)**2))
+        count += len(distance)
+    return total / count if count else np.inf
