@@ -102,9 +102,9 @@ def quality(result: Calibration) -> str:
     median, worst = found
     focal_px = float(np.sqrt(abs(result.camera.K[0, 0] * result.camera.K[1, 1])))
     near, far = (_length_text(10 * sigma / focal_px) for sigma in found)
-    sentence = (f'It places a point of the scene in the image to ± {px_text(median)} in the '
-                f'median and ± {px_text(worst)} at worst (one σ): ± {near} and ± {far} sideways '
-                'at 10 m.')
+    sentence = (f'Where a point of the scene appears in the image is known to ± {px_text(median)} '
+                f'in the median and ± {px_text(worst)} at worst (one σ): ± {near} and ± {far} '
+                'sideways at 10 m.')
     noise = result.noise_sigma_px
     if not noise > 0 or not np.isfinite(noise):
         return sentence

@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
-from selfcal_ros.report.observed import observed
+from selfcal_ros.report.observed import Observed, observed
 from selfcal_ros.report.ply import point_colours
 
 #: Pictures in a page, and the length of their longer side.
@@ -77,14 +77,15 @@ class Picture:
     rejected_count: int
 
 
-def pictures_and_colours(result: Calibration, tracks: Tracks,
+def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
                          open_frames: Callable) -> tuple[list[Picture], dict]:
     """
     Read the images again for their looks.
 
     Parameters
     ----------
-    result : Calibration
+    result : Calibration or NotCalibrated
+        Without a calibration no point is rejected.
     tracks : Tracks
         Those that were calibrated from.
     open_frames : callable
@@ -99,7 +100,7 @@ def pictures_and_colours(result: Calibration, tracks: Tracks,
         Red, green and blue of the reconstructed tracks.
 
     """
-    frames = np.asarray(result.reconstruction.frames)
+    frames = np.asarray(result.reconstruction.frames) if result else tracks.frames
     if not len(frames):
         return [], {}
     # the first views have little to look back on
@@ -112,12 +113,13 @@ def pictures_and_colours(result: Calibration, tracks: Tracks,
             if getattr(source, 'kind', '') == 'tracks':
                 return [], {}
             kept = _until(source, set(frames.tolist()), wanted, images)
-            ids = np.asarray(result.reconstruction.tracks)
+            ids = np.asarray(result.reconstruction.tracks if result else (), int)
             paint = point_colours(tracks, ids, kept)
     except (InputError, OSError):
         # the calibration is done: a report without pictures is better than none
         return [], {}
-    pictures = _draw(result, tracks, images)
+    seen = observed(result, tracks) if result else _all_used(tracks)
+    pictures = _draw(result, seen, frames, images)
     return pictures, dict(zip(ids.tolist(), map(tuple, paint.tolist())))
 
 
@@ -133,9 +135,13 @@ def _until(source, used: set, wanted: set, images: dict):
             return
 
 
-def _draw(result: Calibration, tracks: Tracks, images: dict) -> list[Picture]:
-    seen = observed(result, tracks)
-    frames = np.asarray(result.reconstruction.frames)
+def _all_used(tracks: Tracks) -> Observed:
+    """Return the observations as they are: nothing is known that could contradict them."""
+    return Observed(np.searchsorted(tracks.frames, tracks.frame), tracks.track, tracks.xy,
+                    np.zeros_like(tracks.xy), np.ones(len(tracks), bool))
+
+
+def _draw(result, seen: Observed, frames: np.ndarray, images: dict) -> list[Picture]:
     pictures = []
     for index, image in sorted(images.items()):
         view = int(np.flatnonzero(frames == index)[0])
@@ -144,15 +150,15 @@ def _draw(result: Calibration, tracks: Tracks, images: dict) -> list[Picture]:
         order = np.argsort(~bad, kind='stable')[:MOST_TRACKS]
         shown = np.zeros(len(ids), bool)
         shown[order] = True
-        if result.motion == 'known-object':
+        if result and result.motion == 'known-object':
             # views of an object held anyhow: nothing moved along these lines
             steps, old = steps[:0], old[:0]
         height, width = image.shape[:2]
         pictures.append(Picture(
             int(index), width, height, _jpeg(image), _lines(steps[shown[old] & ~bad[old]]),
             _lines(steps[shown[old] & bad[old]]), _dots(now[shown & ~bad]),
-            _dots(now[shown & bad]), _horizon(result, width, height), int((~bad).sum()),
-            int(bad.sum())))
+            _dots(now[shown & bad]), _horizon(result, width, height) if result else '',
+            int((~bad).sum()), int(bad.sum())))
     return pictures
 
 

@@ -101,19 +101,19 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
 
 def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | None]:
     """Return what the template shows of images and of the scene."""
-    if not result or tracks is None:
+    if tracks is None:
         return [], None
     from selfcal_ros.report.keyframe_pictures import pictures_and_colours
     from selfcal_ros.report.scene import scene_of
     pictures, colours = [], {}
     if open_frames is not None:
         pictures, colours = pictures_and_colours(result, tracks, open_frames)
-    scene = scene_of(result, tracks, colours)
-    from selfcal_ros.report.scene_figure import scene_figure
     shown = [{'picture': picture, 'data': base64.b64encode(picture.jpeg).decode('ascii')}
              for picture in pictures]
+    scene = scene_of(result, tracks, colours) if result else None
     if scene is None:
         return shown, None
+    from selfcal_ros.report.scene_figure import scene_figure
     return shown, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
                    'points': len(scene.points), 'path': scene.path,
                    'still': _drawn([scene_figure(scene)])['still']}

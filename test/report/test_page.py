@@ -180,6 +180,11 @@ def test_pictures_show_used_and_rejected_tracks(calibration, sequence):
         assert 'M{:.1f} {:.1f}h0'.format(*place) in picture.rejected
         image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert max(image.shape) <= 720 and abs(int(image.mean()) - 40 * picture.frame) < 2
+    without, nothing = pictures_and_colours(NotCalibrated('No.'), tracks, Source)
+    assert [p.frame for p in without] == [2, 3, 4, 5] and nothing == {}
+    assert all(p.used_count == 300 and not p.rejected and not p.horizon for p in without)
+    page = page_html(NotCalibrated('No.'), '', tracks=tracks, open_frames=Source)
+    assert page.count('data:image/jpeg;base64,') == 4 and 'points that were followed' in page
 
 
 def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):

@@ -109,7 +109,7 @@ class Chromium:
         line, _, self._buffer = self._buffer.partition(b'\0')
         return json.loads(line)
 
-    def open(self, path, width, height=900, scheme='light', scripts=True):
+    def open(self, path, width, height=900, scheme='light', scripts=True):  # noqa: A003
         """Open a file in a window of the given size in pixels."""
         target = self.send('Target.createTarget', url='about:blank')['targetId']
         session = self.send('Target.attachToTarget', targetId=target, flatten=True)['sessionId']
@@ -229,14 +229,14 @@ def report(tmp_path_factory, calibration, sequence, images):
 
 
 #: Elements that stick out of the window, and text in figures too small to read.
-STICKING_OUT = '''[...document.querySelectorAll('body *')].filter(e => {
+STICKING_OUT = """[...document.querySelectorAll('body *')].filter(e => {
     const box = e.getBoundingClientRect();
     return box.width && (box.right > innerWidth + 1 || box.left < -1)
            && !e.closest('pre, svg, .equals');
-}).map(e => e.tagName + '.' + e.className)'''
-SMALLEST_TEXT_PX = '''Math.min(...[...document.querySelectorAll('svg.plot text')].filter(e =>
+}).map(e => e.tagName + '.' + e.className)"""
+SMALLEST_TEXT_PX = """Math.min(...[...document.querySelectorAll('svg.plot text')].filter(e =>
     e.getBoundingClientRect().width).map(e => parseFloat(getComputedStyle(e).fontSize)
-    * Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b)))'''
+    * Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b)))"""
 
 
 @pytest.mark.parametrize('width, scheme', [(1280, 'light'), (1280, 'dark'), (400, 'dark'),

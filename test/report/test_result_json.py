@@ -34,7 +34,7 @@ def calibration(**changed):
         'camera': Camera([[520, 0.1, 319], [0, 519, 239], [0, 0, 1]], [-0.1, 0.05, 0, 0, 0],
                          640, 480),
         'covariance': covariance,
-        'status': {name: 'estimated' for name in PARAMETER_NAMES} | {'p1': 'held'},
+        'status': dict.fromkeys(PARAMETER_NAMES, 'estimated') | {'p1': 'held'},
         'held_by': {'p1': 'distortion=radial2'}, 'motion': 'planar',
         'facts': CameraFacts(aspect_ratio=1.0, principal_point=(320, 240)),
         'frames': tuple(np.arange(5)), 'reprojection_rms_px': np.float32(0.25),
@@ -91,7 +91,7 @@ def test_not_calibrated(tmp_path):
 def test_what_is_not_finite_becomes_null(tmp_path, value):
     covariance = np.eye(9)
     covariance[3, 3] = value
-    status = {name: 'estimated' for name in PARAMETER_NAMES} | {'cy': 'unobservable'}
+    status = dict.fromkeys(PARAMETER_NAMES, 'estimated') | {'cy': 'unobservable'}
     result = calibration(covariance=covariance, status=status, noise_sigma_px=value)
     document = strict(write_result_json(tmp_path / 'result.json', result))
     assert document['covariance'][3][3] is None and document['sigma']['cy'] is None
