@@ -80,8 +80,8 @@ setup(
     extras_require={
         'ros-wheels': [
             "ros-jazzy-rclpy[fastrtps]; sys_platform == 'linux' and platform_machine == 'x86_64'",
-            "ros-jazzy-common-interfaces; "
-            "sys_platform == 'linux' and platform_machine == 'x86_64'",
+            "ros-jazzy-common-interfaces; sys_platform == 'linux' "
+            "and platform_machine == 'x86_64'",
         ],
         # selfcal calibrate --engine dask
         'dask': [

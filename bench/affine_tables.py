@@ -18,6 +18,8 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.affine import calibrate_affine
@@ -25,9 +27,6 @@ from selfcal_ros.calibration.translation_groups import translation_groups
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, CORNERS, grid_camera,
                                                grid_neighbours, grid_sequence, random_rotations)
-
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 NAMES = ('αu', 'αv', 'ζ', 'u0', 'v0', 's')
 #: Rows of table 4.1: rotated views, their rotations, is zero skew stated, thesis mean and
@@ -181,7 +180,7 @@ def run(report: Report, options) -> None:
         results = run_seeds(partial(one_run, name=name), range(runs), options.processes)
         report.section(f'Table 4.1, {name} ({runs} sequences)',
                        f'Mean ± standard deviation; corner noise {CORNER_NOISE_PX} px. linear: '
-                       'the thesis\'s chain. thesis: real images,',
+                       "the thesis's chain. thesis: real images,",
                        'veridical values in its last row; the positions of its views are not '
                        'printed.')
         table, measured = [], {}
@@ -234,7 +233,7 @@ def run(report: Report, options) -> None:
         ours = shape.mean(axis=0)
         report.judge(ours[0] <= distance and ours[1] <= pattern
                      and error_of(ours[2], shape[:, 2].std(), 90) <= error_of(angle, spread, 90),
-                     f'{name}: structure no worse than the thesis\'s in all three measures')
+                     f"{name}: structure no worse than the thesis's in all three measures")
     _degenerate(report, runs, options.processes)
 
 

@@ -18,6 +18,9 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.inputs import data_folder, grey_frames, image_files, truth_of
+from bench.monte_carlo import run_seeds
+from bench.tables import percent, Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts
@@ -25,10 +28,6 @@ from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.recordings import arm_move, REALISTIC_DISTORTION
 from selfcal_ros.synthetic.scenes import observe, si_camera
-
-from bench.inputs import data_folder, grey_frames, image_files, truth_of
-from bench.monte_carlo import run_seeds
-from bench.tables import percent, Report
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
 #: Name, distortion, limits of fx in percent and of the principal point in pixels.

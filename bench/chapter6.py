@@ -21,6 +21,9 @@ from __future__ import annotations
 
 from functools import partial
 
+from bench import thesis_chapter6 as thesis
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import CameraFacts
@@ -31,10 +34,6 @@ from selfcal_ros.geometry.planar_pairs import pair_lines
 from selfcal_ros.geometry.projective import (completed_frame, euclidean_covariance, unit,
                                              unit_slope)
 from selfcal_ros.synthetic.scenes import sequence_si
-
-from bench import thesis_chapter6 as thesis
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 SHARES = np.array([0.60, 0.80, 0.90, 0.95])
 ALLOWED = 0.03

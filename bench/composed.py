@@ -30,12 +30,11 @@ import sys
 import tempfile
 import time
 
+from bench.inputs import process_environment, ROOT
+from bench.tables import Report
 import cv2
 import numpy as np
 from selfcal_ros.synthetic.recordings import agv_drive
-
-from bench.inputs import process_environment, ROOT
-from bench.tables import Report
 
 #: Images of the drive; at 30 Hz for so many seconds, there and back until it is over.
 VIEWS, RATE_HZ, SECONDS = 180, 30.0, 12.0

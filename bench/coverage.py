@@ -25,15 +25,14 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si
 from selfcal_ros.synthetic.special_scenes import with_outliers
-
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 SHARES = np.array([0.60, 0.80, 0.90, 0.95])
 ALLOWED = 0.03

@@ -19,12 +19,11 @@ from dataclasses import replace
 from pathlib import Path
 import time
 
+from bench.inputs import data_folder, grey_frames, image_files, truth_of
+from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
-
-from bench.inputs import data_folder, grey_frames, image_files, truth_of
-from bench.tables import Report
 
 SIZE = (720, 576)
 STEP_DEG, MOST_DEG = 10.0, 0.1

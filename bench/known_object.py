@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import time
 
+from bench.inputs import data_folder, grey_frames, image_files, truth_of
+from bench.tables import percent, Report
 import cv2
 import numpy as np
 from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
@@ -27,9 +29,6 @@ from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.resection import decompose, resect, resect_linear
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
-
-from bench.inputs import data_folder, grey_frames, image_files, truth_of
-from bench.tables import percent, Report
 
 #: The thesis's grid: 16 squares on each of two planes, 512 x 512 pixels, αu 649, ζ 1.5.
 GRID = TsaiGrid(4, 4, 0.04, 0.03, 0.03)
@@ -72,7 +71,7 @@ def thesis_grid(report: Report) -> None:
     report.section('Tsai grid, one image a calibration (thesis 3.2)',
                    f'{IMAGES} views, 128 corners; grid found in {len(rendered)} rendered images '
                    '(grey noise σ 2);', 'corner noise: true corners with '
-                   f'{THESIS_CORNER_NOISE_PX} px a coordinate, which leave the thesis\'s error.',
+                   f"{THESIS_CORNER_NOISE_PX} px a coordinate, which leave the thesis's error.",
                    'Our linear step normalises points and image; the thesis does not say so.')
     report.judge(len(rendered) == IMAGES, f'grid found in {len(rendered)} of {IMAGES} images')
     errors, spreads = [], []

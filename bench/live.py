@@ -23,12 +23,11 @@ import sys
 import tempfile
 import time
 
+from bench.inputs import process_environment, ROOT
+from bench.tables import Report
 import numpy as np
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.synthetic.recordings import agv_drive
-
-from bench.inputs import process_environment, ROOT
-from bench.tables import Report
 
 #: Images of the drive; 30 Hz for so many seconds, there and back until it is over.
 VIEWS, RATE_HZ, SECONDS = 240, 30.0, 12.0

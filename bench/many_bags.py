@@ -24,13 +24,12 @@ import sys
 import tempfile
 import time
 
+from bench.inputs import process_environment
+from bench.tables import Report
 import numpy as np
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.synthetic.recordings import agv_drive
-
-from bench.inputs import process_environment
-from bench.tables import Report
 
 #: Bags, images in each, and their size: small, so that the bench ends in minutes.
 BAGS, VIEWS, SIZE = 100, 24, (320, 240)

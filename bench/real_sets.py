@@ -20,16 +20,15 @@ from pathlib import Path
 import tempfile
 import time
 
+from bench.colmap_peer import calibrate_with_colmap, CONFIGURATIONS, is_installed
+from bench.inputs import data_folder, grey_frames, image_files, truth_of
+from bench.tables import percent, Report
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.geometry.camera import Camera, DISTORTION_MODELS, PARAMETER_NAMES
-
-from bench.colmap_peer import calibrate_with_colmap, CONFIGURATIONS, is_installed
-from bench.inputs import data_folder, grey_frames, image_files, truth_of
-from bench.tables import percent, Report
 
 #: COLMAP runs in all configurations on sets of up to so many images.
 MOST_FOR_ALL = 30

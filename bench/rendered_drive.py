@@ -19,15 +19,14 @@ from pathlib import Path
 import tempfile
 import time
 
+from bench.colmap_peer import calibrate_with_colmap, is_installed
+from bench.inputs import grey_frames
+from bench.tables import percent, Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.synthetic.recordings import (agv_drive, REALISTIC_DISTORTION,
                                               write_image_folder)
-
-from bench.colmap_peer import calibrate_with_colmap, is_installed
-from bench.inputs import grey_frames
-from bench.tables import percent, Report
 
 VIEWS = 24
 #: Name, distortion of the camera, limits: fx in percent, principal point in pixels, k1.

@@ -21,14 +21,13 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 import re
 
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.synthetic import special_scenes
 from selfcal_ros.synthetic.scenes import sequence_si
-
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 NOISE_PX = 0.2
 #: Beyond so many stated sigmas a result is wrong.

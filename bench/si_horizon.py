@@ -15,15 +15,14 @@
 
 from __future__ import annotations
 
+from bench.fisher import cramer_rao_bound
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.calibration.fixed_points import fixed_points
 from selfcal_ros.geometry.projective import euclidean_covariance
 from selfcal_ros.synthetic.scenes import sequence_si
-
-from bench.fisher import cramer_rao_bound
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 SHARES = (0.60, 0.80, 0.90, 0.95)
 METHODS = ('pairs', 'batch')

@@ -18,16 +18,15 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.fisher import cramer_rao_bound
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si
-
-from bench.fisher import cramer_rao_bound
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 FREE = ('fx', 'cx', 'cy', 'skew')
 COLUMNS = [PARAMETER_NAMES.index(name) for name in FREE]

@@ -21,13 +21,12 @@ import sys
 import tempfile
 import time
 
+from bench.inputs import process_environment
+from bench.tables import percent, Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
 from selfcal_ros.synthetic.special_scenes import drive
-
-from bench.inputs import process_environment
-from bench.tables import percent, Report
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 GROWTH_VIEWS = (12, 24, 50, 100, 200)

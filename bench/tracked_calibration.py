@@ -18,14 +18,13 @@ from __future__ import annotations
 from pathlib import Path
 import tempfile
 
+from bench.tables import Report
 import numpy as np
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
 from selfcal_ros.synthetic.objects import tracked_object
 from selfcal_ros.synthetic.recordings import write_image_folder
-
-from bench.tables import Report
 
 #: Object, speed of its motion, distortion of the lens.
 CASES = (('cube', 2.0, ()), ('step_block', 2.0, ()), ('spool', 2.0, ()),

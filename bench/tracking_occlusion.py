@@ -20,13 +20,12 @@ clean sequence puts them.
 
 from __future__ import annotations
 
-import numpy as np
-from selfcal_ros.rorapid.tracker import TrackerOptions
-
 from bench import visp_peer
 from bench.hindrances import HINDRANCES
 from bench.tables import Report
 from bench.tracking_runs import cube_sequence, CubeSequence, follow, FOLLOWED_PX, project_all
+import numpy as np
+from selfcal_ros.rorapid.tracker import TrackerOptions
 
 METHODS = {'RAPiD': 'rapid', 'RoRAPiD': 'rorapid', 'ours': 'modern'}
 #: A lost object must be reported within so many images.

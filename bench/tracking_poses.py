@@ -19,14 +19,13 @@ The objects are those of `selfcal_ros.synthetic.objects`, whose poses are exact.
 
 from __future__ import annotations
 
+from bench.tables import Report
+from bench.tracking_runs import follow, pose_error
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.tracker import TrackerOptions
 from selfcal_ros.synthetic.objects import perturbed, tracked_object
-
-from bench.tables import Report
-from bench.tracking_runs import follow, pose_error
 
 SHARES = np.array([0.6, 0.8, 0.9, 0.95])
 #: Images of each sequence, and of the one that the covariances are judged on.

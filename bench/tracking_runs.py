@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 import time
 
+from bench.inputs import data_folder, image_files, truth_of
 import cv2
 import numpy as np
 from selfcal_ros.errors import InputError
@@ -27,8 +28,6 @@ from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.pose import read_pose_file
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
-
-from bench.inputs import data_folder, image_files, truth_of
 
 #: Beyond this mean distance of the projected corners the object is not followed.
 FOLLOWED_PX = 5.0

@@ -24,14 +24,13 @@ import pstats
 import resource
 import time
 
+from bench import visp_peer
+from bench.tables import Report
+from bench.tracking_runs import cube_sequence, follow
 import cv2
 import numpy as np
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions
 from selfcal_ros.synthetic.objects import tracked_object
-
-from bench import visp_peer
-from bench.tables import Report
-from bench.tracking_runs import cube_sequence, follow
 
 #: Required, milliseconds.
 MEDIAN_MS, LATE_MS = 2.0, 3.0

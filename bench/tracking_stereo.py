@@ -15,16 +15,15 @@
 
 from __future__ import annotations
 
+from bench.inputs import data_folder
+from bench.tables import Report
+from bench.tracking_runs import follow
 import numpy as np
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.file_sources import VideoSource
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.pose import pose_from_clicks
-
-from bench.inputs import data_folder
-from bench.tables import Report
-from bench.tracking_runs import follow
 
 #: Corners of the box that were clicked in the first images, metres, and where, pixels.
 CORNERS = np.array([(0, 0, 0), (.165, 0, 0), (.165, 0, -.08), (.165, .068, 0), (0, .068, 0),
@@ -66,7 +65,7 @@ def run(report: Report, options) -> None:
         ('rms about it', apart - apart.mean(axis=0), turn - turn.mean(axis=0)))]
     report.table(('left against right', 'position mm', 'rotation °'), rows)
     report.say('\nA constant part lies in the published calibrations or in the box, whose model '
-               'is the same for both; the rest is the tracker\'s.\n')
+               "is the same for both; the rest is the tracker's.\n")
     report.verdict('position, rms', _rms(apart), MOST_MM, 'mm')
     report.verdict('rotation, rms', _rms(turn), MOST_DEG, '°')
 

@@ -26,11 +26,10 @@ import shutil
 import subprocess
 import tempfile
 
+from bench.inputs import data_folder
 import cv2
 import numpy as np
 from selfcal_ros.geometry.rotation import rotation_matrix
-
-from bench.inputs import data_folder
 
 LIBRARIES = ('visp_mbt', 'visp_io', 'visp_core', 'visp_me', 'visp_vision', 'visp_klt', 'visp_gui',
              'visp_visual_features')

@@ -26,9 +26,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numpy as np
-
 from msg_adapters.encoded import decode_file, MAX_PIXELS
+import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 
 

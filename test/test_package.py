@@ -22,9 +22,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-import pytest
-
 import msg_adapters
+import pytest
 import selfcal_ros
 
 ROOT = Path(__file__).resolve().parents[1]

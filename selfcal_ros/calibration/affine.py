@@ -322,8 +322,8 @@ def calibrate_affine(tracks: Tracks, translated, size: tuple[int, int],
     if len(tracks.frames) < 3:
         return Undetermined('Two views do not calibrate a camera; at least one more is needed, '
                             'rotated against the translated ones.', 'too_few',
-                            {name: 'unobservable' for name in
-                             ('fx', 'fy', 'cx', 'cy', 'skew', 'aspect_ratio')}, ('everything',))
+                            dict.fromkeys(('fx', 'fy', 'cx', 'cy', 'skew', 'aspect_ratio'),
+                                          'unobservable'), ('everything',))
     structure = affine_structure(tracks, translated, refine)
     if isinstance(structure, NoEstimate):
         return structure

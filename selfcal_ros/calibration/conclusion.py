@@ -41,7 +41,7 @@ WEAK = 0.05
 
 def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
              ) -> Calibration | NotCalibrated:
-    """Judge an optimum: what do the data determine, and what does the motion lack?"""
+    """Judge an optimum: what the data determine, and what the motion lacks."""
     facts, state = problem.facts, fit.state
     frames = tuple(int(f) for f in graph.frames)
     dependence = dependence_of(fit, problem.size)

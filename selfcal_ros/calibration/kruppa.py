@@ -115,7 +115,7 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
     if facts.skew is not None:
         start[4], free[4] = facts.skew / scale, False
     if 2 * len(F) < free.sum():
-        return NoEstimate(f'Kruppa\'s equations of {len(F)} pairs are {2 * len(F)}; '
+        return NoEstimate(f"Kruppa's equations of {len(F)} pairs are {2 * len(F)}; "
                           f'{free.sum()} unknowns need more pairs, or facts.', 'too_few')
 
     def camera(values):
@@ -138,7 +138,7 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
             best = found
     singular = np.linalg.svd(best.jac, compute_uv=False)
     if not singular[-1] > _LEAST_SLOPE or np.any(best.active_mask):
-        return NoEstimate('Kruppa\'s equations leave the camera open: the pairs\' rotations are '
+        return NoEstimate("Kruppa's equations leave the camera open: the pairs' rotations are "
                           'too small or about one axis.', 'ill_conditioned')
     values = start.copy()
     values[free] = best.x

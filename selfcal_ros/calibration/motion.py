@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which motion was it: none, rotation, translation, planar, circular or general?"""
+"""Tells which motion it was: none, rotation, translation, planar, circular or general."""
 
 from __future__ import annotations
 

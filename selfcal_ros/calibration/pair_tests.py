@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Is an image pair fit for planar self-calibration: does it show parallax and rotation?"""
+"""Tells whether an image pair is fit for planar self-calibration: parallax and rotation."""
 
 from __future__ import annotations
 

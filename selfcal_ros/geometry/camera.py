@@ -153,7 +153,7 @@ class Camera:
         return self.pixels(points[..., :2] / points[..., 2:])
 
     def pixels(self, xy: np.ndarray) -> np.ndarray:
-        """Map undistorted normalised points (..., 2) to pixels (..., 2)."""
+        """Map undistorted normalised points of shape (..., 2) to pixels of the same shape."""
         return self.distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
 
     def normalised(self, pixels: np.ndarray) -> np.ndarray:

@@ -155,7 +155,7 @@ class LensCamera:
         return xy @ self.K[:2, :2].T + self.K[:2, 2]
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the unit rays (..., 3) that pixels (..., 2) see, NaN where impossible."""
+        """Return the unit rays, shape (..., 3), seen by pixels, shape (..., 2); NaN if none."""
         pixels, K = np.asarray(pixels, float), self.K
         y = (pixels[..., 1] - K[1, 2]) / K[1, 1]
         xy = np.stack([(pixels[..., 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=-1)

@@ -28,10 +28,6 @@ from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
 from msg_adapters.tracks import tracks_from_message
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, PointCloud2
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
-
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
@@ -47,6 +43,9 @@ from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.upload import CameraInfoUpload
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.report.result_json import result_to_json
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 
 class Calibrator(Node):

@@ -24,9 +24,6 @@ from msg_adapters.camera_info import camera_from_info, camera_info_message, wind
 from msg_adapters.message_types import rclpy_types
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from sensor_msgs.srv import SetCameraInfo
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
@@ -36,6 +33,8 @@ from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters, declare
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.srv import SetCameraInfo
 
 
 class CameraInfoPublisher(Node):

@@ -19,10 +19,9 @@ from collections.abc import Callable
 
 from msg_adapters.camera_info import camera_info_message, ImageWindow, window_of
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
+from sensor_msgs.msg import CameraInfo
 
 #: Where the CameraInfo of the driver is read: beside ours, never in its place.
 DRIVER_TOPIC = 'driver/camera_info'

@@ -36,7 +36,7 @@ class Endpoint:
 
     direction: str
     name: str
-    type: str
+    type: str  # noqa: A003
     description: str
 
 

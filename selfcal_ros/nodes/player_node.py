@@ -24,13 +24,12 @@ from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import CompressedImage, Image
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameters import BagPlayerParameters, declare
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.pipeline.replay import ImageRecording
+from sensor_msgs.msg import CompressedImage, Image
 
 #: Between images, /clock ticks at least this often.
 CLOCK_PERIOD_S = 0.02

@@ -33,13 +33,12 @@ import time
 from msg_adapters.stamps import stamp_ns
 import rclpy
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
-
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
 from selfcal_ros.pipeline.replay import ImageRecording
 from selfcal_ros.report.files import atomic_write
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 #: A process that does not end by itself gets so long before it is killed.
 GRACE_S = 5.0

@@ -26,11 +26,6 @@ from msg_adapters.stamps import header_message
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
-
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameters import declare, RorapidTrackerParameters
@@ -47,6 +42,10 @@ from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.tracked_frame import TrackerState
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 #: Red, green, blue of the wireframe's marker.
 MARKER_COLOURS = {TrackerState.TRACKING: (0.0, 0.62, 0.45),

@@ -25,13 +25,12 @@ from msg_adapters.stamps import header_message
 from nav_msgs.msg import Path
 import numpy as np
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2
-from visualization_msgs.msg import MarkerArray
-
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure import metric_structure
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.pipeline.calibration_session import EstimateRequest
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 #: In steps between views, the unit of the scene.
 LINE_WIDTH, FRUSTUM_LENGTH, POINT_SIZE = 0.05, 0.5, 0.1

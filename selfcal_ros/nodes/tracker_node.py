@@ -24,8 +24,6 @@ from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CompressedImage, Image, PointCloud2
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.nodes.image_topics import compressed_topic, image_profile
@@ -34,6 +32,7 @@ from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
 from selfcal_ros.report.tracks_overlay import TracksOverlay
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 #: Message of each image transport.
 TRANSPORTS = {'raw': Image, 'compressed': CompressedImage}

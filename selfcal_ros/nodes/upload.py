@@ -19,9 +19,8 @@ from msg_adapters.camera_info import camera_info_message
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message
 from rclpy.callback_groups import ReentrantCallbackGroup
-from sensor_msgs.srv import SetCameraInfo
-
 from selfcal_ros.geometry.camera import Camera
+from sensor_msgs.srv import SetCameraInfo
 
 SERVICE_TYPE = 'sensor_msgs/srv/SetCameraInfo'
 

@@ -25,14 +25,13 @@ from pathlib import Path
 import re
 
 import numpy as np
-import yaml
-
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lens import LENS_MODELS, LensCamera
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.yaml_text import (decoded, load_yaml, matrix, number_text,
                                           positive_integer, read_bytes)
+import yaml
 
 #: Lens models that image_geometry knows.
 ROS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')

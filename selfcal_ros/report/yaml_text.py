@@ -18,9 +18,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import yaml
-
 from selfcal_ros.errors import InputError
+import yaml
 
 #: A camera file is far smaller; whatever is larger is something else.
 MAX_BYTES = 1_000_000

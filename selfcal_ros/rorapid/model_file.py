@@ -44,12 +44,11 @@ from pathlib import Path
 import tempfile
 
 import numpy as np
-import yaml
-
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.rorapid.cao_file import read_text
 from selfcal_ros.rorapid.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
+import yaml
 
 #: A YAML file takes long to parse; no sensible model is longer.
 LARGEST_YAML = 2_000_000

@@ -68,7 +68,7 @@ class Conic:
         return self.centre + np.cos(angles) * self.axis_u + np.sin(angles) * self.axis_v
 
     def tangents(self, angles: np.ndarray) -> np.ndarray:
-        """Unit tangents (..., 3) at parameters (...) in radians."""
+        """Return unit tangents of shape (..., 3) at angles of shape (...) in radians."""
         angles = np.asarray(angles, float)[..., None]
         tangent = np.cos(angles) * self.axis_v - np.sin(angles) * self.axis_u
         return tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)

@@ -83,7 +83,7 @@ def coplanar_points(rng, noise_px: float = 0.1, **options) -> PointSequence:
 
 def general_motion(rng, noise_px: float = 0.1, step_deg: float = 10.0,
                    **options) -> PointSequence:
-    """SI's points seen from three views turned about different axes, out of any one plane."""
+    """Show SI's points to three views turned about different axes, out of any one plane."""
     still = sequence_si(rng, 0.0, **options)
     turns = np.radians(step_deg) * np.array([[0, 0, 0], [0.7, 0.1, 0.4], [-0.4, 0.6, -0.9]])
     places = np.array([[0, 0, 4.0], [0.3, -0.25, 3.7], [-0.2, 0.3, 4.4]])

@@ -13,17 +13,16 @@
 # limitations under the License.
 """The parts of the tracker's benches: what gets in the way, how it is judged, peers."""
 
-import numpy as np
-import pytest
-from selfcal_ros.synthetic.objects import tracked_object
-
 from bench import visp_peer
 from bench.hindrances import CLEAN_IMAGES, HIDDEN_FROM, HINDRANCES
 from bench.inputs import data_folder
+from bench.tables import Report
 from bench.tracking_occlusion import judge, longest_run
 from bench.tracking_poses import coverage, start_of, tracked
 from bench.tracking_runs import cube_sequence
-from bench.tables import Report
+import numpy as np
+import pytest
+from selfcal_ros.synthetic.objects import tracked_object
 
 BOX = (40, 30, 100, 80)
 

@@ -270,6 +270,7 @@ def test_json_on_standard_output_is_all_that_is_there(driven, capsys, verb):
 
 def test_colours_are_for_terminals_only(monkeypatch):
     class Terminal(io.StringIO):
+
         def isatty(self):
             return True
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Poses, paths, diagnostics and markers."""
 
-from msg_adapters.diagnostics import (diagnostics_message, status_level, status_message, STALE,
+from msg_adapters.diagnostics import (diagnostics_message, STALE, status_level, status_message,
                                       WARN)
 from msg_adapters.markers import (delete_markers, object_markers, path_markers,
                                   structure_markers)

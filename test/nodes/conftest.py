@@ -107,7 +107,7 @@ class Graph:
 
 @pytest.fixture
 def graph(ros_environment):
-    """Start ROS with the parameters that a test asks for: graph('-p', 'x:=1')."""
+    """Start ROS with the parameters that a test asks for, as in `-p x:=1`."""
     import rclpy
     made = []
 
@@ -158,7 +158,7 @@ class Process:
 
 @pytest.fixture
 def launch(tmp_path):
-    """Start nodes as processes of their own: launch('feature_tracker', '-r', 'image:=a')."""
+    """Start nodes as processes of their own, by the name of their module."""
     started = []
 
     def run(module, *arguments, before=()):

@@ -24,13 +24,12 @@ import image_stream
 from msg_adapters.tracks import tracks_from_message
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import String
-
 from selfcal_ros.cli.demo import read_truth
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.nodes.all import DEFAULT, wanted_nodes
 from selfcal_ros.nodes.estimation_process import EstimationProcess
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import String
 
 BAG = Path(__file__).resolve().parents[2] / 'bags' / 'agv_drive'
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,7 +104,7 @@ def test_the_recorded_drive_through_one_process_gives_the_true_camera(graph, lau
     assert answer.success and (tmp_path / 'ros_home/camera_info/front.yaml').is_file()
 
 
-@pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs Linux\'s /proc')
+@pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_the_nodes_and_the_child_that_estimates(graph, launch, number):
     graph = graph()
@@ -140,7 +139,7 @@ def test_a_wrong_name_is_one_sentence_and_status_2(launch):
     node = launch('all', before=('tracker',))
     assert node.process.wait(30) == 2
     node._reader.join(5)
-    assert node.has_said('not \'tracker\'') and 'Traceback' not in node.said
+    assert node.has_said("not 'tracker'") and 'Traceback' not in node.said
 
 
 def answer(worker, timeout_s=30):

@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CompressedImage, Image
-
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.player_node import BagPlayer
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.pipeline.replay import ImageRecording
+from sensor_msgs.msg import CompressedImage, Image
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 50_000_000

@@ -23,16 +23,15 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from sensor_msgs.srv import SetCameraInfo
-from std_msgs.msg import String
-
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibrator_node import Calibrator
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.srv import SetCameraInfo
+from std_msgs.msg import String
 
 TYPES = rclpy_types()
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -22,14 +22,13 @@ from msg_adapters.tracks import tracks_message
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, PointCloud2
-from std_msgs.msg import String
-
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibrator_node import Calibrator
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
 
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 200_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

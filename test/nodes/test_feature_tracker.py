@@ -18,9 +18,8 @@ from msg_adapters.tracks import tracks_from_message
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CompressedImage, Image, PointCloud2
-
 from selfcal_ros.nodes.tracker_node import FeatureTracker
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 STEP_PX = 4
 

@@ -17,10 +17,9 @@ import json
 from pathlib import Path
 
 import pytest
-import yaml
-
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters import CalibratorParameters
+import yaml
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 

@@ -23,11 +23,10 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
-from std_msgs.msg import String
-
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
 
 pytestmark = pytest.mark.ros
 

@@ -25,14 +25,13 @@ from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CameraInfo, PointCloud2
-from std_msgs.msg import String
-from visualization_msgs.msg import Marker, MarkerArray
-
 from selfcal_ros.nodes.calibrator_node import Calibrator
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
 
 STEP_NS = 200_000_000
 START_NS = 1_700_000_000_123_456_789

@@ -22,10 +22,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2
-
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
+from sensor_msgs.msg import PointCloud2
 
 
 @pytest.fixture
@@ -120,7 +119,7 @@ def test_a_signal_while_a_node_starts_ends_it_silently(tmp_path, name, where, nu
     assert (process.returncode, process.stderr, process.stdout) == (0, '', '')
 
 
-@pytest.mark.skipif(not os.path.exists('/proc/self/status'), reason='needs Linux\'s /proc')
+@pytest.mark.skipif(not os.path.exists('/proc/self/status'), reason="needs Linux's /proc")
 @pytest.mark.parametrize('name', ['feature_tracker', 'affine_calibrator', 'bag_player'])
 def test_a_signal_at_once_ends_a_node_silently(start, name):
     process = start(name)

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.file_sources import natural_key

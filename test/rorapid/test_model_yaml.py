@@ -60,7 +60,7 @@ def test_everything_that_a_model_holds_is_written(tmp_path):
 
 
 def test_a_model_by_hand(tmp_path):
-    model = _read(tmp_path, SQUARE + '''
+    model = _read(tmp_path, SQUARE + """
 lines:
 - {points: [0, 2], name: seam, min_length_px: 20}
 faces:
@@ -69,7 +69,7 @@ circles:
 - {centre: [0.5, 0.5, 0], normal: [0, 0, 2], radius: 1e-1, name: ring}
 cylinders:
 - {start: [0, 0, 0], end: [0, 0, 1], radius: 0.1}
-''')
+""")
     assert len(model.lines) == 5 and model.line_names[0] == 'seam'
     assert model.internal.tolist() == [True] + [False] * 4
     ring = model.conics[0].points(np.linspace(0, 6, 9)) - [0.5, 0.5, 0]
