@@ -18,20 +18,18 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.rorapid.control import ControlModel, Measured
+from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
+from selfcal_ros.rorapid.edge_choice import alike, handicap, uncrowded
 from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState, Projection
 from selfcal_ros.rorapid.recovery import ViewMemory
+from selfcal_ros.rorapid.region import region_of_interest, Undistorter
 from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
-from selfcal_ros.rorapid.texture import region_of_interest, TextureMemory, Undistorter
+from selfcal_ros.rorapid.texture import TextureMemory
 
-#: Standard deviations that edges and texture have at the least, pixels.
-_EDGE_SIGMA_PX, _TEXTURE_SIGMA_PX = 0.05, 0.1
-#: Corners beside edges: their common error is that of the pose in which they were learned, which
-#: does not average out, so that each counts for little - the more, the fewer edges there are.
-_EDGE_SHARES, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
-#: A corner of the texture agrees with a pose within this distance, pixels.
-_AGREE_PX = 2.5
+#: Standard deviation that edges have at the least, pixels.
+_EDGE_SIGMA_PX = 0.05
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
 _CERTAIN = 10
 #: With so many edges found the texture may be wrong.
@@ -47,22 +45,12 @@ _FOUND_PX, _TUKEY = 1.75, 4.5
 _ATTEMPTS = ((1, False), (3, False), (2, True))
 #: Mean of the biweight over Gaussian residuals, over the efficiency of the estimate (0.95).
 _MEAN_WEIGHT = 0.87
-#: So many corners must agree before they lead the edges.
-_LEAST_TEXTURE = 5
 #: After a sudden motion the object is sought so far around, pixels.
 _SEEK_PX = 120.0
 #: Rounds of the search from each start around a first guess, and contrast that is strong.
 _SETTLE_ROUNDS, _STRONG = 4, 40.0
-#: Control points with another primitive so close alongside count little.
-_CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
-#: The contrast of an edge changes by this factor at the most while it is the same edge.
-_CHANGE = 2.5
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
-#: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
-_WEAK_PX = 5.0
-#: An edge of the wrong polarity seems so much further away, pixels.
-_WRONG_SIGN_PX = 3.0
 
 
 class ModernCycle:
@@ -94,6 +82,7 @@ class ModernCycle:
         self._contrast = np.zeros(control.size)
         self._turn, self._edge_share = 0, 1.0
         self._outline = np.asarray(model.extent, float) - control.centre
+        self._corners = CornerFit(self._pinhole, basis, rng)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
     def reset(self) -> None:
@@ -105,7 +94,7 @@ class ModernCycle:
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
-        self.basis = basis
+        self.basis = self._corners.basis = basis
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
@@ -169,7 +158,7 @@ class ModernCycle:
         matches, agree = None, np.zeros(0, bool)
         if region is not None and self._use_texture and self.texture.known:
             state, matches, agree = self._by_texture(region, predicted, prior)
-        led = int(agree.sum()) >= _LEAST_TEXTURE
+        led = int(agree.sum()) >= LEAST_TEXTURE
         view = self.control.view(state)
         if led:
             reach = int(np.ceil(self.options.search_least_px))
@@ -207,77 +196,14 @@ class ModernCycle:
                                           levels)
             if matches is None:
                 break
-            near = _AGREE_PX * (1.5 if reduced else 1.0)
-            state, agree = self._agreement(matches, predicted, prior, near)
+            near = AGREE_PX * (1.5 if reduced else 1.0)
+            state, agree = self._corners.agreement(matches, predicted, prior, near)
             gain = 1.5 if reduced else 1.0
             if best[1] is None or agree @ matches.score > gain * (best[2] @ best[1].score):
                 best = state, matches, agree
             if agree.mean() > 0.4:
                 break
         return best
-
-    def _agreement(self, matches, predicted, prior, near_px):
-        """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
-        good = np.flatnonzero(matches.followed)
-        agree = np.zeros(len(matches.followed), bool)
-        if len(good) < _LEAST_TEXTURE:
-            return predicted, agree
-        points, pixels = matches.object_points[good], matches.pixels[good]
-        rows, residual = self._corner_rows(predicted, points, pixels)
-        score = matches.score[good]
-        if np.count_nonzero((residual**2).sum(axis=0) < _AGREE_PX**2) > 0.7 * len(good):
-            best = np.zeros(rows.shape[2])            # the prediction is right already
-        else:
-            best = self._sample(rows, residual, prior, score)
-        if best is None:
-            return predicted, agree
-        state, m = predicted, self.basis.shape[1]
-        q = best
-        state = self.projection.moved(predicted, self.basis @ q)
-        for _ in range(2):
-            rows, residual = self._corner_rows(state, points, pixels)
-            distance = np.sqrt((residual**2).sum(axis=0))
-            sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
-            w = tukey_weight(distance, min(_TUKEY * sigma, 6.0)) * score
-            both = rows.reshape(-1, m)
-            wide = np.concatenate([w, w])
-            H = (both * wide[:, None]).T @ both / sigma**2
-            g = both.T @ (wide * residual.ravel()) / sigma**2
-            back = self.basis.T @ self.projection.difference(state, predicted)
-            q = np.linalg.solve(H + prior, g - prior @ back)
-            state = self.projection.moved(state, self.basis @ q)
-        _, residual = self._corner_rows(state, points, pixels)
-        near = (residual**2).sum(axis=0) < near_px**2
-        if near.sum() < _LEAST_TEXTURE:
-            return predicted, agree
-        agree[good[near]] = True
-        return state, agree
-
-    def _corner_rows(self, state, points, pixels):
-        """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
-        seen = self._pinhole.project(state, points)
-        n = len(points)
-        rows = np.empty((2, n, self.basis.shape[1]))
-        way = np.zeros((n, 2))
-        for k in (0, 1):
-            way[:, k], way[:, 1 - k] = 1, 0
-            rows[k] = self._pinhole.rows(state, seen, way) @ self.basis
-        return rows, (pixels - seen.pixels).T
-
-    def _sample(self, rows, residual, prior, weight, samples=48):
-        """Correction (m,) with most agreement out of many from three corners each."""
-        n, m = rows.shape[1], rows.shape[2]
-        pick = self.rng.integers(0, n, (samples, 3))
-        J = rows[:, pick].transpose(1, 0, 2, 3).reshape(samples, 6, m)
-        r = residual[:, pick].transpose(1, 0, 2).reshape(samples, 6)
-        H = np.einsum('ski,skj->sij', J, J) + 0.25 * prior
-        q = np.linalg.solve(H, np.einsum('ski,sk->si', J, r)[..., None])[..., 0]
-        q = np.concatenate([q, np.zeros((1, m))])
-        error = residual.ravel()[:, None] - rows.reshape(-1, m) @ q.T
-        square = error[:n]**2 + error[n:]**2
-        score = weight @ np.maximum(1 - square / 16.0, 0.0)
-        best = int(score.argmax())
-        return q[best] if score[best] > 0.5 else None
 
     def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, first):
         """Search the edges and solve for the state, corners included."""
@@ -294,18 +220,19 @@ class ModernCycle:
             offset = contrast = np.zeros((0, options.candidates))
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
-        handicap = _handicap(contrast, wanted)
-        alone = _uncrowded(view, at)
+        further = handicap(contrast, wanted)
+        alone = uncrowded(view, at)
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
-            corner_H, corner_g = self._corner_terms(state, matches, agree)
+            corner_H, corner_g = self._corners.terms(state, matches, agree,
+                                                     self._edge_share)
         back = self.basis.T @ self.projection.difference(state, predicted)
         q = np.zeros(m)
         limits = self._limits(reach, first)
         line = np.arange(len(at))
         for limit in limits:
             along = rows @ q
-            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * handicap
+            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further
             best = distance.argmin(axis=1) if len(at) else line
             chosen = offset[line, best]
             residual = chosen - along
@@ -383,19 +310,6 @@ class ModernCycle:
         steps = self.options.steps if first else min(self.options.steps, 2)
         return np.geomspace(wide, narrow, steps) if steps > 1 else np.array([narrow])
 
-    def _corner_terms(self, state, matches, agree):
-        """Normal equations of the agreeing corners about a state."""
-        rows, residual = self._corner_rows(state, matches.object_points[agree],
-                                           matches.pixels[agree])
-        distance = np.sqrt((residual**2).sum(axis=0))
-        sigma = robust_sigma(distance / 1.5, float(np.interp(
-            self._edge_share, _EDGE_SHARES, _BESIDE_EDGES_PX)))
-        w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
-        w *= np.minimum(2 * matches.score[agree], 1.0)
-        both = rows.reshape(-1, rows.shape[2])
-        wide = np.concatenate([w, w])
-        return (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())
-
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
         _, covariance, view, at, residual, contrast, information = result
@@ -403,8 +317,8 @@ class ModernCycle:
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
         found = np.abs(edge_px) < _FOUND_PX
-        alike = found[at] & _alike(contrast, self._contrast[view.ids[at]])
-        edges = float(alike.mean()) if len(at) else 0.0
+        same = found[at] & alike(contrast, self._contrast[view.ids[at]])
+        edges = float(same.mean()) if len(at) else 0.0
         share, certain = self._confirmation(edges, matches, agree)
         determined = self._determined(information)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
@@ -442,10 +356,10 @@ class ModernCycle:
             Whether this would do to recognise a lost object.
 
         """
-        if matches is None or len(agree) < 2 * _LEAST_TEXTURE:
+        if matches is None or len(agree) < 2 * LEAST_TEXTURE:
             return float(edges), edges >= max(self.options.tracking_share, _EDGES_DO)
         count, followed = int(agree.sum()), int(matches.followed.sum())
-        if count < _LEAST_TEXTURE or count < 0.4 * followed:
+        if count < LEAST_TEXTURE or count < 0.4 * followed:
             # edges alone, where the texture says no; a rich texture has the last word
             if len(agree) >= _RICH:
                 return 0.4 * float(edges), False
@@ -472,46 +386,3 @@ class ModernCycle:
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)
-
-
-def _handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """
-    Pixels by which an edge seems further away than it is, for it does not look right.
-
-    Parameters
-    ----------
-    contrast : ndarray, shape (C, K)
-    wanted : ndarray, shape (C,)
-        Remembered contrast, 0 where none is: then the strongest edge is preferred.
-
-    Returns
-    -------
-    ndarray, shape (C, K)
-
-    """
-    size = np.abs(contrast)
-    strongest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), 1e-6)
-    weak = np.where(wanted[:, None] == 0, _WEAK_PX * (1 - size / strongest), 0.0)
-    return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)
-
-
-def _alike(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
-    ratio = contrast / np.where(wanted == 0, 1.0, wanted)
-    return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
-
-
-def _uncrowded(view, at: np.ndarray) -> np.ndarray:
-    """
-    Weight of control points by how near other primitives run alongside, (len(at),).
-
-    Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
-    """
-    pixels, normal = view.projected.pixels[at], view.normal[at]
-    across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
-    along = pixels @ np.stack([-normal[:, 1], normal[:, 0]])
-    along -= np.einsum('cc->c', along)
-    crowd = ((np.abs(across) < _CROWD_PX) & (np.abs(along) < _CROWD_LENGTH_PX)
-             & (np.abs(normal @ normal.T) > 0.94)
-             & (view.primitive[at][:, None] != view.primitive[at]))
-    return np.where(crowd.any(axis=0), _CROWDED, 1.0)

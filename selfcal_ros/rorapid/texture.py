@@ -27,15 +27,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.rorapid.face_picture import alike, Face, lay_frame, seen_share
 from selfcal_ros.rorapid.projection import ObjectState, Projection
+from selfcal_ros.rorapid.region import Region
 
-#: Texels along the longer side of a face, and the share by which its picture is wider.
-TEXELS, MARGIN = 96, 0.08
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
 _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
-#: The region of interest is halved until its longer side is shorter than this, pixels.
-_MOST_ROI_PX = 320
 #: Window of Lucas-Kanade, pixels.
 _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
@@ -48,27 +45,6 @@ _LEAST_SCORE, _DOUBTS = 0.12, 12
 _UNPROVEN, _PROVEN = 0.2, 8
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
     -1, 2).astype(np.float32)
-
-
-@dataclass
-class _Face:
-    """One plane face: its frame, its picture and the corners in it."""
-
-    origin: np.ndarray          # object frame, of texel (0, 0)
-    axes: np.ndarray            # (3, 2): object vector of one texel step in x and y
-    normal: np.ndarray
-    corners: np.ndarray         # (n, 3) object frame
-    mask: np.ndarray            # where the texture can be trusted to be the face's
-    whole: bool                 # the polygon fills its rectangle
-    picture: np.ndarray | None = None
-    known: np.ndarray | None = None         # which texels were seen, 255 or 0
-    all_known: bool = False
-    points: np.ndarray | None = None        # (m, 3), object frame
-    texels: np.ndarray | None = None        # (m, 2)
-    score: np.ndarray | None = None         # (m,): how often each corner agreed, decaying
-    doubt: np.ndarray | None = None         # how often each texel was something else
-    seen: int = 0
-    quality: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,111 +73,6 @@ class TextureMatches:
     score: np.ndarray
 
 
-@dataclass(frozen=True)
-class Region:
-    """
-    Attributes of the part of the image around the object, at the scale of work.
-
-    Attributes
-    ----------
-    image : ndarray, shape (h, w), uint8
-    corner : ndarray, shape (2,)
-        Pixel of the whole image at the centre of its first pixel.
-    scale : float
-        Pixels of the region per pixel of the image: 1, 1/2, 1/4 ...
-
-    """
-
-    image: np.ndarray
-    corner: np.ndarray
-    scale: float
-
-    def halved(self) -> Region:
-        """Return the same part at half the scale."""
-        rows, columns = (side // 2 for side in self.image.shape)
-        part = cv2.resize(self.image[:2 * rows, :2 * columns], (columns, rows),
-                          interpolation=cv2.INTER_AREA)
-        return Region(part, self.corner + 0.5 / self.scale, 0.5 * self.scale)
-
-    def inside(self, pixels: np.ndarray) -> np.ndarray:
-        """Map pixels of the image to pixels of the region."""
-        return (pixels - self.corner) * self.scale
-
-    def outside(self, pixels: np.ndarray) -> np.ndarray:
-        """Map pixels of the region to pixels of the image."""
-        return pixels / self.scale + self.corner
-
-
-class Undistorter:
-    """
-    Takes the lens distortion out of parts of images.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Attributes
-    ----------
-    pinhole : Camera
-        The camera of the undistorted parts: the same calibration matrix, no distortion.
-
-    """
-
-    def __init__(self, camera: Camera):
-        """Wait for the size of the images."""
-        self._camera = camera
-        self.pinhole = Camera(camera.K, width=camera.width, height=camera.height)
-        self._maps = None
-
-    def part(self, image: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Cut rows and columns from low to high (x, y) out of the undistorted image."""
-        if not self._camera.distortion.any():
-            return image[low[1]:high[1], low[0]:high[0]]
-        if self._maps is None or self._maps[0].shape != image.shape:
-            x, y = np.meshgrid(np.arange(image.shape[1]), np.arange(image.shape[0]))
-            place = self._camera.pixels(self.pinhole.normalised(np.stack([x, y], axis=-1)))
-            self._maps = [np.ascontiguousarray(place[..., k], np.float32) for k in (0, 1)]
-        x, y = (part[low[1]:high[1], low[0]:high[0]] for part in self._maps)
-        return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
-def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
-                       lens: Undistorter):
-    """
-    Cut the part of an image around given pixels, undistorted, and reduced while it is large.
-
-    Parameters
-    ----------
-    image : ndarray, shape (H, W), uint8
-    pixels : ndarray, shape (N, 2)
-        Of the undistorted image.
-    margin_px : float
-    lens : Undistorter
-
-    Returns
-    -------
-    Region or None
-        None where it lies outside of the image.
-
-    """
-    height, width = image.shape
-    low = np.floor(np.clip(pixels.min(axis=0) - margin_px, 0, (width, height))).astype(int)
-    high = np.ceil(np.clip(pixels.max(axis=0) + margin_px, 0, (width, height))).astype(int)
-    if (high - low).min() < 24:
-        return None
-    part, scale = lens.part(image, low, high), 1.0
-    corner = low.astype(float)
-    while max(part.shape) * scale > _MOST_ROI_PX:
-        scale *= 0.5
-    if scale < 1:
-        step = int(round(1 / scale))
-        rows, columns = (part.shape[0] // step) * step, (part.shape[1] // step) * step
-        part = cv2.resize(part[:rows, :columns], (columns // step, rows // step),
-                          interpolation=cv2.INTER_AREA)
-        corner = corner + (step - 1) / 2
-    return Region(np.ascontiguousarray(part), corner, scale)
-
-
 class TextureMemory:
     """
     Pictures of the faces of one model.
@@ -224,7 +95,7 @@ class TextureMemory:
         """Lay a frame into each face."""
         self.projection, self.most_points = projection, int(most_points)
         self._triangles = np.asarray(triangles, float).reshape(-1, 3, 3)
-        self._faces = [_lay_frame(np.asarray(corners, float)) for corners in face_corners]
+        self._faces = [lay_frame(np.asarray(corners, float)) for corners in face_corners]
         self._pixel = projection.camera.K
         self._view = None
         self._visible = np.zeros(len(self._faces), bool)
@@ -256,12 +127,12 @@ class TextureMemory:
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
             self._open = np.array([
-                slope > 0.5 * _LEAST_COSINE and _seen_share(f, centre, self._triangles) > 0.6
+                slope > 0.5 * _LEAST_COSINE and seen_share(f, centre, self._triangles) > 0.6
                 for slope, f in zip(cosine, self._faces)])
         self._visible = self._open & (cosine > _LEAST_COSINE)
         return self._visible
 
-    def _homography(self, face: _Face, state: ObjectState, region: Region) -> np.ndarray:
+    def _homography(self, face: Face, state: ObjectState, region: Region) -> np.ndarray:
         """Map texels (x, y, 1) of a face to pixels of a region (undistorted camera)."""
         plane = np.column_stack([state.rotation @ face.axes,
                                  state.rotation @ face.origin + state.translation])
@@ -412,10 +283,10 @@ class TextureMemory:
                     continue
             self._take(face, picture, area, seen)
 
-    def _take(self, face: _Face, picture: np.ndarray, area: float, seen) -> None:
+    def _take(self, face: Face, picture: np.ndarray, area: float, seen) -> None:
         """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
         if face.picture is None or face.seen < 3 or area > 1.7 * face.quality:
-            if face.picture is None or face.seen < 3 or _alike(face, picture):
+            if face.picture is None or face.seen < 3 or alike(face, picture):
                 face.picture, face.quality = picture, area
                 face.known = np.full_like(picture, 255) if seen is None else seen
                 face.all_known = seen is None
@@ -448,7 +319,7 @@ class TextureMemory:
         cv2.copyTo(blended, same, face.picture)
         face.seen += 1
 
-    def _choose(self, face: _Face) -> None:
+    def _choose(self, face: Face) -> None:
         """Choose the corners of a face that can be followed."""
         corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, 0.03, 6,
                                           mask=self._inner(face), blockSize=5)
@@ -461,7 +332,7 @@ class TextureMemory:
         face.doubt = np.zeros(face.picture.shape, np.uint8)
 
     @staticmethod
-    def _inner(face: _Face) -> np.ndarray:
+    def _inner(face: Face) -> np.ndarray:
         """Texels of a face that lie well inside of what is known of it."""
         if face.all_known:
             return face.mask
@@ -479,80 +350,3 @@ def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,
     b -= b.mean(axis=1, keepdims=True)
     norm = np.einsum('ns,ns->n', a, a) * np.einsum('ns,ns->n', b, b)
     return np.einsum('ns,ns->n', a, b) / np.sqrt(np.maximum(norm, 1.0))
-
-
-def _alike(face: _Face, picture: np.ndarray) -> bool:
-    """Whether a new picture shows the same as the old one."""
-    old, new = face.picture.astype(np.float32), picture.astype(np.float32)
-    old, new = old - old.mean(), new - new.mean()
-    norm = np.sqrt((old**2).sum() * (new**2).sum())
-    return norm > 0 and float((old * new).sum() / norm) > 0.8
-
-
-def _lay_frame(corners: np.ndarray) -> _Face:
-    """Lay a rectangle of texels around a plane face."""
-    centre = corners.mean(axis=0)
-    following = np.roll(corners, -1, axis=0)
-    normal = np.cross(corners - centre, following - centre).sum(axis=0)
-    normal /= np.linalg.norm(normal)
-    # along the longest side
-    side = following - corners
-    u = side[np.argmax(np.linalg.norm(side, axis=1))]
-    u = u / np.linalg.norm(u)
-    v = np.cross(normal, u)
-    flat = (corners - centre) @ np.column_stack([u, v])
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    extent = high - low
-    step = (1 + 2 * MARGIN) * extent.max() / TEXELS
-    low, high = low - MARGIN * extent.max(), high + MARGIN * extent.max()
-    width, height = np.maximum(np.ceil((high - low) / step).astype(int), 16)
-    polygon = (flat - low) / step
-    mask = np.zeros((height, width), np.uint8)
-    cv2.fillPoly(mask, [np.round(polygon).astype(np.int32)], 255)
-    whole = len(corners) == 4 and cv2.contourArea(polygon.astype(np.float32)) > (
-        0.97 * np.prod(extent) / step**2)
-    inner = cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=0)
-    return _Face(centre + u * low[0] + v * low[1], np.column_stack([u, v]) * step, normal,
-                 corners, inner, whole)
-
-
-def _seen_share(face: _Face, camera: np.ndarray, triangles: np.ndarray) -> float:
-    """Share of sample points of a face that no triangle hides from the camera."""
-    rows, columns = np.nonzero(face.mask)
-    if not len(rows):
-        return 0.0
-    pick = np.linspace(0, len(rows) - 1, 25).astype(int)
-    points = face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
-    return float(1 - hidden_points(points, camera, triangles).mean())
-
-
-def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """
-    Which points are behind a triangle, seen from the camera (Moeller and Trumbore's test).
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-    camera : ndarray, shape (3,)
-    triangles : ndarray, shape (T, 3, 3)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-
-    """
-    if not len(triangles):
-        return np.zeros(len(points), bool)
-    ray = points - camera
-    one, two = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    across = np.cross(ray[:, None], two)
-    scale = np.einsum('nti,ti->nt', across, one)
-    scale = np.where(np.abs(scale) < 1e-18, np.nan, scale)
-    start = camera - triangles[:, 0]
-    a = np.einsum('nti,ti->nt', across, start) / scale
-    side = np.cross(start, one)
-    b = ray @ side.T / scale
-    depth = np.einsum('ti,ti->t', two, side) / scale
-    with np.errstate(invalid='ignore'):
-        return ((a > -1e-9) & (b > -1e-9) & (a + b < 1 + 1e-9) & (depth > 1e-9)
-                & (depth < 1 - 1e-4)).any(axis=1)

@@ -1,0 +1,126 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The pose on which followed corners of the texture agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.projection import Projection
+from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
+
+#: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.
+_TEXTURE_SIGMA_PX, _TUKEY = 0.1, 4.5
+#: Corners beside edges: their common error is that of the pose in which they were learned, which
+#: does not average out, so that each counts for little - the more, the fewer edges there are.
+_EDGE_SHARES, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
+#: A corner of the texture agrees with a pose within this distance, pixels.
+AGREE_PX = 2.5
+#: So many corners must agree before they lead the edges.
+LEAST_TEXTURE = 5
+
+
+class CornerFit:
+    """
+    Fits poses to corners.
+
+    Parameters
+    ----------
+    projection : Projection
+        Of a camera without distortion.
+    basis : ndarray, shape (size, m)
+        Of the motion model.
+    rng : numpy.random.Generator
+
+    """
+
+    def __init__(self, projection: Projection, basis: np.ndarray, rng):
+        """Take the camera and the motion model."""
+        self.projection, self.basis, self.rng = projection, basis, rng
+
+    def agreement(self, matches, predicted, prior, near_px):
+        """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
+        good = np.flatnonzero(matches.followed)
+        agree = np.zeros(len(matches.followed), bool)
+        if len(good) < LEAST_TEXTURE:
+            return predicted, agree
+        points, pixels = matches.object_points[good], matches.pixels[good]
+        rows, residual = self._rows(predicted, points, pixels)
+        score = matches.score[good]
+        if np.count_nonzero((residual**2).sum(axis=0) < AGREE_PX**2) > 0.7 * len(good):
+            best = np.zeros(rows.shape[2])            # the prediction is right already
+        else:
+            best = self._sample(rows, residual, prior, score)
+        if best is None:
+            return predicted, agree
+        state, m = predicted, self.basis.shape[1]
+        q = best
+        state = self.projection.moved(predicted, self.basis @ q)
+        for _ in range(2):
+            rows, residual = self._rows(state, points, pixels)
+            distance = np.sqrt((residual**2).sum(axis=0))
+            sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
+            w = tukey_weight(distance, min(_TUKEY * sigma, 6.0)) * score
+            both = rows.reshape(-1, m)
+            wide = np.concatenate([w, w])
+            H = (both * wide[:, None]).T @ both / sigma**2
+            g = both.T @ (wide * residual.ravel()) / sigma**2
+            back = self.basis.T @ self.projection.difference(state, predicted)
+            q = np.linalg.solve(H + prior, g - prior @ back)
+            state = self.projection.moved(state, self.basis @ q)
+        _, residual = self._rows(state, points, pixels)
+        near = (residual**2).sum(axis=0) < near_px**2
+        if near.sum() < LEAST_TEXTURE:
+            return predicted, agree
+        agree[good[near]] = True
+        return state, agree
+
+    def _rows(self, state, points, pixels):
+        """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
+        seen = self.projection.project(state, points)
+        n = len(points)
+        rows = np.empty((2, n, self.basis.shape[1]))
+        way = np.zeros((n, 2))
+        for k in (0, 1):
+            way[:, k], way[:, 1 - k] = 1, 0
+            rows[k] = self.projection.rows(state, seen, way) @ self.basis
+        return rows, (pixels - seen.pixels).T
+
+    def _sample(self, rows, residual, prior, weight, samples=48):
+        """Correction (m,) with most agreement out of many from three corners each."""
+        n, m = rows.shape[1], rows.shape[2]
+        pick = self.rng.integers(0, n, (samples, 3))
+        J = rows[:, pick].transpose(1, 0, 2, 3).reshape(samples, 6, m)
+        r = residual[:, pick].transpose(1, 0, 2).reshape(samples, 6)
+        H = np.einsum('ski,skj->sij', J, J) + 0.25 * prior
+        q = np.linalg.solve(H, np.einsum('ski,sk->si', J, r)[..., None])[..., 0]
+        q = np.concatenate([q, np.zeros((1, m))])
+        error = residual.ravel()[:, None] - rows.reshape(-1, m) @ q.T
+        square = error[:n]**2 + error[n:]**2
+        score = weight @ np.maximum(1 - square / 16.0, 0.0)
+        best = int(score.argmax())
+        return q[best] if score[best] > 0.5 else None
+
+    def terms(self, state, matches, agree, edge_share):
+        """Normal equations of the agreeing corners about a state."""
+        rows, residual = self._rows(state, matches.object_points[agree],
+                                    matches.pixels[agree])
+        distance = np.sqrt((residual**2).sum(axis=0))
+        sigma = robust_sigma(distance / 1.5, float(np.interp(
+            edge_share, _EDGE_SHARES, _BESIDE_EDGES_PX)))
+        w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
+        w *= np.minimum(2 * matches.score[agree], 1.0)
+        both = rows.reshape(-1, rows.shape[2])
+        wide = np.concatenate([w, w])
+        return (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())

@@ -1,0 +1,70 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which edge is the right one: polarity, strength, memory, and what runs alongside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Control points with another primitive so close alongside count little.
+_CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
+#: The contrast of an edge changes by this factor at the most while it is the same edge.
+_CHANGE = 2.5
+#: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
+_WEAK_PX = 5.0
+#: An edge of the wrong polarity seems so much further away, pixels.
+_WRONG_SIGN_PX = 3.0
+
+
+def handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """
+    Pixels by which an edge seems further away than it is, for it does not look right.
+
+    Parameters
+    ----------
+    contrast : ndarray, shape (C, K)
+    wanted : ndarray, shape (C,)
+        Remembered contrast, 0 where none is: then the strongest edge is preferred.
+
+    Returns
+    -------
+    ndarray, shape (C, K)
+
+    """
+    size = np.abs(contrast)
+    strongest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), 1e-6)
+    weak = np.where(wanted[:, None] == 0, _WEAK_PX * (1 - size / strongest), 0.0)
+    return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)
+
+
+def alike(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
+    ratio = contrast / np.where(wanted == 0, 1.0, wanted)
+    return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
+
+
+def uncrowded(view, at: np.ndarray) -> np.ndarray:
+    """
+    Weight of control points by how near other primitives run alongside, (len(at),).
+
+    Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
+    """
+    pixels, normal = view.projected.pixels[at], view.normal[at]
+    across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
+    along = pixels @ np.stack([-normal[:, 1], normal[:, 0]])
+    along -= np.einsum('cc->c', along)
+    crowd = ((np.abs(across) < _CROWD_PX) & (np.abs(along) < _CROWD_LENGTH_PX)
+             & (np.abs(normal @ normal.T) > 0.94)
+             & (view.primitive[at][:, None] != view.primitive[at]))
+    return np.where(crowd.any(axis=0), _CROWDED, 1.0)
