@@ -105,7 +105,8 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
             covariance = np.zeros((9, 9))
             covariance[np.ix_(free, free)] = np.linalg.pinv(
                 total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
-            sigma = np.sqrt(np.diag(parameter_covariance(covariance, state.intrinsics)))
+            variance = np.diag(parameter_covariance(covariance, state.intrinsics))
+            sigma = np.sqrt(np.maximum(variance, 0))
             found.append(Suggestion(words, dict(zip(PARAMETER_NAMES, sigma.tolist())),
                                     float(np.max(sigma[place] / limits[place]))))
         return sorted(found, key=lambda one: one.worst_share)

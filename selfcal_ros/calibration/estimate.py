@@ -26,6 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.conclusion import conclude
+from selfcal_ros.calibration.flat_scene import FlatScene
 from selfcal_ros.calibration.model_choice import choose_model, first_fit, hold_parallel, Model
 from selfcal_ros.calibration.motion import MOST_TILT_RAD, not_planar, out_of_plane_rad
 from selfcal_ros.calibration.observability import held_facts
@@ -35,7 +36,6 @@ from selfcal_ros.calibration.refine import (bundle_of, fit_robustly, flatten, NE
                                             with_all_points)
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.search import best_start, closed_form, START_TRACKS_PER_VIEW
-from selfcal_ros.calibration.start import planar_start
 from selfcal_ros.calibration.state import (aligned, BundleState, holding, MotionModel,
                                            priors_from_facts)
 from selfcal_ros.calibration.view_graph import ViewGraph
@@ -63,7 +63,7 @@ MINIMUM_FREEDOM = 12
 
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                           proposals: list[Camera], motions: tuple[MotionModel, ...],
-                          ) -> Calibration | NotCalibrated:
+                          flat: bool = False) -> Calibration | NotCalibrated:
     """
     Calibrate from planar or general motion.
 
@@ -78,6 +78,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     motions : tuple of MotionModel
         Kinds of motion to try, the most constrained first; the first that explains the images
         is taken.
+    flat : bool
+        Suppose that the scene is one plane, where without it the images would be refused for
+        want of parallax.
 
     Returns
     -------
@@ -95,14 +98,16 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                       'least three.', 'Record a longer sequence with turns.',
                       status={name: 'held' if name in held_facts(facts) else 'unobservable'
                               for name in PARAMETER_NAMES})
-    if graph.parallax < PARALLAX_RATIO:
+    plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
+    if graph.parallax < PARALLAX_RATIO and plane is None:
         return refuse('One homography explains every pair of images to within the noise '
                       f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
                       'lie on one plane.',
                       'Self-calibration from motion needs a camera that also moves, before a '
                       'scene with depth; or say --motion rotation, if it only rotated.',
                       'rotation')
-    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02))
+    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
+                      flat=plane)
     freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
                         1.0).degrees_of_freedom
     if freedom < MINIMUM_FREEDOM:
@@ -127,7 +132,7 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
-    chain = closed_form(window) if problem.motion.keeps_plane else []
+    chain = closed_form(window) if problem.motion.keeps_plane and not problem.flat else []
     start, noise_px = best_start(window, [*proposals, *chain])
     if not noise_px < EXPLAINED * problem.noise_px:
         left = f'the best leaves {noise_px:.2g} px' if np.isfinite(noise_px) else 'no start stands'
@@ -179,7 +184,7 @@ def extended(problem: Problem, model: Model) -> BundleState | None:
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
     bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
                        10 * problem.noise_px)
-    starts = [planar_start(problem.pairs, bundle.blocks, few.xy, found.camera(), exact)
+    starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
     starts = [state if state is None or not model.exact else flatten(state) for state in starts]
     costs = [np.inf if state is None else bundle.cost(state) for state in starts]

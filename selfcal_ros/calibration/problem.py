@@ -19,12 +19,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.flat_scene import FlatScene
 from selfcal_ros.calibration.refine import NEARLY_PLANAR, Observations
-from selfcal_ros.calibration.start import relative_rotations, spanning_order
-from selfcal_ros.calibration.state import (ASPECT, CX, CY, K1, K2, MotionModel, Prior,
+from selfcal_ros.calibration.start import planar_start, relative_rotations, spanning_order
+from selfcal_ros.calibration.state import (ASPECT, BundleState, CX, CY, K1, K2, MotionModel, Prior,
                                            priors_from_facts, SKEW)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: While starts are compared, soft facts keep them from wandering: principal point within so
@@ -40,7 +42,7 @@ TRACKS_PER_VIEW = 400
 
 @dataclass(frozen=True)
 class Problem:
-    """What every start is judged on."""
+    """What every start is judged on; `flat` where the scene may be one plane."""
 
     observations: Observations
     pairs: list
@@ -48,11 +50,19 @@ class Problem:
     facts: CameraFacts
     noise_px: float
     motion: MotionModel = NEARLY_PLANAR
+    flat: FlatScene | None = None
 
     @property
     def views(self) -> int:
         """Count the views."""
         return int(self.observations.view.max()) + 1
+
+    def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
+              exact: bool) -> BundleState | None:
+        """Start under a supposed calibration; see `planar_start`."""
+        if self.flat is not None:
+            return self.flat.start(blocks, xy, camera, exact)
+        return planar_start(self.pairs, blocks, xy, camera, exact)
 
     def window(self) -> Problem:
         """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
@@ -72,7 +82,9 @@ class Problem:
         observations = self.observations
         inside = (observations.view >= first) & (observations.view < last)
         within, _ = observations.select(inside)
-        return replace(self, pairs=pairs, motion=self.motion.of_views(np.arange(first, last)),
+        flat = self.flat and FlatScene(self.flat.homographies[first:last])
+        return replace(self, pairs=pairs, flat=flat,
+                       motion=self.motion.of_views(np.arange(first, last)),
                        observations=replace(within, view=within.view - first))
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.calibration.problem import Problem, start_priors, supposed_camera
 from selfcal_ros.calibration.refine import bundle_of
-from selfcal_ros.calibration.start import planar_start
 from selfcal_ros.calibration.state import BundleState, holding
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
@@ -61,7 +60,7 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
     coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
     fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
     for camera in proposals:
-        candidates = [planar_start(problem.pairs, blocks, few.xy, camera, exact)
+        candidates = [problem.start(blocks, few.xy, camera, exact)
                       for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
         costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
         if not np.isfinite(min(costs)):

@@ -20,11 +20,12 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.estimate import calibrate_from_motion, MOTION_MODELS
+from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rotating import calibrate_rotating
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.translation import calibrate_translated
-from selfcal_ros.calibration.view_graph import build_view_graph
+from selfcal_ros.calibration.view_graph import build_view_graph, ViewGraph
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.version import __version__
@@ -91,19 +92,23 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     else:
         result = calibrate_from_motion(graph, size, facts, [start] if start else [],
                                        MOTION_MODELS[motion])
-        if (motion == 'auto' and graph.parallax < DOUBTFUL_PARALLAX
-                and len(graph.frames) >= ROTATION_LEAST_VIEWS):
-            # a plane before the camera stays refused there
-            result = _simpler(calibrate_rotating(graph.tracks, size, facts), result)
+        if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_LEAST_VIEWS:
+            result = _with_little_parallax(graph, size, facts, motion, result)
     return replace(result, software=f'selfcal_ros {__version__}')
 
 
-def _simpler(rotating, moving) -> Calibration | NotCalibrated:
-    """Choose between a camera that only rotates and one that moves, too."""
-    if rotating and moving and (rotating.noise_sigma_px
-                                > ROTATION_NOISE * moving.noise_sigma_px):
-        return moving
-    return rotating or moving
+def _with_little_parallax(graph: ViewGraph, size, facts: CameraFacts, motion: str,
+                          moving) -> Calibration | NotCalibrated:
+    """Try whether the camera only rotates, or the scene is one plane."""
+    rotating = calibrate_rotating(graph.tracks, size, facts)
+    if rotating:
+        simpler = not moving or (rotating.noise_sigma_px
+                                 <= ROTATION_NOISE * moving.noise_sigma_px)
+        return rotating if motion == 'auto' and simpler else moving
+    if not moving and graph.parallax < PARALLAX_RATIO:
+        plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
+        return plane or moving
+    return moving
 
 
 def _size_from(tracks: Tracks) -> tuple[int, int]:
