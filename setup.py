@@ -87,6 +87,10 @@ setup(
         'dask': [
             'distributed>=2023.1',
         ],
+        # selfcal calibrate --view
+        'view': [
+            'rerun-sdk>=0.23',
+        ],
         'test': [
             'pytest>=7',
             'pytest-xdist',

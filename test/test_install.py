@@ -28,6 +28,9 @@ ROOT = Path(__file__).resolve().parents[1]
 #: What may lie beside the sources but is no part of them.
 NOT_SOURCES = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', 'out',
                                      '*.egg-info', '__pycache__', '.pytest_cache', '.hypothesis')
+#: What ros2 launch and viewers look for, by folder of share/selfcal_ros.
+SHARED = {folder: {path.name for path in (ROOT / folder).iterdir() if path.is_file()}
+          for folder in ('launch', 'config')}
 EXECUTABLES = sorted(path.name for path in (ROOT / 'scripts').iterdir())
 
 pytestmark = [pytest.mark.install,
@@ -91,7 +94,8 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     assert (prefix / 'share/selfcal_ros/package.xml').is_file()
     for name in ('agv', 'arm', 'track'):
         assert (prefix / f'share/selfcal_ros/launch/{name}.launch.py').is_file()
-    assert (prefix / 'share/selfcal_ros/config/fastdds.xml').is_file()
+    for folder, names in SHARED.items():
+        assert names <= {path.name for path in (prefix / 'share/selfcal_ros' / folder).iterdir()}
     shims = prefix / 'lib' / 'selfcal_ros'
     assert sorted(path.name for path in shims.iterdir()) == EXECUTABLES
     assert 'selfcal_ros' in run(shims / 'selfcal', '--version', env=clean, cwd=tmp_path)
@@ -114,7 +118,9 @@ def test_colcon_gives_executables_that_ros2_run_finds(tmp_path, sources, clean):
     folder = prefix / 'lib' / 'selfcal_ros'
     assert sorted(path.name for path in folder.iterdir()) == EXECUTABLES
     assert (prefix / 'share/ament_index/resource_index/packages/selfcal_ros').is_file()
-    assert (prefix / 'share/selfcal_ros/launch/agv.launch.py').is_file()
+    for shared, names in SHARED.items():
+        there = {path.name for path in (prefix / 'share/selfcal_ros' / shared).iterdir()}
+        assert names <= there
     assert (prefix / 'share/selfcal_ros/bags/agv_drive/metadata.yaml').is_file()
     started = f'. {workspace}/install/setup.sh && exec "$0" "$@"'
     said = run('sh', '-c', started, folder / 'selfcal', '--version', env=clean, cwd=tmp_path)

@@ -27,6 +27,8 @@ from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Motions from tracks of an unknown scene.
 MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general')
+#: --view without a file.
+VIEWER = Path('-')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
                         help='the points of the scene with their colours; the median step between '
                              'views is 1')
+    output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
+                        help='open the Rerun viewer with images, path and structure, or write '
+                             'SCENE.RRD for it (extra: view)')
     output.add_argument('--quiet', action='store_true',
                         help='print nothing but errors and the reason of a failure')
 
@@ -120,6 +125,12 @@ def _check_options(args: argparse.Namespace) -> None:
     if known and args.ply:
         raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
                             'object is known.')
+    if args.view:
+        if known:
+            raise ArgumentError('--view shows the structure of an unknown scene; leave it out, '
+                                'the object is known.')
+        from selfcal_ros.report.viewer import load_rerun
+        load_rerun()
     least = 1 if known else 3
     if args.max_keyframes is not None and args.max_keyframes < least:
         raise ArgumentError(f'--max-keyframes must be at least {least}: fewer views cannot '
@@ -154,6 +165,11 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
+    # a camera that only rotates has neither path nor structure to show
+    if args.view and result and result.motion != 'rotation':
+        from selfcal_ros.report.viewer import view
+        view(result, reading.tracks, lambda: open_source(path, args.topic, colour=True),
+             None if args.view == VIEWER else args.view)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
 
 
