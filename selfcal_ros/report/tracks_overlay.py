@@ -61,17 +61,20 @@ class TracksOverlay:
         thickness = max(1, round(max(gray.shape) / 800))
         for (ids_a, xy_a), (ids_b, xy_b) in zip(self._past[:-1], self._past[1:]):
             _, a, b = np.intersect1d(ids_a, ids_b, assume_unique=True, return_indices=True)
-            steps = np.stack([xy_a[a], xy_b[b]], axis=1)
+            # the ways of points that are lost by now would only hide the others
+            kept = np.isin(ids_b[b], ids, assume_unique=True)
+            steps = np.stack([xy_a[a], xy_b[b]], axis=1)[kept]
             cv2.polylines(image, list(_fixed(steps)), False, TRAIL, thickness, cv2.LINE_AA, _SHIFT)
         share = np.minimum([self._age[point] for point in ids.tolist()], MATURE) / MATURE
         colours = np.asarray(NEW) + np.reshape(share, (-1, 1)) * (np.subtract(OLD, NEW))
         # OpenCV draws circles one by one
         for centre, colour in zip(_fixed(xy).tolist(), colours.tolist()):
             cv2.circle(image, centre, 3 * thickness << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
-        text = f'{len(ids)} points'
-        for colour, width in (((0, 0, 0), 3 * thickness), ((255, 255, 255), thickness)):
-            cv2.putText(image, text, (8, gray.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX,
-                        0.5 * max(1, thickness), colour, width, cv2.LINE_AA)
+        text, font, scale = f'{len(ids)} points', cv2.FONT_HERSHEY_SIMPLEX, 0.5 * thickness
+        (width, height), _ = cv2.getTextSize(text, font, scale, thickness)
+        bottom = gray.shape[0] - 8
+        cv2.rectangle(image, (0, bottom - height - 8), (width + 16, gray.shape[0]), (0, 0, 0), -1)
+        cv2.putText(image, text, (8, bottom), font, scale, (255, 255, 255), thickness, cv2.LINE_AA)
         return image
 
 
