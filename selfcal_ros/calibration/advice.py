@@ -86,7 +86,7 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
     rng = np.random.default_rng(0) if rng is None else rng
     state, bundle = fit.state, fit.bundle
     depths = _depths(fit)
-    if depths is None:
+    if depths is None or not names:
         return []
     at_hand = _information(bundle, state) / share
     state = _plausible(state, bundle, size)

@@ -369,7 +369,10 @@ class Bundle:
         # `matrix` carries the weights, whose mean differs from that of ψ'
         influence = system.influence(inverse[:SHARED]) * weight / slope
         measured = 2 * len(self.view) - 3 * self.blocks.point_count
-        return Evidence(inverse * psi_square * weight / slope**2, influence, share,
+        freedom = max(self.degrees_of_freedom, 3)
+        # Student's: the noise is estimated too
+        factor = psi_square * weight / slope**2 * freedom / (freedom - 2)
+        return Evidence(inverse * factor, influence, share,
                         max(self.degrees_of_freedom, 1) / max(measured, 1))
 
     def covariance(self, state: BundleState) -> np.ndarray:

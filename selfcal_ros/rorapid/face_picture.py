@@ -41,6 +41,7 @@ class Face:
     texels: np.ndarray | None = None        # (m, 2)
     score: np.ndarray | None = None         # (m,): how often each corner agreed, decaying
     doubt: np.ndarray | None = None         # how often each texel was something else
+    other: np.ndarray | None = None         # the picture before, whatever it showed
     seen: int = 0
     quality: float = 0.0
 

@@ -41,6 +41,8 @@ _LEAST_CORRELATION = 0.6
 _LEAST_SEEN = 0.25
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
 _LEAST_SCORE, _DOUBTS = 0.12, 12
+#: Grey levels from which a texel has changed, and below which it stays what it changed to.
+_CHANGED, _STEADY = 15, 8
 #: Score of a new corner beside a face that was seen often enough.
 _UNPROVEN, _PROVEN = 0.2, 8
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
@@ -302,19 +304,21 @@ class TextureMemory:
                 face.known |= fresh
                 face.all_known = seen is None
                 self._choose(face)
-        # texels that changed a lot are something before the object: they stay as they were
-        change = cv2.absdiff(picture, face.picture)
-        same = cv2.compare(change, 30, cv2.CMP_LT)
+        # texels that changed are something before the object: they stay as they were
+        same = cv2.compare(cv2.absdiff(picture, face.picture), _CHANGED, cv2.CMP_LT)
+        # ... unless they stay changed, and stay as they changed to: what passes before the
+        # object slides over it, what belongs to it does not
+        steady = cv2.compare(cv2.absdiff(picture, face.other), _STEADY, cv2.CMP_LT)
         if seen is not None:
             same &= seen
-        # ... unless they stay changed: then it was there before that something was
+            steady &= seen
         cv2.add(face.doubt, 1, dst=face.doubt)
-        face.doubt[same > 0] = 0
-        if seen is not None:
-            face.doubt[seen == 0] = 0
-        for_good = face.doubt >= _DOUBTS
-        if for_good.any():
-            face.picture[for_good], face.doubt[for_good] = picture[for_good], 0
+        face.doubt &= steady & cv2.bitwise_not(same)
+        face.other = picture
+        for_good = cv2.compare(face.doubt, _DOUBTS - 1, cv2.CMP_GT)
+        if cv2.countNonZero(for_good):
+            cv2.copyTo(picture, for_good, face.picture)
+            face.doubt &= cv2.bitwise_not(for_good)
         blended = cv2.addWeighted(face.picture, 0.9, picture, 0.1, 0.5)
         cv2.copyTo(blended, same, face.picture)
         face.seen += 1
@@ -330,6 +334,7 @@ class TextureMemory:
         others = any(f is not face and f.seen > _PROVEN for f in self._faces)
         face.score = np.full(len(face.texels), _UNPROVEN if others else 0.5)
         face.doubt = np.zeros(face.picture.shape, np.uint8)
+        face.other = face.picture.copy()
 
     @staticmethod
     def _inner(face: Face) -> np.ndarray:
