@@ -143,6 +143,8 @@ class Measured:
         Relative standard deviation of the focal length from this image alone (zoom).
     reason : str
         Why not, or why the share is low; one sentence.
+    evidence : tuple
+        What the cycle remembers of this measurement if it is accepted; its own affair.
 
     """
 
@@ -158,3 +160,4 @@ class Measured:
     certain: bool = False
     focal_sigma: float = 0.0
     reason: str = ''
+    evidence: tuple = ()

@@ -86,6 +86,12 @@ class CornerFit:
         agree[good[near]] = True
         return state, agree
 
+    def near(self, state, matches) -> np.ndarray:
+        """Which of the followed corners lie where a state puts them, (N,) bool."""
+        seen = self.projection.project(state, matches.object_points).pixels
+        square = ((matches.pixels - seen)**2).sum(axis=1)
+        return matches.followed & (square < AGREE_PX**2)
+
     def _rows(self, state, points, pixels):
         """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
         seen = self.projection.project(state, points)

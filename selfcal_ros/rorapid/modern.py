@@ -32,6 +32,8 @@ from selfcal_ros.rorapid.texture import TextureMemory
 _EDGE_SIGMA_PX = 0.05
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
 _CERTAIN = 10
+#: With fewer of the corners agreeing much is hidden.
+_MUCH_HIDDEN = 0.5
 #: With so many edges found the texture may be wrong.
 _EDGES_DO = 0.65
 #: A texture of so many corners is rich enough to be the judge.
@@ -158,7 +160,21 @@ class ModernCycle:
         matches, agree = None, np.zeros(0, bool)
         if region is not None and self._use_texture and self.texture.known:
             state, matches, agree = self._by_texture(region, predicted, prior)
-        led = int(agree.sum()) >= LEAST_TEXTURE
+        count = int(agree.sum())
+        led = count >= LEAST_TEXTURE
+        measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
+                                led)
+        if led and (count < _CERTAIN or count < 0.6 * matches.followed.sum()):
+            # few corners may agree on a wrong pose by chance; the edges decide
+            near = self._corners.near(predicted, matches)
+            alone = self._search(image, region, predicted, spread, prior, predicted, matches,
+                                 near, False)
+            if alone.evidence[-1] > measured.evidence[-1]:
+                measured = alone
+        return measured
+
+    def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
+        """Search the edges about a state, in some rounds, and conclude."""
         view = self.control.view(state)
         if led:
             reach = int(np.ceil(self.options.search_least_px))
@@ -169,6 +185,8 @@ class ModernCycle:
             if turn:
                 view = self.control.again(view, state)
                 reach = min(reach, int(np.ceil(self.options.search_least_px)))
+                if not led and matches is not None:
+                    agree = self._corners.near(state, matches)
             first = turn == 0 and not led
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
                                     first)
@@ -203,6 +221,7 @@ class ModernCycle:
                 best = state, matches, agree
             if agree.mean() > 0.4:
                 break
+        self.texture.hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
 
     def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, first):
@@ -324,9 +343,9 @@ class ModernCycle:
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
-        self._latest = (region, at, found, contrast, view, matches, agree, edges)
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
-                        determined, certain, self._focal_sigma(information, determined))
+                        determined, certain, self._focal_sigma(information, determined),
+                        evidence=(region, at, found, contrast, view, matches, agree, edges))
 
     def _determined(self, information) -> bool:
         """Whether one image determines the pose; the focal length may stay open."""
@@ -374,7 +393,7 @@ class ModernCycle:
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view, matches, agree, edges = self._latest
+        region, at, found, contrast, view, matches, agree, edges = measured.evidence
         ids, ok = view.ids[at], found[at]
         self._edge_share = edges
         old = self._contrast[ids[ok]]

@@ -41,8 +41,11 @@ _LEAST_CORRELATION = 0.6
 _LEAST_SEEN = 0.25
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
 _LEAST_SCORE, _DOUBTS = 0.12, 12
-#: Grey levels from which a texel has changed, and below which it stays what it changed to.
-_CHANGED, _STEADY = 15, 8
+#: Grey levels by which the surroundings of a texel have changed, and below which they stay what
+#: they changed to; texels across those surroundings.
+_CHANGED, _STEADY, _AROUND = 12, 6, 9
+#: Share by which a score follows what is seen, and while the corner is not seen at all.
+_LEARN, _LEARN_HIDDEN = 0.07, 0.0
 #: Score of a new corner beside a face that was seen often enough.
 _UNPROVEN, _PROVEN = 0.2, 8
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
@@ -101,6 +104,8 @@ class TextureMemory:
         self._pixel = projection.camera.K
         self._view = None
         self._visible = np.zeros(len(self._faces), bool)
+        #: Whether much of the object is hidden by other things: then more corners are followed.
+        self.hidden = False
         self._turn = 0
         if self._faces:
             self._origins = np.array([f.corners.mean(axis=0) for f in self._faces])
@@ -176,9 +181,10 @@ class TextureMemory:
         if inside.sum() < 4:
             return None
         pick = np.flatnonzero(inside)
-        if len(pick) > self.most_points:
+        most = self.most_points * (2 if self.hidden else 1)
+        if len(pick) > most:
             # every face has its share, each its best corners first
-            rank = np.argsort(owner[pick, 1], kind='stable')[:self.most_points]
+            rank = np.argsort(owner[pick, 1], kind='stable')[:most]
             pick = pick[rank]
         points, und, start, owner = points[pick], und[pick], start[pick], owner[pick]
         und = np.ascontiguousarray(und, np.float32)
@@ -234,8 +240,10 @@ class TextureMemory:
         for k in np.unique(matches.face):
             face, here = self._faces[k], matches.face == k
             at = matches.corner[here]
+            # one that is not even alike is hidden, more likely than wrong
+            rate = np.where(matches.followed[here], _LEARN, _LEARN_HIDDEN)[at < len(face.score)]
             at, right = at[at < len(face.score)], agree[here][at < len(face.score)]
-            face.score[at] = 0.93 * face.score[at] + 0.07 * right
+            face.score[at] += rate * (right - face.score[at])
             if (face.score > _LEAST_SCORE).sum() < 0.4 * len(face.score):
                 # most of what was learned there is not on the object
                 self._choose(face)
@@ -305,10 +313,10 @@ class TextureMemory:
                 face.all_known = seen is None
                 self._choose(face)
         # texels that changed are something before the object: they stay as they were
-        same = cv2.compare(cv2.absdiff(picture, face.picture), _CHANGED, cv2.CMP_LT)
+        same = _mean_change(picture, face.picture, _CHANGED)
         # ... unless they stay changed, and stay as they changed to: what passes before the
         # object slides over it, what belongs to it does not
-        steady = cv2.compare(cv2.absdiff(picture, face.other), _STEADY, cv2.CMP_LT)
+        steady = _mean_change(picture, face.other, _STEADY)
         if seen is not None:
             same &= seen
             steady &= seen
@@ -342,6 +350,11 @@ class TextureMemory:
         if face.all_known:
             return face.mask
         return face.mask & cv2.erode(face.known, np.ones((13, 13), np.uint8), borderValue=255)
+
+
+def _mean_change(one: np.ndarray, other: np.ndarray, limit: float) -> np.ndarray:
+    """Where two pictures differ by less than a limit on average around a texel, 255 or 0."""
+    return cv2.compare(cv2.blur(cv2.absdiff(one, other), (_AROUND, _AROUND)), limit, cv2.CMP_LT)
 
 
 def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,
