@@ -19,7 +19,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
-from selfcal_ros.rorapid.edge_choice import alike, handicap, uncrowded
+from selfcal_ros.rorapid.edge_choice import alike, CommonScatter, handicap, uncrowded
 from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState, Projection
@@ -83,6 +83,8 @@ class ModernCycle:
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
         self._turn, self._edge_share = 0, 1.0
+        visible = control.visible_model
+        self._common = CommonScatter(visible.primitive, ~control.is_conic)
         self._outline = np.asarray(model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
@@ -91,6 +93,7 @@ class ModernCycle:
         """Forget what the object looks like."""
         self._contrast[:] = 0
         self._edge_share = 1.0
+        self._common.forget()
         self.texture.forget()
         self._views.forget()
 
@@ -269,9 +272,11 @@ class ModernCycle:
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
         # Gaussian residuals weigh 0.87 on average, but the estimate is nearly as good as with 1
-        information = H / _MEAN_WEIGHT + corner_H + prior
-        return (after, np.linalg.inv(information), view, at, residual,
-                contrast[line, best] if len(at) else np.zeros(0), H + corner_H)
+        information = H / (_MEAN_WEIGHT * self._common.factor) + corner_H + prior
+        good = np.flatnonzero(near & (alone == 1.0) & (np.abs(residual) < limit))
+        return (after, information, view, at, residual,
+                contrast[line, best] if len(at) else np.zeros(0), H + corner_H,
+                self._common.sums(view.ids[at[good]], residual[good], sigma))
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -327,11 +332,13 @@ class ModernCycle:
         narrow = 3.0
         wide = max(float(reach), narrow) if first else 4.0
         steps = self.options.steps if first else min(self.options.steps, 2)
-        return np.geomspace(wide, narrow, steps) if steps > 1 else np.array([narrow])
+        share = 1 / max(steps - 1, 1)
+        return [wide * (narrow / wide)**(k * share) for k in range(steps - 1)] + [narrow]
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
-        _, covariance, view, at, residual, contrast, information = result
+        _, posterior, view, at, residual, contrast, information, common = result
+        covariance = np.linalg.inv(posterior)
         after = self.control.again(view, state)
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
@@ -345,7 +352,8 @@ class ModernCycle:
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain, self._focal_sigma(information, determined),
-                        evidence=(region, at, found, contrast, view, matches, agree, edges))
+                        evidence=(region, at, found, contrast, view, matches, agree, common,
+                                  edges))
 
     def _determined(self, information) -> bool:
         """Whether one image determines the pose; the focal length may stay open."""
@@ -381,7 +389,7 @@ class ModernCycle:
         if count < LEAST_TEXTURE or count < 0.4 * followed:
             # edges alone, where the texture says no; a rich texture has the last word
             if len(agree) >= _RICH:
-                return 0.4 * float(edges), False
+                return 0.45 * float(edges), False
             return ((0.75 if edges > _EDGES_DO else 0.4) * float(edges),
                     edges > _EDGES_CERTAIN)
         share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
@@ -393,9 +401,10 @@ class ModernCycle:
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view, matches, agree, edges = measured.evidence
+        region, at, found, contrast, view, matches, agree, common, edges = measured.evidence
         ids, ok = view.ids[at], found[at]
         self._edge_share = edges
+        self._common.learn(*common)
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:

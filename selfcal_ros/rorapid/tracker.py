@@ -20,7 +20,6 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.rorapid.classic import ClassicCycle
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.filter import ConstantVelocityFilter
@@ -392,6 +391,7 @@ def _recentring(arm: np.ndarray) -> np.ndarray:
     The middle moves by Delta and the origin lies at -arm from it: it moves by
     Delta - theta x arm.
     """
+    x, y, z = arm.tolist()
     carry = np.eye(6)
-    carry[3:, :3] = cross_matrix(arm)
+    carry[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
     return carry

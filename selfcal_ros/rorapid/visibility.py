@@ -133,7 +133,8 @@ class VisibleModel:
         self._static = len(self._points)
         #: Number of all control points.
         self.size = len(self._primitive)
-        self._ids = np.arange(self.size)
+        #: Primitive of each control point, (size,).
+        self.primitive = self._primitive
         self._corners = model.vertices[model.triangles]
         if self._static * len(self._corners) > MOST_TESTS:
             raise ArgumentError(f'{self._static} control points and {len(self._corners)} '
