@@ -35,7 +35,7 @@ from selfcal_ros.calibration.problem import observations_of, Problem
 from selfcal_ros.calibration.refine import (bundle_of, fit_robustly, flatten, NEARLY_PLANAR,
                                             with_all_points)
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.search import best_start, closed_form, START_TRACKS_PER_VIEW
+from selfcal_ros.calibration.search import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.state import (aligned, BundleState, holding, MotionModel,
                                            priors_from_facts)
 from selfcal_ros.calibration.view_graph import ViewGraph
@@ -132,8 +132,7 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
-    chain = closed_form(window) if problem.motion.keeps_plane and not problem.flat else []
-    start, noise_px = best_start(window, [*proposals, *chain])
+    start, noise_px = best_start(window, proposals)
     if not noise_px < EXPLAINED * problem.noise_px:
         left = f'the best leaves {noise_px:.2g} px' if np.isfinite(noise_px) else 'no start stands'
         return refuse(f'No camera and no such motion explain the tracks: {left}, where pairs of '

@@ -100,7 +100,7 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
     ----------
     problem : Problem
     first : list of Camera
-        Proposals to try before the sweep over the focal length.
+        Proposals to try before the closed form and the sweep over the focal length.
 
     Returns
     -------
@@ -113,7 +113,10 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
 
     def proposals():
         yield from first
-        for share in FOCAL_SWEEP:
+        for k, share in enumerate(FOCAL_SWEEP):
+            # an ordinary lens is tried in less time than the closed form takes
+            if k == 1 and problem.motion.keeps_plane and problem.flat is None:
+                yield from closed_form(problem)
             yield supposed_camera(share * longer, problem.size, problem.facts)
 
     best, best_noise = None, np.inf
