@@ -81,14 +81,13 @@ def lay_frame(corners: np.ndarray) -> Face:
                 corners, inner, whole)
 
 
-def seen_share(face: Face, camera: np.ndarray, triangles: np.ndarray) -> float:
-    """Share of sample points of a face that no triangle hides from the camera."""
+def sample_points(face: Face) -> np.ndarray:
+    """Points spread over a face, (25, 3), object frame."""
     rows, columns = np.nonzero(face.mask)
     if not len(rows):
-        return 0.0
+        return np.repeat(face.corners.mean(axis=0)[None], 25, axis=0)
     pick = np.linspace(0, len(rows) - 1, 25).astype(int)
-    points = face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
-    return float(1 - hidden_points(points, camera, triangles).mean())
+    return face.origin + np.column_stack([columns[pick], rows[pick]]) @ face.axes.T
 
 
 def hidden_points(points: np.ndarray, camera: np.ndarray, triangles: np.ndarray) -> np.ndarray:

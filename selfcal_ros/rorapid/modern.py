@@ -36,6 +36,8 @@ _CERTAIN = 10
 _MUCH_HIDDEN = 0.5
 #: With so many edges found the texture may be wrong.
 _EDGES_DO = 0.65
+#: After a step that moved the object by less the edges are where they were found, pixels.
+_STILL_PX = 0.5
 #: A texture of so many corners is rich enough to be the judge.
 _RICH = 24
 #: An object is recognised by so many edges, if they look as they are remembered.
@@ -86,6 +88,7 @@ class ModernCycle:
         visible = control.visible_model
         self._common = CommonScatter(visible.primitive, ~control.is_conic)
         self._outline = np.asarray(model.extent, float) - control.centre
+        self._radius = float(np.linalg.norm(self._outline, axis=1).max(initial=0.0))
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
@@ -193,8 +196,21 @@ class ModernCycle:
             first = turn == 0 and not led
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
                                     first)
+            step = self.projection.difference(result[0], state)
             state = result[0]
+            if led and self._shift_px(view, step) < _STILL_PX:
+                break
         return self._conclude(region, state, result, matches, agree)
+
+    def _shift_px(self, view, step) -> float:
+        """How far a correction moves the object in the image, roughly, pixels."""
+        if self.projection.size == 8:
+            return np.inf
+        depth = view.projected.inverse_depth
+        near = float(depth.max(initial=0.0))
+        turn = np.abs(step[:3]).max() * self._radius
+        return float((turn + np.abs(step[3:5]).max() + np.abs(step[5]) * self._radius * near)
+                     * near * self.projection.camera.K[0, 0])
 
     def _reach(self, state, view, spread):
         """Search range from the spread of the prediction."""

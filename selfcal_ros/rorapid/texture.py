@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.rorapid.face_picture import alike, Face, lay_frame, seen_share
+from selfcal_ros.rorapid.face_picture import alike, Face, hidden_points, lay_frame, sample_points
 from selfcal_ros.rorapid.projection import ObjectState, Projection
 from selfcal_ros.rorapid.region import Region
 
@@ -110,6 +110,7 @@ class TextureMemory:
         if self._faces:
             self._origins = np.array([f.corners.mean(axis=0) for f in self._faces])
             self._normals = np.array([f.normal for f in self._faces])
+            self._samples = np.concatenate([sample_points(f) for f in self._faces])
 
     @property
     def known(self) -> bool:
@@ -133,9 +134,9 @@ class TextureMemory:
         view = centre / np.linalg.norm(centre)
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
-            self._open = np.array([
-                slope > 0.5 * _LEAST_COSINE and seen_share(f, centre, self._triangles) > 0.6
-                for slope, f in zip(cosine, self._faces)])
+            hidden = hidden_points(self._samples, centre, self._triangles)
+            self._open = (cosine > 0.5 * _LEAST_COSINE) & (
+                hidden.reshape(len(self._faces), -1).mean(axis=1) < 0.4)
         self._visible = self._open & (cosine > _LEAST_COSINE)
         return self._visible
 
@@ -212,8 +213,16 @@ class TextureMemory:
                               [face.picture.shape[1], face.picture.shape[0], 1.0]]) @ H.T
             if frame[:, 2].min() <= 0:
                 continue
+            frame = frame[:, :2] / frame[:, 2:]
+            x, y = np.clip(np.floor(frame.min(axis=0)), 0, (width, height)).astype(int).tolist()
+            right, low = np.clip(np.ceil(frame.max(axis=0)) + 1, 0,
+                                 (width, height)).astype(int).tolist()
+            if right <= x or low <= y:
+                continue
             if face.whole and face.all_known:
-                cv2.warpPerspective(face.picture, H, (width, height), dst=drawing,
+                part = H - np.outer([x, y, 0], H[2])
+                cv2.warpPerspective(face.picture, part, (right - x, low - y),
+                                    dst=drawing[y:low, x:right],
                                     flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
             else:
                 drawn = cv2.warpPerspective(face.picture, H, (width, height))
