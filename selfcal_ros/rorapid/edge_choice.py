@@ -36,8 +36,8 @@ class CommonScatter:
     A pose feels how edges are displaced and turned as wholes. Edgels of one edge share errors
     (shading, background, sampling), so that this part of the residuals may scatter more than
     the scatter of the edgels over their root. Each line has two such values, the pose takes six
-    of them away; the mean square of the rest, in units of the edgels' variance, is the factor by
-    which the covariance grows. Averaged over images.
+    of them away; the mean square of the rest, averaged over images, is the variance of an edgel as
+    far as the pose is concerned.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ class CommonScatter:
 
     def forget(self) -> None:
         """Start anew, from independent edgels."""
-        self._square, self._freedom = 2 * _PRIOR_FREEDOM, _PRIOR_FREEDOM
+        self._square = self._freedom = 0.0
 
-    @property
-    def factor(self) -> float:
-        """By how much the variance of the pose grows."""
-        return float(np.clip(self._square / self._freedom, *_COMMON))
+    def factor(self, sigma: float) -> float:
+        """By how much the variance of a pose from edgels of `sigma` pixels grows."""
+        own = self._square / sigma**2 + _PRIOR_FREEDOM
+        return float(np.clip(own / (self._freedom + _PRIOR_FREEDOM), *_COMMON))
 
-    def sums(self, ids: np.ndarray, residual: np.ndarray, sigma: float) -> tuple[float, float]:
+    def sums(self, ids: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
         """
         Squares and degrees of freedom of the displacements of edges in one image.
 
@@ -79,8 +79,12 @@ class CommonScatter:
             Control points that count.
         residual : ndarray, shape (C,)
             Pixels.
-        sigma : float
-            Of the edgels, pixels.
+
+        Returns
+        -------
+        square : float
+            Pixels squared.
+        freedom : float
 
         """
         along = self._along[ids]
@@ -90,7 +94,7 @@ class CommonScatter:
         det = n * tt - t * t
         square = float(((tt * r * r - 2 * t * r * rt + n * rt * rt) / det).sum())
         freedom = 2 * len(n) - 6.0
-        return (square / sigma**2, freedom) if freedom > 0 else (0.0, 0.0)
+        return (square, freedom) if freedom > 0 else (0.0, 0.0)
 
     def learn(self, square: float, freedom: float) -> None:
         """Take in the sums of an image that was accepted."""

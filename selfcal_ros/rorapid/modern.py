@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.rorapid.confirmation import CERTAIN, confirmation, EDGES_DO
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
 from selfcal_ros.rorapid.edge_choice import alike, CommonScatter, handicap, uncrowded
@@ -30,18 +31,10 @@ from selfcal_ros.rorapid.texture import TextureMemory
 
 #: Standard deviation that edges have at the least, pixels.
 _EDGE_SIGMA_PX = 0.05
-#: An object is recognised by so many agreeing corners, if most of those followed agree.
-_CERTAIN = 10
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
-#: With so many edges found the texture may be wrong.
-_EDGES_DO = 0.65
 #: After a step that moved the object by less the edges are where they were found, pixels.
 _STILL_PX = 0.5
-#: A texture of so many corners is rich enough to be the judge.
-_RICH = 24
-#: An object is recognised by so many edges, if they look as they are remembered.
-_EDGES_CERTAIN = 0.75
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
@@ -170,7 +163,7 @@ class ModernCycle:
         led = count >= LEAST_TEXTURE
         measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
                                 led)
-        if led and (count < _CERTAIN or count < 0.6 * matches.followed.sum()):
+        if led and (count < CERTAIN or count < 0.6 * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
             alone = self._search(image, region, predicted, spread, prior, predicted, matches,
@@ -288,11 +281,11 @@ class ModernCycle:
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
         # Gaussian residuals weigh 0.87 on average, but the estimate is nearly as good as with 1
-        information = H / (_MEAN_WEIGHT * self._common.factor) + corner_H + prior
+        information = H / (_MEAN_WEIGHT * self._common.factor(sigma)) + corner_H + prior
         good = np.flatnonzero(near & (alone == 1.0) & (np.abs(residual) < limit))
         return (after, information, view, at, residual,
                 contrast[line, best] if len(at) else np.zeros(0), H + corner_H,
-                self._common.sums(view.ids[at[good]], residual[good], sigma))
+                self._common.sums(view.ids[at[good]], residual[good]))
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -361,7 +354,7 @@ class ModernCycle:
         found = np.abs(edge_px) < _FOUND_PX
         same = found[at] & alike(contrast, self._contrast[view.ids[at]])
         edges = float(same.mean()) if len(at) else 0.0
-        share, certain = self._confirmation(edges, matches, agree)
+        share, certain = confirmation(self.options, edges, matches, agree)
         determined = self._determined(information)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
@@ -388,33 +381,6 @@ class ModernCycle:
         floor = np.diag(1e-9 * np.diagonal(information) + 1e-12)
         return float(np.sqrt(row @ np.linalg.solve(information + floor, row)))
 
-    def _confirmation(self, edges: float, matches, agree) -> tuple[float, bool]:
-        """
-        Judge from edges and corners how far a pose is confirmed.
-
-        Returns
-        -------
-        share : float
-        certain : bool
-            Whether this would do to recognise a lost object.
-
-        """
-        if matches is None or len(agree) < 2 * LEAST_TEXTURE:
-            return float(edges), edges >= max(self.options.tracking_share, _EDGES_DO)
-        count, followed = int(agree.sum()), int(matches.followed.sum())
-        if count < LEAST_TEXTURE or count < 0.4 * followed:
-            # edges alone, where the texture says no; a rich texture has the last word
-            if len(agree) >= _RICH:
-                return 0.45 * float(edges), False
-            return ((0.75 if edges > _EDGES_DO else 0.4) * float(edges),
-                    edges > _EDGES_CERTAIN)
-        share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
-                    self.options.lost_share)
-        if count < _CERTAIN and edges < 0.3:
-            share *= 0.5
-        return float(share), (edges > _EDGES_CERTAIN and len(agree) < _RICH) or (
-            count >= _CERTAIN and count >= 0.6 * followed)
-
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
         region, at, found, contrast, view, matches, agree, common, edges = measured.evidence
@@ -426,7 +392,7 @@ class ModernCycle:
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)
-            if measured.certain or (edges > _EDGES_DO and measured.share > _EDGES_DO):
+            if measured.certain or (edges > EDGES_DO and measured.share > EDGES_DO):
                 self.texture.learn(region, measured.state, confirmed)
         if region is not None and confirmed:
             self._views.remember(region, measured.state)
