@@ -135,11 +135,14 @@ def uncrowded(view, at: np.ndarray) -> np.ndarray:
 
     Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
     """
-    pixels, normal = view.projected.pixels[at], view.normal[at]
+    pixels = view.projected.pixels[at].astype(np.float32)
+    normal = view.normal[at].astype(np.float32)
     across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
     along = pixels @ np.stack([-normal[:, 1], normal[:, 0]])
     along -= np.einsum('cc->c', along)
-    crowd = ((np.abs(across) < _CROWD_PX) & (np.abs(along) < _CROWD_LENGTH_PX)
-             & (np.abs(normal @ normal.T) > 0.94)
-             & (view.primitive[at][:, None] != view.primitive[at]))
+    primitive = view.primitive[at]
+    crowd = np.abs(across) < _CROWD_PX
+    crowd &= primitive[:, None] != primitive
+    crowd &= np.abs(along) < _CROWD_LENGTH_PX
+    crowd &= np.abs(normal @ normal.T) > 0.94
     return np.where(crowd.any(axis=0), _CROWDED, 1.0)

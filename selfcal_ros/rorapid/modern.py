@@ -189,9 +189,9 @@ class ModernCycle:
             first = turn == 0 and not led
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
                                     first)
-            step = self.projection.difference(result[0], state)
-            state = result[0]
-            if led and self._shift_px(view, step) < _STILL_PX:
+            before, state = state, result[0]
+            if led and turn + 1 < self.options.rounds and self._shift_px(
+                    view, self.projection.difference(state, before)) < _STILL_PX:
                 break
         return self._conclude(region, state, result, matches, agree)
 
@@ -200,10 +200,10 @@ class ModernCycle:
         if self.projection.size == 8:
             return np.inf
         depth = view.projected.inverse_depth
-        near = float(depth.max(initial=0.0))
-        turn = np.abs(step[:3]).max() * self._radius
-        return float((turn + np.abs(step[3:5]).max() + np.abs(step[5]) * self._radius * near)
-                     * near * self.projection.camera.K[0, 0])
+        near, step = float(depth.max(initial=0.0)), [abs(value) for value in step.tolist()]
+        turn = max(step[:3]) * self._radius
+        return ((turn + max(step[3:5]) + step[5] * self._radius * near)
+                * near * float(self.projection.camera.K[0, 0]))
 
     def _reach(self, state, view, spread):
         """Search range from the spread of the prediction."""
@@ -285,7 +285,7 @@ class ModernCycle:
         good = np.flatnonzero(near & (alone == 1.0) & (np.abs(residual) < limit))
         return (after, information, view, at, residual,
                 contrast[line, best] if len(at) else np.zeros(0), H + corner_H,
-                self._common.sums(view.ids[at[good]], residual[good]))
+                (view.ids[at[good]], residual[good]))
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -361,8 +361,8 @@ class ModernCycle:
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain, self._focal_sigma(information, determined),
-                        evidence=(region, at, found, contrast, view, matches, agree, common,
-                                  edges))
+                        evidence=(region, at, found, contrast, view, matches, agree,
+                                  self._common.sums(*common), edges))
 
     def _determined(self, information) -> bool:
         """Whether one image determines the pose; the focal length may stay open."""
