@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 import json
+import os
 from pathlib import Path
 import resource
 import subprocess
@@ -44,7 +45,7 @@ def run(report: Report, options) -> None:
     report.section(f'{bags} bags of {VIEWS} frames, one of them broken',
                    f'{SIZE[0]}x{SIZE[1]} pixels, {HALLS} halls with noise of {NOISE_GREY:g} grey '
                    'levels; the wall clock of `selfcal calibrate FOLDER`, start and report '
-                   'included. CPU is that of all its processes.')
+                   'included, one process on one core. CPU is that of all its processes.')
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / 'drives'
         camera = write_bags(folder, bags)
@@ -122,8 +123,10 @@ def calibrate(folder: Path, output: Path, engine: str, jobs: int):
             'calibrate', str(folder), '--output-dir', str(output), '--engine', engine, '--jobs',
             str(jobs), '--quiet']
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    # one process on one core: OpenCV's threads would use the other one
+    core = None if jobs > 1 else (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}))
     subprocess.run(call, cwd=folder, env=process_environment(OMP_NUM_THREADS='1'),
-                   stderr=subprocess.DEVNULL, timeout=3600, check=True)
+                   stderr=subprocess.DEVNULL, timeout=3600, check=True, preexec_fn=core)
     wall = time.perf_counter() - began
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
