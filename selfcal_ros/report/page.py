@@ -95,7 +95,8 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         distortion=distortion(result) if calibrated else [],
         rows=parameter_rows(result) if calibrated else [],
         facts=facts_lines(result.facts),
-        notes=list(dict.fromkeys([*(result.notes if calibrated else ()), *notes])),
+        notes=list(dict.fromkeys([*(result.notes if calibrated else ()),
+                                  *_what_rests_on_facts(result), *notes])),
         numbers=_numbers(result), yaml=_yaml(result, camera_name))
 
 
@@ -185,3 +186,8 @@ def _yaml(result: Calibration | NotCalibrated, name: str) -> str:
         return camera_yaml(result.camera, name)
     except ArgumentError:
         return ''
+
+
+def _what_rests_on_facts(result) -> tuple:
+    known = result.identifiability if result else None
+    return known.sentences() if known else ()

@@ -25,7 +25,7 @@ import types
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.result import Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.report.first_look import (distortion, grade, matrix, projection_sigmas, px_text,
@@ -100,6 +100,13 @@ def test_the_page_needs_no_network_and_runs_its_own_script_alone(html):
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert ('content', "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
             f"script-src 'sha256-{digest}'") in page.attributes
+
+
+def test_what_rests_on_a_fact_is_among_the_notes(calibration, sequence):
+    known = Identifiability({'fx': 1.0}, {'aspect ratio': {'fx': 1.0, 'fy': np.inf}},
+                            {'fx': 2.0}, 0.03)
+    html = page_html(replace(calibration, identifiability=known), '', tracks=sequence.tracks)
+    assert 'Without the stated aspect ratio, the images would not determine fy.' in html
 
 
 def test_without_a_scene_there_is_no_script(calibration, sequence):
