@@ -89,7 +89,7 @@ class Graph:
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.02)
 
-    def listen(self, message, topic, qos=10):
+    def listen(self, message, topic, qos=100):
         """Subscribe, and return the list that the messages go to."""
         heard = []
         self.probe.create_subscription(message, topic, heard.append, qos)
