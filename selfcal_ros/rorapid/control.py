@@ -44,6 +44,10 @@ class ControlView:
     projected : ProjectedPoints
     normal : ndarray, shape (C, 2)
         Unit normal in the image.
+    end_px : ndarray, shape (C,)
+        Distance in the image from the end of the line, roughly; infinite where there is no end.
+    curvature : ndarray, shape (C,)
+        In the image, per pixel; positive where the curve bends towards the normal.
 
     """
 
@@ -55,6 +59,8 @@ class ControlView:
     contour: np.ndarray
     projected: ProjectedPoints
     normal: np.ndarray
+    end_px: np.ndarray
+    curvature: np.ndarray
 
 
 class ControlModel:
@@ -79,6 +85,10 @@ class ControlModel:
         conic = np.array([kind == 'conic' for kind in visible_model.kind], bool)
         self.is_conic = conic
         self.size = visible_model.size
+        self._end = visible_model.end_m / self._step
+        self._bend = np.linalg.norm(visible_model.bends, axis=1)
+        self._towards = self._step * visible_model.bends / np.maximum(self._bend, 1e-12)[:, None]
+        self._curved = bool(conic.any())
 
     def view(self, state: ObjectState) -> ControlView:
         """Return the control points that a state shows."""
@@ -95,10 +105,13 @@ class ControlModel:
                            view.contour, state)
 
     def _place(self, points, tangents, primitive, ids, visible, contour, state):
-        both = self.projection.project(state, np.concatenate(
-            [points, points + self._step * tangents]))
         n = len(points)
-        along = both.pixels[n:] - both.pixels[:n]
+        parts = [points, points + self._step * tangents]
+        curved = np.flatnonzero(self._bend[ids]) if self._curved else ()
+        if len(curved):
+            parts.append(points[curved] + self._towards[ids[curved]])
+        both = self.projection.project(state, np.concatenate(parts))
+        along = both.pixels[n:2 * n] - both.pixels[:n]
         length = np.sqrt(along[:, 0]**2 + along[:, 1]**2)
         normal = np.empty((n, 2))
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -111,8 +124,14 @@ class ControlModel:
         normal[~(length > 1e-12)] = 0
         projected = ProjectedPoints(pixels, both.xy[:n], both.turned[:n],
                                     both.inverse_depth[:n])
+        curvature = np.zeros(n)
+        if len(curved):
+            bend = both.pixels[2 * n:] - pixels[curved]
+            curvature[curved] = (np.einsum('ci,ci->c', bend, normal[curved]) * self._step
+                                 * self._bend[ids[curved]]
+                                 / np.maximum(length[curved], 1e-12)**2)
         return ControlView(points, tangents, primitive, ids, searched, contour, projected,
-                           normal)
+                           normal, self._end[ids] * length, curvature)
 
 
 @dataclass(frozen=True)

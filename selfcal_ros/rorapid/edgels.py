@@ -23,6 +23,8 @@ import numpy as np
 
 #: Half length of the derivative filter, and its sigma, pixels.
 _HALF, _SIGMA = 3, 1.0
+#: Mean distance of a curve of unit curvature from its tangent over the three lanes, pixels.
+BOW_OF_LANES = 1 / 3
 
 
 @dataclass(frozen=True)

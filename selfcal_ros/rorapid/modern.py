@@ -20,8 +20,9 @@ import numpy as np
 from selfcal_ros.rorapid.confirmation import CERTAIN, confirmation, EDGES_DO
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
-from selfcal_ros.rorapid.edge_choice import alike, CommonScatter, handicap, uncrowded
-from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.edge_choice import alike, handicap, uncrowded
+from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise
+from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState, Projection
 from selfcal_ros.rorapid.recovery import ViewMemory
@@ -29,10 +30,12 @@ from selfcal_ros.rorapid.region import region_of_interest, Undistorter
 from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
 from selfcal_ros.rorapid.texture import TextureMemory
 
-#: Standard deviation that edges have at the least, pixels.
-_EDGE_SIGMA_PX = 0.05
+#: Noise of the edges in one image against what was learned, at the least.
+_LEAST_NOISE = 0.7
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
+#: Steps with the narrow limit: each leaves a third of the error of the one before.
+_LAST_STEPS = 2
 #: After a step that moved the object by less the edges are where they were found, pixels.
 _STILL_PX = 0.5
 #: An edgel agrees within this, and Tukey's limit in sigmas.
@@ -40,8 +43,6 @@ _FOUND_PX, _TUKEY = 1.75, 4.5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
-#: Mean of the biweight over Gaussian residuals, over the efficiency of the estimate (0.95).
-_MEAN_WEIGHT = 0.87
 #: After a sudden motion the object is sought so far around, pixels.
 _SEEK_PX = 120.0
 #: Rounds of the search from each start around a first guess, and contrast that is strong.
@@ -78,8 +79,7 @@ class ModernCycle:
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
         self._turn, self._edge_share = 0, 1.0
-        visible = control.visible_model
-        self._common = CommonScatter(visible.primitive, ~control.is_conic)
+        self._common, self._noise = CommonScatter(), EdgeNoise()
         self._outline = np.asarray(model.extent, float) - control.centre
         self._radius = float(np.linalg.norm(self._outline, axis=1).max(initial=0.0))
         self._corners = CornerFit(self._pinhole, basis, rng)
@@ -90,6 +90,7 @@ class ModernCycle:
         self._contrast[:] = 0
         self._edge_share = 1.0
         self._common.forget()
+        self._noise.forget()
         self.texture.forget()
         self._views.forget()
 
@@ -246,7 +247,9 @@ class ModernCycle:
         if len(at):
             profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
             edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
-            offset, contrast = edgels.offset, edgels.contrast
+            # the outer lanes meet a curve where it has bent away
+            offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
+            contrast = edgels.contrast
         else:
             offset = contrast = np.zeros((0, options.candidates))
         missing = ~np.isfinite(offset)
@@ -269,8 +272,11 @@ class ModernCycle:
             residual = chosen - along
             near = distance[line, best] < limit
             if limit == limits[-1]:
-                sigma = robust_sigma(residual[near & (np.abs(residual) < 3)], _EDGE_SIGMA_PX)
-                limit = min(_TUKEY * sigma, limit)
+                own = self._noise.sigma(contrast[line, best], view.end_px[at])
+                share = robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
+                                     _LEAST_NOISE)
+                sigma = share * own
+                limit = np.minimum(_TUKEY * sigma, limit)
             else:
                 sigma = max(limit / 3, 0.5)
             w = alone * tukey_weight(distance[line, best], limit) / sigma**2
@@ -280,12 +286,10 @@ class ModernCycle:
             q = np.linalg.solve(information, g + corner_g - prior @ back)
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
-        # Gaussian residuals weigh 0.87 on average, but the estimate is nearly as good as with 1
-        information = H / (_MEAN_WEIGHT * self._common.factor(sigma)) + corner_H + prior
-        good = np.flatnonzero(near & (alone == 1.0) & (np.abs(residual) < limit))
-        return (after, information, view, at, residual,
-                contrast[line, best] if len(at) else np.zeros(0), H + corner_H,
-                (view.ids[at[good]], residual[good]))
+        information = H / self._common.factor + corner_H + prior
+        contrast = contrast[line, best] if len(at) else np.zeros(0)
+        return (after, information, view, at, residual, contrast, H + corner_H,
+                (rows, w, (residual / limit)**2, residual, H + corner_H + prior))
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -338,15 +342,16 @@ class ModernCycle:
 
     def _limits(self, reach, first):
         """Tukey limits of the steps, from wide to narrow."""
-        narrow = 3.0
-        wide = max(float(reach), narrow) if first else 4.0
-        steps = self.options.steps if first else min(self.options.steps, 2)
-        share = 1 / max(steps - 1, 1)
-        return [wide * (narrow / wide)**(k * share) for k in range(steps - 1)] + [narrow]
+        narrow, last = 3.0, [3.0] * _LAST_STEPS
+        if not first:
+            return last
+        wide = max(float(reach), narrow)
+        steps = max(self.options.steps - 1, 1)
+        return [wide * (narrow / wide)**(k / steps) for k in range(steps)] + last
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
-        _, posterior, view, at, residual, contrast, information, common = result
+        _, posterior, view, at, residual, contrast, information, used = result
         covariance = np.linalg.inv(posterior)
         after = self.control.again(view, state)
         edge_px = np.full(len(view.ids), np.nan)
@@ -362,7 +367,7 @@ class ModernCycle:
         return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
                         determined, certain, self._focal_sigma(information, determined),
                         evidence=(region, at, found, contrast, view, matches, agree,
-                                  self._common.sums(*common), edges))
+                                  used, edges))
 
     def _determined(self, information) -> bool:
         """Whether one image determines the pose; the focal length may stay open."""
@@ -383,10 +388,14 @@ class ModernCycle:
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view, matches, agree, common, edges = measured.evidence
+        region, at, found, contrast, view, matches, agree, used, edges = measured.evidence
         ids, ok = view.ids[at], found[at]
         self._edge_share = edges
-        self._common.learn(*common)
+        rows, weight, off, residual, whole = used
+        some = np.flatnonzero(weight > 0)
+        self._common.learn(view.primitive[at[some]], rows[some], weight[some], off[some],
+                           residual[some], whole)
+        self._noise.learn(contrast[some], view.end_px[at[some]], residual[some])
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
         if region is not None and self._use_texture:

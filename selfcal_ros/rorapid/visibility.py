@@ -135,6 +135,19 @@ class VisibleModel:
         self.size = len(self._primitive)
         #: Primitive of each control point, (size,).
         self.primitive = self._primitive
+        lengths = np.r_[np.linalg.norm(span, axis=1), np.repeat(
+            [np.linalg.norm(np.subtract(c.end, c.start)) for c in model.cylinders], 2)]
+        ends_m = np.minimum(share, 1 - share) * lengths[:, None]
+        bends = np.zeros((len(self._primitive), 3))
+        #: Curvature vectors of conics, per metre, up to a part along the tangent, (size, 3).
+        self.bends = bends
+        for k, conic in enumerate(model.conics):
+            part = slice(L * n + k * per_conic, L * n + (k + 1) * per_conic)
+            speed = np.outer(np.cos(angles), conic.axis_v) - np.outer(np.sin(angles), conic.axis_u)
+            bends[part] = (conic.centre - conics[k]) / (speed**2).sum(axis=1, keepdims=True)
+        #: Distance of each control point from the nearer end of its line, (size,).
+        self.end_m = np.concatenate([ends_m[:L].ravel(), np.full(K * per_conic, np.inf),
+                                     ends_m[L:].ravel()])
         self._corners = model.vertices[model.triangles]
         if self._static * len(self._corners) > MOST_TESTS:
             raise ArgumentError(f'{self._static} control points and {len(self._corners)} '
