@@ -169,7 +169,7 @@ class ModernCycle:
             near = self._corners.near(predicted, matches)
             alone = self._search(image, region, predicted, spread, prior, predicted, matches,
                                  near, False)
-            if alone.evidence[-1] > measured.evidence[-1]:
+            if (alone.evidence[-1], alone.share) > (measured.evidence[-1], measured.share):
                 measured = alone
         return measured
 
@@ -289,7 +289,7 @@ class ModernCycle:
         information = H / self._common.factor + corner_H + prior
         contrast = contrast[line, best] if len(at) else np.zeros(0)
         return (after, information, view, at, residual, contrast, H + corner_H,
-                (rows, w, (residual / limit)**2, residual, H + corner_H + prior))
+                (rows, w, (residual / limit)**2, residual, H + corner_H + prior), alone)
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -351,14 +351,15 @@ class ModernCycle:
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""
-        _, posterior, view, at, residual, contrast, information, used = result
+        _, posterior, view, at, residual, contrast, information, used, alone = result
         covariance = np.linalg.inv(posterior)
         after = self.control.again(view, state)
         edge_px = np.full(len(view.ids), np.nan)
         edge_px[at] = residual
         found = np.abs(edge_px) < _FOUND_PX
         same = found[at] & alike(contrast, self._contrast[view.ids[at]])
-        edges = float(same.mean()) if len(at) else 0.0
+        # in a crowd the edge of one is that of another: it speaks for no line
+        edges = float(alone @ same / alone.sum()) if len(at) else 0.0
         share, certain = confirmation(self.options, edges, matches, agree)
         determined = self._determined(information)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
