@@ -64,8 +64,8 @@ def run(report: Report, options) -> None:
         ('rms', apart, turn), ('constant part', apart.mean(axis=0)[None], turn.mean(axis=0)[None]),
         ('rms about it', apart - apart.mean(axis=0), turn - turn.mean(axis=0)))]
     report.table(('left against right', 'position mm', 'rotation °'), rows)
-    report.say('\nA constant part lies in the published calibrations or in the box, whose model '
-               "is the same for both; the rest is the tracker's.\n")
+    report.say('\nThe box is not quite its model, and the two cameras see different edges of it: '
+               'that can be constant.\n')
     report.verdict('position, rms', _rms(apart), MOST_MM, 'mm')
     report.verdict('rotation, rms', _rms(turn), MOST_DEG, '°')
 

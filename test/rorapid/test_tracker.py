@@ -121,6 +121,22 @@ def test_covariance_is_consistent():
         assert abs(np.mean(square < chi2.ppf(share, 6)) - share) < 0.15
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_an_error_of_the_start_is_forgotten(seed):
+    """The texture is learned where the edges put the object, not where the start put it."""
+    made, images = recording(20, clutter=0.5)
+    turns = []
+    for angle in (0.0, np.deg2rad(3)):
+        tracker = RorapidTracker(made.model, made.camera)
+        tracker.start(*perturbed(made.rotations[0], made.translations[0],
+                                 np.random.default_rng(seed), angle, 0.0))
+        frames = [tracker.track(image) for image in images]
+        turns.append([rotation_vector(f.rotation @ R.T) for f, R in zip(frames, made.rotations)])
+    right, wrong = np.degrees(turns)[:, 5:]
+    assert np.linalg.norm(wrong, axis=1).max() < 0.3
+    assert np.linalg.norm(wrong - right, axis=1).max() < 0.1
+
+
 @pytest.mark.parametrize('method', ('modern', 'rorapid', 'rapid'))
 def test_the_methods_follow_a_plain_object(method):
     made, images = recording(20, background=False)
