@@ -37,6 +37,10 @@ _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
 _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
 _LEAST_CORRELATION = 0.6
+#: Block of the corner detector, pixels, and its answer where grey levels change by 1.5 a pixel in
+#: every direction (its scale: Sobel's 8 over 4 x block x 255, squared, summed over the block).
+_BLOCK = 5
+_FAINT = (8 * 1.5 / (4 * _BLOCK * 255))**2 * _BLOCK**2
 #: Share of a face that must lie inside the image to be learned.
 _LEAST_SEEN = 0.25
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
@@ -342,8 +346,13 @@ class TextureMemory:
 
     def _choose(self, face: Face) -> None:
         """Choose the corners of a face that can be followed."""
-        corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, 0.03, 6,
-                                          mask=self._inner(face), blockSize=5)
+        inner = self._inner(face)
+        _, strongest, _, _ = cv2.minMaxLoc(cv2.cornerMinEigenVal(face.picture, _BLOCK), mask=inner)
+        quality = max(0.03, _FAINT / max(strongest, 1e-12))
+        corners = None
+        if quality < 1:               # else the face is plain, and what is seen in it is noise
+            corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, quality, 6,
+                                              mask=inner, blockSize=_BLOCK)
         face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
         face.points = face.origin + face.texels @ face.axes.T
         # what is learned while other faces are known must prove itself: it may be something
