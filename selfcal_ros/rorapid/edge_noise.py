@@ -28,7 +28,7 @@ _END_PX = 6.0
 _PRIOR_FREEDOM, _COMMON = 20.0, (0.5, 25.0)
 #: Variance over what the lines' residuals show of it: what neighbouring lines share, and what the
 #: choice of edgels near the pose itself shares, no residual shows. Measured on rendered objects.
-_UNSEEN = 1.4
+_UNSEEN = 1.18
 #: Share of the information that is left where one line alone determines something.
 _RIDGE = 0.02
 #: Curvature of the cost against the weights, at the least.

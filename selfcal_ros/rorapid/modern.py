@@ -34,10 +34,10 @@ from selfcal_ros.rorapid.texture import TextureMemory
 _LEAST_NOISE = 0.7
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
-#: Steps with the narrow limit: each leaves a third of the error of the one before.
+#: Limit of the last steps, pixels, and search range once the object is nearly there.
+_NARROW_PX, _NEAR_REACH_PX = 3.0, 5
+#: Steps with the narrow limit in the last round: each leaves a third of the error of the one before.
 _LAST_STEPS = 2
-#: After a step that moved the object by less the edges are where they were found, pixels.
-_STILL_PX = 0.5
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
@@ -81,7 +81,6 @@ class ModernCycle:
         self._turn, self._edge_share = 0, 1.0
         self._common, self._noise = CommonScatter(), EdgeNoise()
         self._outline = np.asarray(model.extent, float) - control.centre
-        self._radius = float(np.linalg.norm(self._outline, axis=1).max(initial=0.0))
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
@@ -184,27 +183,15 @@ class ModernCycle:
         for turn in range(self.options.rounds):
             if turn:
                 view = self.control.again(view, state)
-                reach = min(reach, int(np.ceil(self.options.search_least_px)))
+                reach = _NEAR_REACH_PX
                 if not led and matches is not None:
                     agree = self._corners.near(state, matches)
             first = turn == 0 and not led
+            limits = self._limits(reach, first, turn + 1 == self.options.rounds)
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
-                                    first)
-            before, state = state, result[0]
-            if led and turn + 1 < self.options.rounds and self._shift_px(
-                    view, self.projection.difference(state, before)) < _STILL_PX:
-                break
+                                    limits)
+            state = result[0]
         return self._conclude(region, state, result, matches, agree)
-
-    def _shift_px(self, view, step) -> float:
-        """How far a correction moves the object in the image, roughly, pixels."""
-        if self.projection.size == 8:
-            return np.inf
-        depth = view.projected.inverse_depth
-        near, step = float(depth.max(initial=0.0)), [abs(value) for value in step.tolist()]
-        turn = max(step[:3]) * self._radius
-        return ((turn + max(step[3:5]) + step[5] * self._radius * near)
-                * near * float(self.projection.camera.K[0, 0]))
 
     def _reach(self, state, view, spread):
         """Search range from the spread of the prediction."""
@@ -237,7 +224,7 @@ class ModernCycle:
         self.texture.hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
 
-    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, first):
+    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, limits):
         """Search the edges and solve for the state, corners included."""
         options = self.options
         at = np.flatnonzero(view.searched)
@@ -262,7 +249,6 @@ class ModernCycle:
                                                      self._edge_share)
         back = self.basis.T @ self.projection.difference(state, predicted)
         q = np.zeros(m)
-        limits = self._limits(reach, first)
         line = np.arange(len(at))
         for limit in limits:
             along = rows @ q
@@ -321,9 +307,10 @@ class ModernCycle:
             state = self.projection.moved(guess, self.basis @ start)
             view = self.control.view(state)
             for turn in range(_SETTLE_ROUNDS):
-                state = self._by_edges(image, view, state, guess, prior,
-                                       reach if turn < 2 else 8, None, np.zeros(0, bool),
-                                       first=turn < 2)[0]
+                wide = turn < 2
+                state = self._by_edges(image, view, state, guess, prior, reach if wide else 8,
+                                       None, np.zeros(0, bool),
+                                       self._limits(reach, wide, not wide))[0]
                 view = self.control.view(state)
             score = self._edge_score(image, view)
             if score > best_score:
@@ -340,14 +327,14 @@ class ModernCycle:
         near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
         return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
 
-    def _limits(self, reach, first):
+    def _limits(self, reach, first, last):
         """Tukey limits of the steps, from wide to narrow."""
-        narrow, last = 3.0, [3.0] * _LAST_STEPS
+        narrow = [_NARROW_PX] * (_LAST_STEPS if last else 1)
         if not first:
-            return last
-        wide = max(float(reach), narrow)
+            return narrow
+        wide = max(float(reach), _NARROW_PX)
         steps = max(self.options.steps - 1, 1)
-        return [wide * (narrow / wide)**(k / steps) for k in range(steps)] + last
+        return [wide * (_NARROW_PX / wide)**(k / steps) for k in range(steps)] + narrow
 
     def _conclude(self, region, state, result, matches, agree):
         """Count what confirms the state, and remember what it looks like."""

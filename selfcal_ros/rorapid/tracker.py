@@ -46,6 +46,8 @@ _WANDER_RAD, _WANDER_DIAMETERS = 2e-3, 1e-3
 _PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
+#: Takes (theta, Delta) to (t, r), and back.
+_TURN_LAST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -161,8 +163,7 @@ class RorapidTracker:
             if spread.shape != (6, 6) or not np.isfinite(spread).all():
                 raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
             carry = _recentring(rotation @ self._control.centre)
-            swap = np.r_[3:6, 0:3]
-            spread = np.linalg.inv(carry) @ spread[np.ix_(swap, swap)] @ np.linalg.inv(carry).T
+            spread = np.linalg.inv(carry) @ spread[_TURN_LAST] @ np.linalg.inv(carry).T
             spread = spread + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
         state = self._projection.from_pose(rotation, centred)
         self._start_filter(state, spread)
@@ -369,7 +370,6 @@ class RorapidTracker:
         full = B @ self._filter.spread @ B.T
         carry = _recentring(arm)
         pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
-        swap = np.r_[3:6, 0:3]
         view = measured.view if accepted and measured.with_prior else self._control.again(
             measured.view, state)
         edge = measured.edge_px
@@ -378,7 +378,7 @@ class RorapidTracker:
         focal = float(self.camera.K[0, 0] * state.zoom)
         sigma = focal * float(np.sqrt(full[6, 6])) if len(full) == 7 else 0.0
         return TrackedFrame(
-            self._state, reason, state.rotation, state.translation - arm, pose[np.ix_(swap, swap)],
+            self._state, reason, state.rotation, state.translation - arm, pose[_TURN_LAST],
             focal, sigma, self._camera_model, view.projected.pixels, view.normal, edge, found,
             np.isfinite(edge) & ~found, ~view.searched, view.primitive, measured.texture_px, rms,
             measured.share, innovation, stamp_ns)
