@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection import Projection
+from selfcal_ros.rorapid.projection import ProjectedPoints, Projection
 from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
 
 #: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.
@@ -79,8 +79,8 @@ class CornerFit:
             back = self.basis.T @ self.projection.difference(state, predicted)
             q = np.linalg.solve(H + prior, g - prior @ back)
             state = self.projection.moved(state, self.basis @ q)
-        _, residual = self._rows(state, points, pixels)
-        near = (residual**2).sum(axis=0) < near_px**2
+        residual = pixels - self.projection.project(state, points).pixels
+        near = (residual**2).sum(axis=1) < near_px**2
         if near.sum() < LEAST_TEXTURE:
             return predicted, agree
         agree[good[near]] = True
@@ -96,12 +96,12 @@ class CornerFit:
         """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""
         seen = self.projection.project(state, points)
         n = len(points)
-        rows = np.empty((2, n, self.basis.shape[1]))
-        way = np.zeros((n, 2))
-        for k in (0, 1):
-            way[:, k], way[:, 1 - k] = 1, 0
-            rows[k] = self.projection.rows(state, seen, way) @ self.basis
-        return rows, (pixels - seen.pixels).T
+        twice = ProjectedPoints(*(np.concatenate([part, part]) for part in (
+            seen.pixels, seen.xy, seen.turned, seen.inverse_depth)))
+        way = np.zeros((2 * n, 2))
+        way[:n, 0] = way[n:, 1] = 1
+        rows = self.projection.rows(state, twice, way) @ self.basis
+        return rows.reshape(2, n, -1), (pixels - seen.pixels).T
 
     def _sample(self, rows, residual, prior, weight, samples=48):
         """Correction (m,) with most agreement out of many from three corners each."""

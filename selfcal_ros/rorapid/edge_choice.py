@@ -56,12 +56,14 @@ def alike(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
 
 
-def uncrowded(view, at: np.ndarray) -> np.ndarray:
+def uncrowded(view) -> np.ndarray:
     """
-    Weight of control points by how near other primitives run alongside, (len(at),).
+    Weight of control points by how near other primitives run alongside, (C,).
 
     Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
+    Points that are not searched have weight 1.
     """
+    at = np.flatnonzero(view.searched)
     pixels = view.projected.pixels[at].astype(np.float32)
     normal = view.normal[at].astype(np.float32)
     across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
@@ -72,4 +74,6 @@ def uncrowded(view, at: np.ndarray) -> np.ndarray:
     crowd &= primitive[:, None] != primitive
     crowd &= np.abs(along) < _CROWD_LENGTH_PX
     crowd &= np.abs(normal @ normal.T) > 0.94
-    return np.where(crowd.any(axis=0), _CROWDED, 1.0)
+    weight = np.ones(len(view.ids))
+    weight[at[crowd.any(axis=0)]] = _CROWDED
+    return weight

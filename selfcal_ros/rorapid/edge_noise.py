@@ -17,15 +17,15 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Memory of what was learned, per image.
-_MEMORY = 0.95
+#: Memory of the noise of edgels and of the common scatter, per image learned.
+_MEMORY, _COMMON_MEMORY = 0.95, 0.9
 #: Noise of an edge's place (pixels) and of the grey levels around it that is assumed at first, as
 #: if so many edgels of such contrast had been seen; and the least noise of the place.
 _USUAL_NOISE, _USUAL_CONTRAST, _USUAL_COUNT, _LEAST_PLACE_PX = (0.1, 4.0), 40.0, 20.0, 0.08
 #: So near the end of a line what meets it there doubles the variance, pixels.
 _END_PX = 6.0
 #: Freedom of what is assumed of the common scatter at first, and its bounds.
-_PRIOR_FREEDOM, _COMMON = 20.0, (0.5, 25.0)
+_PRIOR_FREEDOM, _COMMON = 10.0, (0.5, 25.0)
 #: Variance over what the lines' residuals show of it: what neighbouring lines share, and what the
 #: choice of edgels near the pose itself shares, no residual shows. Measured on rendered objects.
 _UNSEEN = 1.18
@@ -161,9 +161,9 @@ class CommonScatter:
         # the fit has taken its part of each line's pull: judge it by the covariance of the rest
         rest = np.linalg.inv((1 + _RIDGE) * information - own)
         expected = np.einsum('lij,ji->', own, V)
-        self._square = _MEMORY * self._square + float(np.einsum(
+        self._square = _COMMON_MEMORY * self._square + float(np.einsum(
             'li,lij,lj->', gradient, rest, gradient))
-        self._freedom = _MEMORY * self._freedom + float(expected)
+        self._freedom = _COMMON_MEMORY * self._freedom + float(expected)
         felt = np.einsum('ci,ij,cj->c', pull, V, rows)
-        self._weight = _MEMORY * self._weight + float(felt.sum())
-        self._curvature = _MEMORY * self._curvature + float(felt @ ((1 - 5 * off) / (1 - off)))
+        self._weight = _COMMON_MEMORY * self._weight + float(felt.sum())
+        self._curvature = _COMMON_MEMORY * self._curvature + float(felt @ ((1 - 5 * off) / (1 - off)))

@@ -130,9 +130,7 @@ def find_edgels(profiles: np.ndarray, candidates: int = 1, least_contrast: float
     if candidates == 1:
         best = score.argmax(axis=1)[:, None]
     else:
-        best = np.argpartition(score, -candidates, axis=1)[:, -candidates:]
-        order = np.argsort(-np.take_along_axis(score, best, 1), axis=1)
-        best = np.take_along_axis(best, order, 1)
+        best = np.argsort(score, axis=1)[:, :-candidates - 1:-1]
     row = np.arange(len(profiles))[:, None]
     found = score[row, best] > 0
     left, middle, right = size[row, best], size[row, best + 1], size[row, best + 2]

@@ -47,6 +47,8 @@ _ATTEMPTS = ((1, False), (3, False), (2, True))
 _SEEK_PX = 120.0
 #: Rounds of the search from each start around a first guess, and contrast that is strong.
 _SETTLE_ROUNDS, _STRONG = 4, 40.0
+#: The common scatter is learned from every so many images.
+_SCATTER_EVERY = 2
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
 
@@ -78,7 +80,7 @@ class ModernCycle:
         self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._contrast = np.zeros(control.size)
-        self._turn, self._edge_share = 0, 1.0
+        self._turn, self._images, self._edge_share = 0, 0, 1.0
         self._common, self._noise = CommonScatter(), EdgeNoise()
         self._outline = np.asarray(model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
@@ -175,6 +177,7 @@ class ModernCycle:
     def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
         """Search the edges about a state, in some rounds, and conclude."""
         view = self.control.view(state)
+        alone = uncrowded(view)
         if led:
             reach = int(np.ceil(self.options.search_least_px))
         else:
@@ -189,7 +192,7 @@ class ModernCycle:
             first = turn == 0 and not led
             limits = self._limits(reach, first, turn + 1 == self.options.rounds)
             result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
-                                    limits)
+                                    limits, alone)
             state = result[0]
         return self._conclude(region, state, result, matches, agree)
 
@@ -224,7 +227,8 @@ class ModernCycle:
         self.texture.hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
 
-    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, limits):
+    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, limits,
+                  alone):
         """Search the edges and solve for the state, corners included."""
         options = self.options
         at = np.flatnonzero(view.searched)
@@ -242,7 +246,7 @@ class ModernCycle:
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
         further = handicap(contrast, wanted)
-        alone = uncrowded(view, at)
+        alone = alone[at]
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
             corner_H, corner_g = self._corners.terms(state, matches, agree,
@@ -310,7 +314,8 @@ class ModernCycle:
                 wide = turn < 2
                 state = self._by_edges(image, view, state, guess, prior, reach if wide else 8,
                                        None, np.zeros(0, bool),
-                                       self._limits(reach, wide, not wide))[0]
+                                       self._limits(reach, wide, not wide),
+                                       uncrowded(view))[0]
                 view = self.control.view(state)
             score = self._edge_score(image, view)
             if score > best_score:
@@ -381,8 +386,10 @@ class ModernCycle:
         self._edge_share = edges
         rows, weight, off, residual, whole = used
         some = np.flatnonzero(weight > 0)
-        self._common.learn(view.primitive[at[some]], rows[some], weight[some], off[some],
-                           residual[some], whole)
+        self._images += 1
+        if self._images % _SCATTER_EVERY == 0:
+            self._common.learn(view.primitive[at[some]], rows[some], weight[some], off[some],
+                               residual[some], whole)
         self._noise.learn(contrast[some], view.end_px[at[some]], residual[some])
         old = self._contrast[ids[ok]]
         self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
