@@ -96,6 +96,7 @@ setup(
             'pytest-xdist',
             'hypothesis',
             'flake8',
+            'distributed>=2023.1',
         ],
     },
     zip_safe=True,

@@ -48,7 +48,6 @@ BENCHES = {
     'speed': 'time of the estimate, of the command, and their growth',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
-    'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
 }
@@ -65,6 +64,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('names', nargs='*', metavar='NAME', help='all but coverage by default')
     parser.add_argument('--runs', type=int, help='Monte Carlo runs, in place of the full number')
     parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument('--engine', choices=('processes', 'dask'),
+                        help='many_bags: this engine only (all that are installed)')
     parser.add_argument('--peer', action='store_true',
                         help='run COLMAP on the recorded sets, too (minutes)')
     parser.add_argument('--no-peer', action='store_true',
