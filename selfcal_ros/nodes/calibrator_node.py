@@ -33,9 +33,10 @@ from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
 from selfcal_ros.nodes.change_watch import ChangeWatch, prepare_estimate
+from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.driver_window import DriverWindow
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
-from selfcal_ros.nodes.parameters import CalibratorParameters, declare
+from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.scene import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
@@ -87,6 +88,22 @@ class Calibrator(Node):
         self.create_service(Trigger, '~/save', self._on_save)
         self.create_timer(0.05, self._estimate, clock=STEADY)
         self.create_timer(1.0, self._diagnose, clock=STEADY)
+        follow(self, self._check_change, self._change)
+
+    @staticmethod
+    def _check_change(new: CalibratorParameters):
+        """Refuse parameters that contradict each other."""
+        session_settings(new), monitor_settings(new)
+
+    def _change(self, new: CalibratorParameters, old: CalibratorParameters):
+        """Do what changed parameters say, from the next estimate on."""
+        self._silence.limit_s = new.silence_s
+        self._file = CalibrationFile(new.camera_name, new.output)
+        if new.set_camera_info_service != old.set_camera_info_service:
+            self._upload.close()
+            self._upload = CameraInfoUpload(self, new.set_camera_info_service)
+        self._session.change(session_settings(new))
+        self._watch.change(monitor_settings(new))
 
     def _on_tracks(self, msg: PointCloud2):
         self._silence.heard()
@@ -218,7 +235,7 @@ class Calibrator(Node):
     def _diagnose(self):
         level, text, values = self._watch.judge(
             *calibration_status(self._session.snapshot()))
-        if self._silence.silent_s > self.parameters.silence_s:
+        if self._silence.too_long_s:
             level, text = WARN, f'no tracks for {self._silence.silent_s:.0f} s; {text}'
         status = status_message(f'{self.get_name()}: calibration', level, text, self._types,
                                 values, self.parameters.camera_name)

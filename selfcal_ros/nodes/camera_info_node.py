@@ -27,9 +27,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
+from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.driver_window import DRIVER_TOPIC
-from selfcal_ros.nodes.image_topics import compressed_topic
-from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters, declare
+from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
@@ -48,19 +49,35 @@ class CameraInfoPublisher(Node):
         self._camera: Camera | None = None
         self._modified_ns = None
         self._publisher = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
-        message, topic, heard = {
-            'driver': (CameraInfo, DRIVER_TOPIC, self._on_driver),
-            'image': (Image, 'image', self._on_image),
-            'compressed': (CompressedImage, compressed_topic(self), self._on_image),
-        }[self.parameters.source]
-        source = self.create_subscription(
-            message, topic, heard, IMAGES_IN,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._silence = SilenceWatch(self, 'messages', lambda: [source.topic_name],
-                                     self.parameters.silence_s)
+        source = self.parameters.source
+        if source == 'driver':
+            driver = self.create_subscription(
+                CameraInfo, DRIVER_TOPIC, self._on_driver, IMAGES_IN,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            self._topics = lambda: [driver.topic_name]
+        else:
+            images = ImageInputs(self, self._on_image, reliability='auto',
+                                 transport='raw' if source == 'image' else source)
+            self._topics = lambda: images.topics
+        self._silence = SilenceWatch(self, 'messages', self._topics, self.parameters.silence_s)
         self.create_service(SetCameraInfo, '~/set_camera_info', self._on_set)
         self._look()
         self.create_timer(1.0, self._look, clock=STEADY)
+        follow(self, self._check_change, self._change)
+
+    @staticmethod
+    def _check_change(new: CameraInfoPublisherParameters):
+        """Refuse a file that cannot be read: the calibration in force is better than none."""
+        read_camera_yaml(CalibrationFile(new.camera_name, new.camera_info_url).path)
+
+    def _change(self, new: CameraInfoPublisherParameters, old: CameraInfoPublisherParameters):
+        """Do what changed parameters say."""
+        self._silence.limit_s = new.silence_s
+        if new.camera_info_url != old.camera_info_url:
+            self._file = CalibrationFile(new.camera_name, new.camera_info_url)
+            # the calibration in force was that of another file
+            self._camera = self._modified_ns = None
+            self._look()
 
     def _look(self):
         """Read the file where it is new."""

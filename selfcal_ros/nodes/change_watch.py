@@ -53,12 +53,32 @@ class ChangeWatch:
     def __init__(self, session: CalibrationSession, worker, logger,
                  settings: MonitorSettings | None):
         self._session, self._worker, self._logger = session, worker, logger
-        self._monitoring = Monitoring(settings) if settings else None
+        self._monitoring = Monitoring()
+        self._settings = None
         self._scoring = False
+        self._watched: tuple | None = None
+        self.change(settings)
+
+    def change(self, settings: MonitorSettings | None) -> None:
+        """
+        Watch by other settings from now on, or not at all.
+
+        An alarm that stands remains; without a monitor there is none, and the session goes on.
+        """
+        if settings == self._settings:
+            return
+        self._settings = settings
+        if settings is None:
+            self.release()
+            self._monitoring.forget()
+            return
+        self._monitoring.settings = settings
+        if self._watched and self._monitoring.change is None:
+            self._monitoring.watch(*self._watched)
 
     def offer(self, image_size: tuple[int, int]) -> None:
         """Look whether the session has a new keyframe, of images of that size."""
-        if self._monitoring and self._session.keyframes:
+        if self._settings and self._session.keyframes:
             self._monitoring.add_keyframe(self._session.keyframes[-1], image_size)
 
     def poll(self):
@@ -71,7 +91,7 @@ class ChangeWatch:
                 self._session.hold()
                 self._logger.warning(f'{alarm}; {ADVICE}')
             done = None
-        if self._monitoring and not self._scoring:
+        if self._settings and not self._scoring:
             request = self._monitoring.next_request()
             if request is not None:
                 self._scoring = True
@@ -80,22 +100,23 @@ class ChangeWatch:
 
     def watch(self, calibration: Calibration, request: EstimateRequest) -> None:
         """Watch this calibration from here on."""
-        if self._monitoring:
-            self._monitoring.watch(calibration, request.tracks)
+        self._watched = calibration, request.tracks
+        if self._settings:
+            self._monitoring.watch(*self._watched)
 
     def forget(self) -> None:
         """Watch nothing until there is another calibration."""
-        if self._monitoring:
-            self._monitoring.forget()
+        self._watched = None
+        self._monitoring.forget()
 
     def release(self) -> None:
         """Let the session go on after an alarm, with views of the changed camera only."""
-        if self._monitoring and self._monitoring.change is not None:
+        if self._monitoring.change is not None:
             self._session.keep_since(self._monitoring.change.clear_from_frame)
 
     def judge(self, level, text: str, values: dict) -> tuple[int, str, dict]:
         """Add the verdict to what `calibration_status` has said."""
-        if self._monitoring is None:
+        if self._settings is None:
             return level, text, values
         state = self._monitoring.snapshot()
         values.update({'monitor windows': state.windows, 'monitor skipped': state.skipped,

@@ -15,10 +15,17 @@
 
 from __future__ import annotations
 
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from collections.abc import Callable
 
-from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_IN_RELIABLE
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_IN_RELIABLE, STEADY
+from sensor_msgs.msg import CompressedImage, Image
 
+#: Message of each image transport.
+TRANSPORTS = {'raw': Image, 'compressed': CompressedImage}
+#: How often publishers and listeners are looked at.
+LOOK_PERIOD_S = 0.1
 #: As image_transport names them.
 COMPRESSED = 'compressed'
 
@@ -60,3 +67,71 @@ def image_profile(node, topic: str, reliability: str) -> QoSProfile:
     else:
         reliable = reliability == 'reliable'
     return IMAGES_IN_RELIABLE if reliable else IMAGES_IN
+
+
+class ImageInputs:
+    """
+    The subscriptions of a node to `image` and `image/compressed`.
+
+    They follow what was chosen, also when that changes, and the publishers that come and go.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    take : callable
+        Called with every message of the transport that is followed.
+    wanted : callable, optional
+        Tells whether images are wanted now; always by default.
+    transport : {'auto', 'raw', 'compressed'}
+        With 'auto' the one that speaks first.
+    reliability : {'auto', 'best_effort', 'reliable'}
+
+    """
+
+    def __init__(self, node, take: Callable, wanted: Callable[[], bool] = lambda: True, *,
+                 transport: str, reliability: str):
+        self._node, self._take, self._wanted = node, take, wanted
+        self._topics = {'raw': 'image', 'compressed': compressed_topic(node)}
+        self._subscriptions, self._profiles = {}, {}
+        self._chosen = ''
+        self.choose(transport, reliability)
+        self._timer = node.create_timer(LOOK_PERIOD_S, self.connect, clock=STEADY)
+
+    @property
+    def topics(self) -> list[str]:
+        """Resolved names of the topics that are subscribed now."""
+        return [one.topic_name for one in self._subscriptions.values()]
+
+    def choose(self, transport: str, reliability: str) -> None:
+        """Follow another transport, or subscribe in another way, from now on."""
+        if transport != self._chosen:
+            self._chosen = self._transport = transport
+        self._reliability = reliability
+        self.connect()
+
+    def connect(self) -> None:
+        """Subscribe to what is wanted now, as its publishers send."""
+        wanted = set()
+        if self._wanted():
+            wanted = set(TRANSPORTS) if self._transport == 'auto' else {self._transport}
+        profiles = {name: image_profile(self._node, self._topics[name],
+                                        self._reliability) for name in wanted}
+        for name in set(self._subscriptions):
+            # a publisher that sends in another way may have come
+            if self._profiles[name] is not profiles.get(name):
+                self._node.destroy_subscription(self._subscriptions.pop(name))
+        self._profiles = profiles
+        for name in sorted(wanted - set(self._subscriptions), reverse=True):
+            self._subscriptions[name] = self._node.create_subscription(
+                TRANSPORTS[name], self._topics[name],
+                lambda msg, name=name: self._on_image(msg, name), profiles[name],
+                qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY,
+                                                             QoSPolicyKind.DEPTH]))
+
+    def _on_image(self, msg, transport: str):
+        if self._transport == 'auto':
+            self._node.get_logger().info(
+                f'images arrive on {self._subscriptions[transport].topic_name}')
+            self._transport = transport
+        if transport == self._transport:
+            self._take(msg)

@@ -11,21 +11,20 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters of a node as one frozen dataclass: declared once, described, bounded, read-only."""
+"""
+Parameters of a node as one frozen dataclass: declared once, described, bounded.
+
+What makes sense to change while a node runs is marked `live`; everything else is read-only.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-import math
+from dataclasses import dataclass, field
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import InvalidParameterValueException
-
-from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
 
-def parameter(default, description: str, low=None, high=None, one_of=()):
+def parameter(default, description: str, low=None, high=None, one_of=(), live=False):
     """
     Describe one parameter; use it as the default of a dataclass field.
 
@@ -38,112 +37,46 @@ def parameter(default, description: str, low=None, high=None, one_of=()):
         Inclusive bounds.
     one_of : tuple of str, optional
         The only values allowed.
+    live : bool
+        Whether it may change while the node runs.
 
     """
     return field(default=default, metadata={'description': description, 'low': low, 'high': high,
-                                            'one_of': tuple(one_of)})
+                                            'one_of': tuple(one_of), 'live': live})
 
 
-def declare(node, table):
-    """
-    Declare the parameters of a dataclass on a node and read their values.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    table : type
-        Dataclass whose fields were made with `parameter`.
-
-    Returns
-    -------
-    table
-        An instance with the values in force.
-
-    Raises
-    ------
-    ArgumentError
-        If a value has the wrong type or is out of range; the sentence names the parameter.
-
-    """
-    values = {}
-    for entry in fields(table):
-        try:
-            given = node.declare_parameter(entry.name, entry.default, _descriptor(entry)).value
-        except InvalidParameterValueException:
-            # rclpy has looked at the range before us
-            raise ArgumentError(f'The parameter {entry.name} must be {_bounds(entry)}.') from None
-        values[entry.name] = _checked(entry, given)
-    return table(**values)
+def _image_transport():
+    return parameter('auto', 'which of the topics image and image/compressed to follow; auto '
+                     'takes the one that speaks first', one_of=('auto', 'raw', 'compressed'),
+                     live=True)
 
 
-def _descriptor(entry) -> ParameterDescriptor:
-    """Describe a field; the type is ours to check, so that a YAML 20 may stand for 20.0."""
-    about = entry.metadata
-    descriptor = ParameterDescriptor(description=about['description'], read_only=True,
-                                     dynamic_typing=True)
-    if about['one_of']:
-        descriptor.additional_constraints = 'one of ' + ', '.join(about['one_of'])
-    low, high = about['low'], about['high']
-    if low is not None or high is not None:
-        # read-only: nobody can set it later, the range is there to be read
-        if isinstance(entry.default, float):
-            descriptor.additional_constraints = f'from {low} to {high}'
-            descriptor.floating_point_range = [FloatingPointRange(
-                from_value=float(-math.inf if low is None else low),
-                to_value=float(math.inf if high is None else high), step=0.0)]
-        else:
-            descriptor.integer_range = [IntegerRange(
-                from_value=int(-2 ** 63 if low is None else low),
-                to_value=int(2 ** 63 - 1 if high is None else high), step=0)]
-    return descriptor
+def _reliability():
+    return parameter('auto', 'of the subscription to the images; auto: reliable where all '
+                     'publishers are, best effort otherwise, which fits every publisher',
+                     one_of=('auto', 'best_effort', 'reliable'), live=True)
 
 
-def _checked(entry, value):
-    """Return the value in the type of its default."""
-    wanted, about = type(entry.default), entry.metadata
-    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not wanted:
-        raise ArgumentError(f'The parameter {entry.name} must be of type {wanted.__name__}, '
-                            f'not {value!r}.')
-    if about['one_of'] and value not in about['one_of']:
-        raise ArgumentError(f'The parameter {entry.name} must be one of '
-                            f'{", ".join(about["one_of"])}, not {value!r}.')
-    low, high = about['low'], about['high']
-    # written so that NaN fails
-    if (low is not None and not value >= low) or (high is not None and not value <= high):
-        raise ArgumentError(f'The parameter {entry.name} must be {_bounds(entry)}, '
-                            f'not {value!r}.')
-    return value
-
-
-def _bounds(entry) -> str:
-    """Say between what a number must lie."""
-    low, high = entry.metadata['low'], entry.metadata['high']
-    if None in (low, high):
-        return f'at least {low}' if high is None else f'at most {high}'
-    return f'from {low} to {high}'
+def _silence_s(what_has: str):
+    return parameter(5.0, f'warn when {what_has} come for so long', 0.5, 3600.0, live=True)
 
 
 @dataclass(frozen=True)
 class FeatureTrackerParameters:
     """Parameters of feature_tracker."""
 
-    image_transport: str = parameter(
-        'auto', 'which of the topics image and image/compressed to follow; auto takes the one '
-        'that speaks first', one_of=('auto', 'raw', 'compressed'))
-    reliability: str = parameter(
-        'auto', 'of the subscription to the images; auto: reliable where all publishers are, '
-        'best effort otherwise, which fits every publisher', one_of=('auto', 'best_effort',
-                                                                     'reliable'))
-    max_features: int = parameter(400, 'points to follow at once', 20, 5000)
-    lazy: bool = parameter(True, 'subscribe to images only while somebody listens to the tracks')
-    silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)
+    image_transport: str = _image_transport()
+    reliability: str = _reliability()
+    max_features: int = parameter(400, 'points to follow at once', 20, 5000, live=True)
+    lazy: bool = parameter(True, 'subscribe to images only while somebody listens to the tracks',
+                           live=True)
+    silence_s: float = _silence_s('no image has')
 
 
 def _motion(default: str):
     return parameter(default, 'how the camera moves: in a plane, as robots on wheels do; freely, '
-                     'as arms do; auto finds out', one_of=('planar', 'general', 'auto'))
+                     'as arms do; auto finds out', one_of=('planar', 'general', 'auto'),
+                     live=True)
 
 
 @dataclass(frozen=True)
@@ -152,32 +85,37 @@ class CalibratorParameters:
 
     camera_name: str = parameter('camera', 'name in the calibration file, and its file name')
     output: str = parameter('', 'calibration file; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
-                            'where camera drivers look')
-    auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only')
+                            'where camera drivers look', live=True)
+    auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only',
+                                live=True)
     set_camera_info_service: str = parameter(
         '', 'whenever the file is written, also give the calibration to a driver by this service, '
-        'such as camera/set_camera_info; empty: to none')
+        'such as camera/set_camera_info; empty: to none', live=True)
     motion: str = _motion('auto')
-    aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0)
-    aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0)
-    zero_skew: bool = parameter(True, 'the skew is known to be zero')
+    aspect_ratio: float = parameter(1.0, 'known fy/fx; 0: not known', 0.0, 10.0, live=True)
+    aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0,
+                                          live=True)
+    zero_skew: bool = parameter(True, 'the skew is known to be zero', live=True)
     distortion: str = parameter('auto', 'coefficients to estimate; auto: the richest model with '
                                 'which the images determine the camera',
-                                one_of=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'))
-    max_keyframes: int = parameter(40, 'views to keep', 3, 400)
-    first_estimate: int = parameter(8, 'views before the first estimate', 3, 400)
+                                one_of=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
+                                live=True)
+    max_keyframes: int = parameter(40, 'views to keep', 3, 400, live=True)
+    first_estimate: int = parameter(8, 'views before the first estimate', 3, 400, live=True)
     keyframe_parallax: float = parameter(
         0.03, 'a view is kept when its points have moved by this share of the image diagonal',
-        1e-4, 0.5)
-    monitor: bool = parameter(True, 'watch whether the camera changes, once it is calibrated')
+        1e-4, 0.5, live=True)
+    monitor: bool = parameter(True, 'watch whether the camera changes, once it is calibrated',
+                              live=True)
     false_alarm_keyframes: float = parameter(
-        3.6e6, 'mean number of views between false alarms of the monitor, at least', 1e3, 1e12)
+        3.6e6, 'mean number of views between false alarms of the monitor, at least', 1e3, 1e12,
+        live=True)
     world_frame: str = parameter(
         'calibration_world_unscaled', 'frame of structure, camera_path and markers: the body '
         'frame of the first view, the median step between views being 1 (no metres)')
     idle_s: float = parameter(1.0, 'estimate with what there is when no tracks come for so long',
-                              0.1, 3600.0)
-    silence_s: float = parameter(5.0, 'warn when no tracks have come for so long', 0.5, 3600.0)
+                              0.1, 3600.0, live=True)
+    silence_s: float = _silence_s('no tracks have')
 
 
 @dataclass(frozen=True)
@@ -204,9 +142,8 @@ class RorapidTrackerParameters:
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
                                 'angle-axis radians, in the optical frame of the camera), or a '
                                 '.pos file; empty: wait for initialpose')
-    image_transport: str = parameter(
-        'auto', 'which of the topics image and image/compressed to follow; auto takes the one '
-        'that speaks first', one_of=('auto', 'raw', 'compressed'))
+    image_transport: str = _image_transport()
+    reliability: str = _reliability()
     method: str = parameter('modern', "RAPiD and RoRAPiD are the thesis's; modern adds what has "
                             'been learned since', one_of=METHODS)
     camera_model: str = parameter(
@@ -216,20 +153,23 @@ class RorapidTrackerParameters:
                             one_of=MOTIONS)
     plane_axis: str = parameter('', 'with planar motion: axis of rotation "x y z" in the optical '
                                 'frame; empty: learned')
-    control_points_per_line: int = parameter(6, 'control points on each line', 2, 200)
-    control_points_per_conic: int = parameter(10, 'control points on each circle', 5, 400)
+    control_points_per_line: int = parameter(6, 'control points on each line', 2, 200, live=True)
+    control_points_per_conic: int = parameter(10, 'control points on each circle', 5, 400,
+                                              live=True)
     search_least_px: float = parameter(8.0, 'least search range to each side of an edge', 2.0,
-                                       100.0)
+                                       100.0, live=True)
     search_most_px: float = parameter(24.0, 'most search range to each side of an edge', 2.0,
-                                      200.0)
-    least_contrast: float = parameter(4.0, 'weakest edge that counts, in grey levels', 0.5, 255.0)
-    texture: bool = parameter(True, "remember and use what the object's faces look like")
-    recovery: bool = parameter(True, 'search for the object again after a loss')
+                                      200.0, live=True)
+    least_contrast: float = parameter(4.0, 'weakest edge that counts, in grey levels', 0.5, 255.0,
+                                      live=True)
+    texture: bool = parameter(True, "remember and use what the object's faces look like",
+                              live=True)
+    recovery: bool = parameter(True, 'search for the object again after a loss', live=True)
     object_frame: str = parameter('object', 'frame of the object')
     publish_tf: bool = parameter(False, 'publish the transform from the camera to object_frame; '
-                                 'a frame may have one parent only')
+                                 'a frame may have one parent only', live=True)
     camera_name: str = parameter('camera', 'name of the camera in the diagnostics')
-    silence_s: float = parameter(5.0, 'warn when no image has come for so long', 0.5, 3600.0)
+    silence_s: float = _silence_s('no image has')
 
 
 @dataclass(frozen=True)
@@ -238,8 +178,8 @@ class BagPlayerParameters:
 
     bag: str = parameter('', 'rosbag2 folder, .mcap, .db3 or .bag file')
     topic: str = parameter('', 'image topic of the bag; empty: the only one')
-    rate: float = parameter(1.0, 'playback speed', 0.01, 100.0)
-    loop: bool = parameter(False, 'start again at the end')
+    rate: float = parameter(1.0, 'playback speed', 0.01, 100.0, live=True)
+    loop: bool = parameter(False, 'start again at the end', live=True)
     start_offset: float = parameter(0.0, 'seconds of the bag to skip', 0.0, 1e6)
     publish_clock: bool = parameter(True, 'publish the time of the bag on /clock')
     wait_for_subscribers_s: float = parameter(
@@ -253,9 +193,9 @@ class CameraInfoPublisherParameters:
     camera_name: str = parameter('camera', 'name of the camera, and of its file')
     camera_info_url: str = parameter(
         '', 'calibration file, also as file:// URL; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
-        'where camera drivers look')
+        'where camera drivers look', live=True)
     source: str = parameter(
         'driver', 'whose stamps to take: driver/camera_info, which also tells binning and region '
         'of interest, or the images of a driver without one',
         one_of=('driver', 'image', 'compressed'))
-    silence_s: float = parameter(5.0, 'warn when nothing has come for so long', 0.5, 3600.0)
+    silence_s: float = _silence_s('nothing has')

@@ -49,8 +49,9 @@ _BLOCK = re.compile(r'(<!-- (parameters|interface):(\w+) -->\n).*?(?=<!-- /\2:\3
 def parameters_table(node: str) -> str:
     """Return the parameters of a node as a Markdown table, with a line end."""
     rows = [(f'`{entry.name}`', f'`{_literal(entry.default)}`', _allowed(entry),
-             entry.metadata['description']) for entry in fields(PARAMETERS[node])]
-    return _table(('parameter', 'default', 'allowed', 'meaning'), rows)
+             'yes' if entry.metadata['live'] else 'no', entry.metadata['description'])
+            for entry in fields(PARAMETERS[node])]
+    return _table(('parameter', 'default', 'allowed', 'at run time', 'meaning'), rows)
 
 
 def interface_table(node: str) -> str:

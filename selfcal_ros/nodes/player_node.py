@@ -25,8 +25,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from selfcal_ros.errors import InputError
+from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.image_topics import compressed_topic
-from selfcal_ros.nodes.parameters import BagPlayerParameters, declare
+from selfcal_ros.nodes.parameters import BagPlayerParameters
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.pipeline.replay import ImageRecording
 from sensor_msgs.msg import CompressedImage, Image
@@ -50,8 +51,9 @@ class BagPlayer(Node):
         self._publisher = self.create_publisher(
             message, name, PER_IMAGE,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
-                       if self.parameters.publish_clock else None)
+        # not self._clock, which is the node's own
+        self._time = (self.create_publisher(ClockMessage, '/clock', 10)
+                      if self.parameters.publish_clock else None)
         self._types = rclpy_types()
         self._waiting_since = time.monotonic()
         self._messages = None
@@ -60,6 +62,18 @@ class BagPlayer(Node):
         self._timer = self.create_timer(0.05, self._tick, clock=STEADY)
         self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
                                f'{self.parameters.bag}, on {self._publisher.topic_name}')
+
+        follow(self, lambda new: None, self._change)
+
+    def _change(self, new: BagPlayerParameters, old: BagPlayerParameters):
+        """Go on at another speed, from the time of the bag that it is now."""
+        if self._messages is not None and new.rate != old.rate:
+            now = time.monotonic()
+            self._begin_ns += int((now - self._began) * old.rate * 1e9)
+            self._began = now
+            # the image that was waited for is due at another time
+            self._timer.timer_period_ns = 100_000
+            self._timer.reset()
 
     def _tick(self):
         if self._messages is None:
@@ -106,8 +120,8 @@ class BagPlayer(Node):
         return self._began + (stamp_ns - self._begin_ns) * 1e-9 / self.parameters.rate
 
     def _tell_time(self, stamp_ns: int):
-        if self._clock is not None:
-            self._clock.publish(ClockMessage(clock=time_message(stamp_ns, self._types)))
+        if self._time is not None:
+            self._time.publish(ClockMessage(clock=time_message(stamp_ns, self._types)))
 
     def _at_end(self):
         if self.parameters.loop:

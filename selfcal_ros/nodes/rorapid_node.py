@@ -25,14 +25,13 @@ from msg_adapters.poses import pose_matrix, pose_with_covariance_message, transf
 from msg_adapters.stamps import header_message
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.nodes.image_topics import compressed_topic
-from selfcal_ros.nodes.parameters import declare, RorapidTrackerParameters
+from selfcal_ros.nodes.declaration import declare, follow
+from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import (IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE,
                                                   STEADY)
 from selfcal_ros.nodes.silence import SilenceWatch
-from selfcal_ros.nodes.tracker_node import TRANSPORTS
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
 from selfcal_ros.pipeline.tracking_run import read_start
@@ -74,7 +73,7 @@ class RorapidNode(Node):
         self._start = read_start(p.start_pose, None, camera) if p.start_pose else None
         if self._start is not None:
             session.start(*self._start)
-        self._transport, self._frame_id = p.image_transport, ''
+        self._frame_id = ''
         self._info_key = self._newest = self._state = None
         self._info_problem = ''
         self._pose = self.create_publisher(PoseWithCovarianceStamped, 'pose', PER_IMAGE)
@@ -87,22 +86,18 @@ class RorapidNode(Node):
         self._transforms = self._transform_publisher() if p.publish_tf else None
         self._ready = self.create_guard_condition(self._publish)
         self._worker = TrackingWorker(session, self._ready.trigger)
-        wanted = TRANSPORTS if self._transport == 'auto' else {self._transport}
-        topics = {'raw': 'image', 'compressed': compressed_topic(self)}
-        self._inputs = {name: self.create_subscription(
-            TRANSPORTS[name], topics[name],
-            lambda msg, name=name: self._on_image(msg, name), IMAGES_IN,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
-            for name in sorted(wanted, reverse=True)}
+        self._inputs = ImageInputs(self, self._on_image, transport=p.image_transport,
+                                   reliability=p.reliability)
         # a publisher of CameraInfo may be of either reliability, too
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, IMAGES_IN)
         self.create_subscription(PoseWithCovarianceStamped, 'initialpose', self._on_initialpose,
                                  PER_IMAGE)
-        self._silence = SilenceWatch(self, 'images', lambda: [s.topic_name for s in
-                                                              self._inputs.values()], p.silence_s)
+        self._silence = SilenceWatch(self, 'images', lambda: self._inputs.topics,
+                                     p.silence_s)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_timer(1.0, self._diagnose, clock=STEADY)
+        follow(self, self._check_change, self._change)
 
     def destroy_node(self):
         """End the thread, too."""
@@ -118,14 +113,23 @@ class RorapidNode(Node):
                              'is not installed.') from None
         return self.create_publisher(TFMessage, '/tf', 100)
 
+    def _check_change(self, new: RorapidTrackerParameters):
+        """Refuse parameters that contradict each other, or ask for what is not installed."""
+        tracker_options(new)
+        if new.publish_tf and self._transforms is None:
+            self._transforms = self._transform_publisher()
+
+    def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters):
+        """Do what changed parameters say; the tracker goes on from where the object is."""
+        self._silence.limit_s = new.silence_s
+        options = tracker_options(new)
+        if options != tracker_options(old):
+            self._worker.command(lambda session: session.set_options(options))
+        self._inputs.choose(new.image_transport, new.reliability)
+
     # what comes in
 
-    def _on_image(self, msg, transport: str):
-        if self._transport == 'auto':
-            self.get_logger().info(f'images arrive on {self._inputs[transport].topic_name}')
-            self._transport = transport
-        if transport != self._transport:
-            return
+    def _on_image(self, msg):
         self._silence.heard()
         self._frame_id = msg.header.frame_id
         self._worker.submit(msg, self._overlay.get_subscription_count() > 0)
@@ -219,7 +223,7 @@ class RorapidNode(Node):
         if tracked:
             self._pose.publish(pose_with_covariance_message(pose, tracked.covariance, done.header,
                                                             self._types))
-            if self._transforms is not None:
+            if self.parameters.publish_tf:
                 self._send_transform(pose, done.header)
         if self._camera_info is not None and tracked.focal_sigma_px > 0:
             self._camera_info.publish(camera_info_message(
@@ -252,8 +256,7 @@ class RorapidNode(Node):
 
     def _diagnose(self):
         level, text, values = tracking_status(
-            self._newest, self._info_problem, self._worker.dropped,
-            self._silence.silent_s if self._silence.silent_s > self.parameters.silence_s else 0.0)
+            self._newest, self._info_problem, self._worker.dropped, self._silence.too_long_s)
         status = status_message(f'{self.get_name()}: tracking', level, text, self._types, values,
                                 self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)

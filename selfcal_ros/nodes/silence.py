@@ -50,10 +50,23 @@ class SilenceWatch:
     """
 
     def __init__(self, node, what: str, topics: Callable, limit_s: float):
-        self._node, self._what, self._topics, self._limit_s = node, what, topics, limit_s
+        self._node, self._what, self._topics = node, what, topics
         self._last = time.monotonic()
         self._warned = ''
-        self._timer = node.create_timer(min(1.0, limit_s / 4), self._check, clock=STEADY)
+        self._timer = node.create_timer(1.0, self._check, clock=STEADY)
+        self.limit_s = limit_s
+
+    @property
+    def limit_s(self) -> float:
+        """How long a silence may last; may be set at any time."""
+        return self._limit_s
+
+    @limit_s.setter
+    def limit_s(self, limit_s: float):
+        self._limit_s = limit_s
+        self._timer.timer_period_ns = int(min(1.0, limit_s / 4) * 1e9)
+        # or the old period would pass first
+        self._timer.reset()
 
     def heard(self) -> None:
         """Note that something has arrived."""
@@ -63,12 +76,18 @@ class SilenceWatch:
             self._warned = ''
 
     @property
+    def too_long_s(self) -> float:
+        """Seconds of a silence that is beyond the limit, 0 otherwise."""
+        silent_s = self.silent_s
+        return silent_s if silent_s > self.limit_s else 0.0
+
+    @property
     def silent_s(self) -> float:
         """Seconds since something arrived, or since the start."""
         return time.monotonic() - self._last
 
     def _check(self):
-        if self.silent_s < self._limit_s:
+        if self.silent_s < self.limit_s:
             return
         topics = sorted(self._topics())
         if not topics:
@@ -80,7 +99,7 @@ class SilenceWatch:
         if text + publishers != self._warned:
             self._warned = text + publishers
             self._node.get_logger().warning(
-                f'{text} for {max(self._limit_s, int(self.silent_s)):g} s; {publishers}')
+                f'{text} for {max(self.limit_s, int(self.silent_s)):g} s; {publishers}')
 
     def _publishers(self, topics: list[str]) -> str:
         """Describe who publishes what we listen to."""

@@ -22,20 +22,17 @@ from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import stamp_ns
 from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.klt import KltTracker
-from selfcal_ros.nodes.image_topics import compressed_topic, image_profile
-from selfcal_ros.nodes.parameters import declare, FeatureTrackerParameters
+from selfcal_ros.nodes.declaration import declare, follow
+from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.parameters import FeatureTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
 from selfcal_ros.report.tracks_overlay import TracksOverlay
-from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 
-#: Message of each image transport.
-TRANSPORTS = {'raw': Image, 'compressed': CompressedImage}
 #: Smaller images than this hold no features worth following.
 MINIMUM_SIDE_PX = 64
 
@@ -71,52 +68,36 @@ class FeatureTracker(Node):
         self._drawing = TracksOverlay()
         self._newest_ns = None
         self._size = None
-        self._transport = self.parameters.image_transport
-        self._topics = {'raw': 'image', 'compressed': compressed_topic(self)}
-        self._inputs = {}
-        self._profiles = {}
         self.tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
         self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
-        self._silence = SilenceWatch(self, 'images', lambda: [s.topic_name for s in
-                                                              self._inputs.values()],
+        self._inputs = ImageInputs(self, self._on_image, self._is_heard,
+                                   transport=self.parameters.image_transport,
+                                   reliability=self.parameters.reliability)
+        self._silence = SilenceWatch(self, 'images', lambda: self._inputs.topics,
                                      self.parameters.silence_s)
-        self._connect()
-        self._timer = self.create_timer(0.1, self._connect, clock=STEADY)
         self._idle = self.create_timer(1.0, self._say_idle, clock=STEADY)
+        follow(self, lambda new: None, self._change)
 
-    def _connect(self):
-        """Subscribe to what is wanted now; lazily, as image_transport does."""
-        wanted = set()
-        if not self.parameters.lazy or self.listeners or self.tracks.get_subscription_count() \
-                or self._overlay.get_subscription_count():
-            wanted = set(TRANSPORTS) if self._transport == 'auto' else {self._transport}
-        profiles = {name: image_profile(self, self._topics[name], self.parameters.reliability)
-                    for name in wanted}
-        for name in set(self._inputs):
-            # a publisher that sends in another way may have come
-            if self._profiles[name] is not profiles.get(name):
-                self.destroy_subscription(self._inputs.pop(name))
-        self._profiles = profiles
-        for name in wanted - set(self._inputs):
-            self._inputs[name] = self.create_subscription(
-                TRANSPORTS[name], self._topics[name],
-                lambda msg, name=name: self._on_image(msg, name), profiles[name],
-                qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY,
-                                                             QoSPolicyKind.DEPTH]))
+    def _is_heard(self) -> bool:
+        """Tell whether images are wanted now; lazily, as image_transport does."""
+        return bool(not self.parameters.lazy or self.listeners
+                    or self.tracks.get_subscription_count()
+                    or self._overlay.get_subscription_count())
+
+    def _change(self, new: FeatureTrackerParameters, old: FeatureTrackerParameters):
+        """Do what changed parameters say, from the next image on."""
+        self._tracker.most = new.max_features
+        self._silence.limit_s = new.silence_s
+        self._inputs.choose(new.image_transport, new.reliability)
 
     def _say_idle(self):
         """Tell, once, why nothing happens while nobody listens."""
         self._idle.cancel()
-        if not self._inputs:
+        if not self._inputs.topics:
             self.get_logger().info(f'images are subscribed to once somebody subscribes to '
                                    f'{self.tracks.topic_name} (parameter lazy)')
 
-    def _on_image(self, msg, transport: str):
-        if self._transport == 'auto':
-            self.get_logger().info(f'images arrive on {self._inputs[transport].topic_name}')
-            self._transport = transport
-        if transport != self._transport:
-            return
+    def _on_image(self, msg):
         self._silence.heard()
         try:
             gray = self._decoder.grey(msg)

@@ -45,6 +45,12 @@ class CameraInfoUpload:
         self._name = node.resolve_service_name(service) if service else ''
         self._missed = False
 
+    def close(self) -> None:
+        """Upload nothing any more."""
+        if self._client is not None:
+            self._node.destroy_client(self._client)
+            self._client = None
+
     def send(self, camera: Camera) -> str:
         """
         Send the camera of the full sensor.

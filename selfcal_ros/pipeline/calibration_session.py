@@ -15,16 +15,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.errors import ArgumentError
-from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.features.selection import KeyframeSelector
+from selfcal_ros.pipeline.estimate_request import EstimateRequest, Keyframe, SessionSettings
 
 #: A stamp this much before the newest one is a jump, not a message that was overtaken.
 BACKWARD_JUMP_NS = 200_000_000
@@ -33,104 +31,6 @@ BACKWARD_JUMP_NS = 200_000_000
 SETTLED_SHARE = 0.00125
 #: A frame with fewer points than this is no keyframe.
 MINIMUM_POINTS = 8
-
-
-@dataclass(frozen=True)
-class SessionSettings:
-    """
-    When a frame is kept, and when an estimate is worth its time.
-
-    Parameters
-    ----------
-    motion : str
-        As in `selfcal_ros.calibrate`.
-    facts : CameraFacts
-    parallax : float
-        A frame becomes a keyframe when the median point has moved by this share of the image
-        diagonal since the last one.
-    max_keyframes : int
-        Bound on memory and on the time of an estimate; beyond it the views that tell least go.
-    first_estimate : int
-        Keyframes before the first estimate.
-    growth : float
-        New keyframes, as a share of all, that make another estimate worthwhile.
-    min_common : int
-        Thinning leaves neighbours that share at least so many points.
-
-    Raises
-    ------
-    ArgumentError
-        If a value is impossible.
-
-    """
-
-    motion: str = 'auto'
-    facts: CameraFacts = CameraFacts()
-    parallax: float = 0.03
-    max_keyframes: int = 40
-    first_estimate: int = 8
-    growth: float = 0.2
-    min_common: int = 60
-
-    def __post_init__(self):
-        """Refuse impossible values."""
-        if not 0 < self.parallax < 1:
-            raise ArgumentError('The keyframe parallax is a share of the image diagonal between '
-                                f'0 and 1, not {self.parallax!r}.')
-        if not 3 <= self.first_estimate <= self.max_keyframes:
-            raise ArgumentError(f'The first estimate needs 3 to {self.max_keyframes} keyframes '
-                                f'(max_keyframes), not {self.first_estimate}.')
-
-
-@dataclass(frozen=True)
-class Keyframe:
-    """
-    Points of one kept frame.
-
-    Attributes
-    ----------
-    index : int
-        Counts the frames of the session.
-    stamp_ns : int
-    ids : ndarray of int, shape (M,)
-        Ascending.
-    xy : ndarray, shape (M, 2)
-        Pixels.
-
-    """
-
-    index: int
-    stamp_ns: int
-    ids: np.ndarray
-    xy: np.ndarray
-
-
-@dataclass(frozen=True)
-class EstimateRequest:
-    """All that one estimate needs, independent of what the session does meanwhile."""
-
-    tracks: Tracks
-    settings: SessionSettings
-    start: Calibration | None
-    generation: int
-    keyframes: int
-
-    def run(self, calibrate: Callable | None = None) -> Calibration | NotCalibrated:
-        """
-        Estimate; takes up to seconds, for a worker thread.
-
-        Parameters
-        ----------
-        calibrate : callable, optional
-            `selfcal_ros.calibrate` by default.
-
-        """
-        if calibrate is None:
-            from selfcal_ros import calibrate
-        tracks, _ = drop_static(self.tracks)
-        tracks, _, _ = verify(tracks)
-        return calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
-                         start=self.start.camera if self.start else None)
 
 
 @dataclass(frozen=True)
@@ -182,9 +82,28 @@ class CalibrationSession:
         self._new_keyframes = 0
         self._estimates = 0
         self._estimating = False
-        self._held = self._abandoned = self._settled = False
+        self._held = self._abandoned = self._settled = self._from_scratch = False
         self._calibration = None
         self._failure = None
+
+    def change(self, settings: SessionSettings) -> None:
+        """
+        Go on by other settings, with what has been gathered.
+
+        After a change of motion or facts another estimate is due, and one under way is dropped;
+        the calibration that there is stays until then.
+        """
+        old, self.settings = self.settings, settings
+        if self._selector is not None:
+            self._selector.displacement_px = self._parallax_px
+        while len(self._keyframes) > settings.max_keyframes:
+            self._thin_out()
+        if (old.motion, old.facts) != (settings.motion, settings.facts):
+            self._new_keyframes = len(self._keyframes)
+            self._abandoned = self._estimating
+            self._settled, self._from_scratch = False, True
+        elif settings.max_keyframes > old.max_keyframes:
+            self._settled = False
 
     def reset(self) -> None:
         """Forget everything, also the estimate that may be on its way."""
@@ -236,8 +155,7 @@ class CalibrationSession:
         frame = Keyframe(self._frames - 1, int(stamp_ns), ids, xy[finite][first])
         self._newest_points = len(ids)
         if self._selector is None:
-            self._selector = KeyframeSelector(self.settings.parallax
-                                              * float(np.hypot(*self._image_size)))
+            self._selector = KeyframeSelector(self._parallax_px)
         # a nearly empty image (lens covered, motion blur) is no view of anything
         if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
             self._keyframes.append(frame)
@@ -279,6 +197,10 @@ class CalibrationSession:
             self.reset()
         self._image_size, self._newest_ns = image_size, int(stamp_ns)
         return reason
+
+    @property
+    def _parallax_px(self) -> float:
+        return self.settings.parallax * float(np.hypot(*self._image_size))
 
     def _thin_out(self):
         """
@@ -350,8 +272,10 @@ class CalibrationSession:
                         np.concatenate([f.ids for f in frames]),
                         np.concatenate([f.xy for f in frames]), self._image_size,
                         {f.index: f.stamp_ns for f in frames})
-        return EstimateRequest(tracks.with_at_least(2), self.settings, self._calibration,
-                               self._generation, len(frames))
+        # a calibration from other facts is nothing to start from
+        start = None if self._from_scratch else self._calibration
+        return EstimateRequest(tracks.with_at_least(2), self.settings, start, self._generation,
+                               len(frames))
 
     def accept(self, request: EstimateRequest, result: Calibration | NotCalibrated) -> bool:
         """
@@ -373,6 +297,7 @@ class CalibrationSession:
         self._estimates += 1
         if result:
             self._calibration, self._failure = result, None
+            self._from_scratch = False
             self._settled = (request.keyframes >= self.settings.max_keyframes
                              and _is_precise(result))
         else:

@@ -133,14 +133,26 @@ class TrackingSession:
                 np.array_equal(old.distortion, camera.distortion):
             return False
         self._camera = camera
-        self._tracker = RorapidTracker(self.model, camera, self.options,
+        self._follow_on()
+        return True
+
+    def set_options(self, options: TrackerOptions) -> None:
+        """Take other settings; the object is followed on from where it is."""
+        if options == self.options:
+            return
+        self.options = options
+        if self._camera is not None:
+            self._follow_on()
+
+    def _follow_on(self) -> None:
+        """Make a tracker for camera and settings; it has yet to see what the object looks like."""
+        self._tracker = RorapidTracker(self.model, self._camera, self.options,
                                        rng=np.random.default_rng(self._seed))
         pose = self._start
         if self._newest:
             pose = self._newest.rotation, self._newest.translation
         if pose is not None:
             self._tracker.start(*pose)
-        return True
 
     def start(self, rotation, translation) -> None:
         """

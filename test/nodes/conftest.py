@@ -104,6 +104,20 @@ class Graph:
         self.wait_for(future.done, what=f'answer of {service}')
         return future.result()
 
+    def set_parameters(self, node, atomically=False, **values):
+        """Set parameters as `ros2 param set` does; returns why it was refused, one a value."""
+        from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+        from rclpy.parameter import Parameter
+        kind = SetParametersAtomically if atomically else SetParameters
+        client = self.probe.create_client(
+            kind, f'{node}/set_parameters{"_atomically" if atomically else ""}')
+        self.wait_for(client.service_is_ready, what=client.srv_name)
+        future = client.call_async(kind.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]))
+        self.wait_for(future.done, what=f'answer of {client.srv_name}')
+        results = [future.result().result] if atomically else future.result().results
+        return [one.reason or 'refused' if not one.successful else '' for one in results]
+
 
 @pytest.fixture
 def graph(ros_environment):

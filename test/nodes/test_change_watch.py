@@ -131,3 +131,31 @@ def test_reset_ends_the_watch(zoomed):
     assert zoomed.graph.call('planar_calibrator/reset').success
     zoomed.wait_for_status(lambda level, message, values:
                            int(values['monitor windows']) == 0, 'forgotten')
+
+
+def test_the_monitor_is_switched_and_set_while_the_node_runs(zoomed):
+    def change(**values):
+        assert zoomed.graph.set_parameters('planar_calibrator', **values) == ['']
+
+    zoomed.publish(range(16))
+    zoomed.graph.wait_for(zoomed.calibrations, 60, 'calibration')
+    change(monitor=False)
+    zoomed.wait_for_status(lambda level, message, values: 'monitor windows' not in values, 'off')
+    zoomed.publish(range(16, 26))
+    assert 'monitor windows' not in zoomed.status()[2]
+    change(monitor=True)
+    zoomed.publish(range(26, ZOOMED_AT))
+    # it watches the calibration that there is
+    zoomed.publish(range(ZOOMED_AT, 60))
+    zoomed.wait_for_status(lambda level, message, values: level == b'\x01', 'the alarm')
+    # another threshold does not take back what was noticed
+    change(false_alarm_keyframes=1e5)
+    zoomed.wait_for_status(lambda level, message, values: level == b'\x01', 'the alarm still')
+    # without a monitor there is no alarm, and estimates go on from what came since
+    change(monitor=False)
+    zoomed.publish(range(60, VIEWS))
+    change(first_estimate=6)
+    change(idle_s=0.1)
+    zoomed.graph.wait_for(lambda: len(zoomed.calibrations()) > 1, 60, 'calibration anew')
+    result = zoomed.calibrations()[-1]
+    assert abs(result['camera']['fx'] - zoomed.after.K[0, 0]) < 4 * result['sigma']['fx']

@@ -11,32 +11,69 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters: one table, bounded, read-only, and a wrong value is a sentence."""
+"""Parameters: one table, bounded, read-only where said, and a wrong value is a sentence."""
 
-from dataclasses import FrozenInstanceError
+from dataclasses import fields, FrozenInstanceError
 
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters, declare,
-                                          FeatureTrackerParameters, PlanarCalibratorParameters)
+from selfcal_ros.nodes.declaration import declare, follow
+from selfcal_ros.nodes.parameters import BagPlayerParameters, RorapidTrackerParameters
+from selfcal_ros.nodes.parameters_table import PARAMETERS, parameters_table
 
 
-@pytest.mark.parametrize('table', [BagPlayerParameters, FeatureTrackerParameters,
-                                   PlanarCalibratorParameters, AffineCalibratorParameters])
-def test_defaults_are_declared_described_and_read_only(graph, table):
+@pytest.mark.parametrize('name', sorted(PARAMETERS))
+def test_defaults_are_declared_described_and_read_only_where_the_table_says_so(graph, name):
+    table = PARAMETERS[name]
     node = graph().add(Node('some_node'))
     values = declare(node, table)
     assert values == table()
     with pytest.raises(FrozenInstanceError):
         values.anything = 1
-    for name in table.__dataclass_fields__:
-        descriptor = node.describe_parameter(name)
-        assert descriptor.description and descriptor.read_only
-        result = node.set_parameters([Parameter(name, value=getattr(values, name))])[0]
-        assert not result.successful
+    rows = {row.split('`')[1]: row.split(' | ') for row in
+            parameters_table(name).splitlines()[2:]}
+    assert list(rows) == [entry.name for entry in fields(table)]
+    for entry in fields(table):
+        descriptor = node.describe_parameter(entry.name)
+        assert descriptor.description
+        result = node.set_parameters([Parameter(entry.name, value=entry.default)])[0]
+        assert result.successful != descriptor.read_only
+        assert rows[entry.name][3] == ('no' if descriptor.read_only else 'yes')
+
+
+def test_changes_are_whole_checked_and_told(graph):
+    node = graph().add(Node('some_node'))
+    node.parameters = declare(node, RorapidTrackerParameters)
+    told = []
+
+    def check(new):
+        if new.search_least_px > new.search_most_px:
+            raise ArgumentError('search_least_px must not exceed search_most_px.')
+
+    follow(node, check, lambda new, old: told.append((new, old)))
+    before = node.parameters
+
+    def attempt(**values):
+        return node.set_parameters_atomically([Parameter(name, value=value)
+                                               for name, value in values.items()])
+
+    assert attempt(search_least_px=30.0).reason.endswith('exceed search_most_px.')
+    assert 'one of auto' in attempt(image_transport='smoke', silence_s=2.0).reason
+    assert 'must be of type bool' in attempt(texture=3).reason
+    assert not attempt(search_most_px=1e9).successful
+    assert not attempt(least_contrast=float('nan')).successful
+    assert not attempt(model='other.cao', silence_s=2.0).successful
+    assert node.parameters is before and not told
+    # an integer stands for a real number; both at once do not contradict each other
+    assert attempt(search_least_px=30, search_most_px=40).successful
+    assert node.parameters.search_least_px == 30.0 and told == [(node.parameters, before)]
+    assert isinstance(node.parameters.search_least_px, float)
+    # nothing new is nothing to tell, and parameters of others are not ours
+    node.declare_parameter('of_another', 1)
+    assert attempt(search_least_px=30.0, of_another=2).successful and len(told) == 1
 
 
 def test_an_integer_stands_for_a_real_number(graph):

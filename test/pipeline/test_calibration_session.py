@@ -13,6 +13,8 @@
 # limitations under the License.
 """The session that the calibrator node drives: keyframes, bounded memory, resets, requests."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -140,6 +142,40 @@ def test_a_failure_leaves_the_calibration_that_there_is():
     session.accept(again, NotCalibrated('worse'))
     assert isinstance(session.calibration, FakeCalibration)
     assert session.snapshot().failure.reason == 'worse'
+
+
+def test_other_facts_make_an_estimate_due_and_drop_the_one_under_way():
+    session = fed(step_px=20, frames=30)
+    session.accept(session.request(), FakeCalibration())
+    assert session.request().start is not None
+    facts = CameraFacts(aspect_ratio=1.0)
+    session.change(replace(session.settings, facts=facts))
+    # what was asked for by the old facts is no answer any more
+    under_way = session.calibration
+    assert not session.is_due() and session.snapshot().estimating
+    old = EstimateRequest(None, session.settings, None, 0, 8)
+    assert not session.accept(old, FakeCalibration()) and session.calibration is under_way
+    assert session.is_due()
+    request = session.request()
+    assert request.settings.facts == facts and request.start is None
+    assert session.accept(request, FakeCalibration()) and not session.is_due()
+    assert session.calibration is not under_way
+
+
+def test_other_bounds_hold_for_what_has_been_gathered():
+    session = fed(step_px=20, frames=50)
+    before = {frame.index for frame in session.keyframes}
+    session.change(replace(session.settings, max_keyframes=8, parallax=0.3))
+    assert len(session.keyframes) == 8
+    assert {frame.index for frame in session.keyframes} <= before
+    # no other facts: nothing is due for that
+    session.accept(session.request(), NotCalibrated('', ''))
+    session.change(replace(session.settings, parallax=0.1))
+    assert not session.is_due()
+    for k, (ids, xy) in enumerate(panning(20, 80)):
+        if k >= 50:
+            session.add_tracks(k * STEP_NS, ids, xy, SIZE)
+    assert session.keyframes[-1].index - session.keyframes[-2].index == 4
 
 
 def test_a_result_that_was_asked_for_before_a_reset_is_dropped():

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Sessions and runs of the tracker: true poses, and a sentence for every wrong input."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -151,6 +153,23 @@ def test_another_calibration_is_followed_on(session, recording):
     K[:2, :2] *= 1.01
     assert session.set_camera(Camera(K, made.camera.distortion, 320, 240))
     assert close(made, 4, session.add(images[4]), share=0.03)
+
+
+def test_other_settings_are_followed_on(session, recording):
+    made, images = recording
+    for k in range(4):
+        session.add(images[k], int(made.stamps_ns[k]))
+    options = replace(session.options, search_most_px=40.0, texture=False)
+    session.set_options(options)
+    assert session.options is options
+    assert close(made, 4, session.add(images[4], int(made.stamps_ns[4])))
+    assert session.snapshot().losses == 0
+    # before there is a camera they wait for it
+    waiting = TrackingSession(made.model)
+    waiting.set_options(options)
+    waiting.set_camera(made.camera)
+    waiting.start(*guess(made))
+    assert close(made, 0, waiting.add(images[0]))
 
 
 def test_a_folder_gives_poses_and_a_video(recording, folder, tmp_path):
