@@ -27,8 +27,11 @@ import time
 import cv2
 import numpy as np
 import pytest
+from selfcal_ros.calibration.joint import combine
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
+from selfcal_ros.report.many_inputs_report import write_summary_page
 from selfcal_ros.report.page import write_page
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome',
@@ -257,6 +260,34 @@ def test_opens_without_a_complaint_and_fits(browser, report, width, scheme):
     assert (ink > ground) == (scheme == 'dark') and abs(ink - ground) > 450
     image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
     assert image.shape[1] == width and image.std() > 10
+
+
+@pytest.mark.parametrize('width, scheme', [(1280, 'light'), (1280, 'dark'), (400, 'light')])
+def test_the_page_of_many_recordings_looks_like_that_of_one(browser, report, calibration,
+                                                            tmp_path, width, scheme):
+    outcomes = tuple(Outcome(f'/drives/drive_{k:03d}.mcap', '/camera/image_raw', (640, 480), one,
+                             start_ns=(1_700_000_000 + 86_400 * k) * 10 ** 9)
+                     for k, one in enumerate([calibration] * 3 + [NotCalibrated('no turn.')]))
+    camera = CameraSummary('/camera/image_raw', (640, 480), outcomes, combine([calibration] * 3),
+                           (0, 1, 2))
+    path = write_summary_page(tmp_path / 'many.html', Summary((camera,), (Outcome(
+        'x', error='/drives/' + 'long_name/' * 20 + 'x.mcap is not an mcap file.'),)))
+    page = browser.open(path, width, scheme=scheme)
+    assert page.complaints == []
+    assert page.evaluate('document.documentElement.scrollWidth') <= width
+    # a wide table scrolls in its frame
+    assert [one for one in page.evaluate(STICKING_OUT.replace("'pre, svg", "'.scroll, pre, svg"))
+            ] == []
+    if width == 1280:
+        assert page.evaluate('[...document.querySelectorAll(".scroll")].every('
+                             'e => e.scrollWidth <= e.clientWidth)')
+    image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape[1] == width and image.std() > 10
+    # one stylesheet for both
+    style = '["body", "header", "h1", ".verdict", "h2", ".card"].map(name => { const s = ' \
+        'getComputedStyle(document.querySelector(name)); return [s.color, s.fontSize, ' \
+        's.backgroundColor, s.borderRadius, s.fontFamily]; })'
+    assert page.evaluate(style) == browser.open(report, width, scheme=scheme).evaluate(style)
 
 
 def test_the_scene_turns_and_zooms(browser, report):
