@@ -21,6 +21,7 @@ import os
 import sys
 import traceback
 
+from selfcal_ros.cli.parsing import SentenceParser
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 
 #: Verb and what it does; each is a module of this package with `add_arguments` and `run`.
@@ -36,7 +37,7 @@ VERBS = {
 
 def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     """Build the parser; only the chosen verb gets its arguments."""
-    parser = argparse.ArgumentParser(
+    parser = SentenceParser(
         prog='selfcal', description='Calibrate a camera from what it sees while it moves.',
         epilog='Exit status: 0 done, 1 could not calibrate (and says why), '
                '2 the input or the arguments are wrong.')

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import os
 import re
 
 import cv2
@@ -143,6 +144,8 @@ class VideoSource(FrameSource):
         """Return an opened cv2.VideoCapture."""
         if not self.path.stat().st_size:
             raise InputError(f'{self.path} is empty (0 bytes).')
+        # FFmpeg's own complaint would stand before our sentence
+        os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
         try:
             # an absolute path cannot be mistaken for an address or a pipeline
             capture = cv2.VideoCapture(str(self.path.resolve()))

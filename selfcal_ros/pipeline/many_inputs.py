@@ -142,12 +142,15 @@ def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
     Raises
     ------
     InputError
-        If a pattern fits nothing.
+        If a pattern fits nothing, or an input is empty.
 
     """
     inputs = list(inputs)
     found, many = [], len(inputs) > 1
     for text in map(str, inputs):
+        if not text.strip():
+            # Path('') would be the current folder with all that lies in it
+            raise InputError('An INPUT is empty; name a recording, or . for this folder.')
         path = Path(text)
         if not os.path.exists(text) and glob.has_magic(text):
             matches = sorted(map(Path, glob.glob(text, recursive=True)),

@@ -84,6 +84,23 @@ def test_calibrate_writes_what_was_asked_for_and_it_is_true(driven, capsys):
     assert sorted(p.name for p in Path().iterdir()) == ['camera.yaml', 'r.html', 'result.json']
 
 
+@pytest.mark.parametrize('arguments, words', [
+    (['calibrate'], 'selfcal calibrate: the following arguments are required: INPUT; '),
+    (['calib'], 'did you mean calibrate? selfcal --help tells more.'),
+    (['frobnicate'], "invalid choice: 'frobnicate'"),
+    (['calibrate', 'x.csv', '--reprot=r.html'], 'unrecognized arguments: --reprot=r.html; did '
+     'you mean --report?'),
+    (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
+    (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
+    (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
+    (['calibrate', ''], 'selfcal calibrate: An INPUT is empty'),
+    (['calibrate', 'x.csv', ''], 'selfcal calibrate: An INPUT is empty')])
+def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
+    assert selfcal(*arguments) == 2
+    heard = capsys.readouterr()
+    assert words in heard.err and heard.err.count('\n') == 1 and not heard.out
+
+
 def test_quiet_says_nothing(driven, capsys):
     assert selfcal('calibrate', driven[0], *SIZE, '--quiet') == 0
     heard = capsys.readouterr()

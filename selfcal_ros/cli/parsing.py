@@ -1,0 +1,51 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Arguments that are wrong are answered with one sentence, and with what may have been meant."""
+
+from __future__ import annotations
+
+import argparse
+import re
+
+from selfcal_ros.cli.status import EXIT_INPUT
+
+
+class SentenceParser(argparse.ArgumentParser):
+    """An argparse parser that does not print its whole usage for a slip of the finger."""
+
+    def error(self, message: str):
+        """Say in one sentence what is wrong, and end."""
+        from selfcal_ros.cli.colours import complaint
+        sentence = f'{message}; {self._meant(message)}{self.prog} --help tells more.'
+        self.exit(EXIT_INPUT, complaint(self.prog, sentence) + '\n')
+
+    def _meant(self, message: str) -> str:
+        """Name the word that is closest to a wrong one."""
+        from difflib import get_close_matches
+        wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: (\S+)", message)
+        if not wrong:
+            return ''
+        near = get_close_matches(wrong[1] or wrong[2].partition('=')[0], self._words(), 1, 0.7)
+        return f'did you mean {near[0]}? ' if near else ''
+
+    def _words(self) -> list[str]:
+        """List the options and choices of this parser and of the verb that was given."""
+        words = []
+        for action in self._actions:
+            words += action.option_strings
+            for choice in action.choices or ():
+                words.append(str(choice))
+                if isinstance(action.choices, dict):
+                    words += action.choices[choice]._words()
+        return words
