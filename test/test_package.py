@@ -13,6 +13,7 @@
 # limitations under the License.
 """What is installed agrees with what is said about it."""
 
+import ast
 import importlib
 import os
 from pathlib import Path
@@ -90,3 +91,23 @@ def test_importing_the_core_needs_no_ros():
     code = ('import sys; import selfcal_ros, selfcal_ros.cli.main, selfcal_ros.cli.calibrate; '
             'sys.exit("rclpy" in sys.modules)')
     assert subprocess.run([sys.executable, '-c', code], cwd=ROOT, timeout=60).returncode == 0
+
+
+#: What would need a screen, or somebody at a keyboard.
+ASKS = {'namedWindow', 'waitKey', 'waitKeyEx', 'selectROI', 'input', 'getpass', 'pyplot'}
+
+
+@pytest.mark.parametrize('folder', ['selfcal_ros', 'msg_adapters', 'launch'])
+def test_nothing_opens_a_window_or_asks_at_the_keyboard(folder):
+    found = []
+    for path in (ROOT / folder).rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            called = getattr(node, 'func', None)
+            names = {getattr(called, 'attr', None), getattr(called, 'id', None)}
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                names = {alias.name.rpartition('.')[2] for alias in node.names}
+            elif isinstance(node, ast.Attribute):
+                names = {ast.unparse(node)} & {'sys.stdin', 'cv2.imshow'}
+            found += [f'{path.name}: {name}' for name in names
+                      if name in ASKS | {'sys.stdin', 'cv2.imshow'}]
+    assert not found

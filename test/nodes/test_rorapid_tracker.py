@@ -229,6 +229,38 @@ def test_bad_input_is_told_in_a_sentence_and_the_node_goes_on(station):
     station.graph.wait_for(lambda: station.states[-1].data.startswith('tracking'))
 
 
+def test_a_loss_is_told_gives_no_pose_and_ends_where_the_object_is_back(station):
+    station = station()
+    station.add_node()
+    station.send_info()
+    station.send_start()
+    station.graph.spin_for(0.3)
+    station.track(range(5))
+    # the lens is covered
+    for k in range(5, 10):
+        station.send(k, np.zeros_like(station.images[0]))
+        station.graph.spin_for(0.05)
+    station.graph.wait_for(lambda: station.states[-1].data.startswith('lost: '), what='the loss')
+    station.graph.wait_for(lambda: any(one.status[0].level == b'\x02'
+                                       for one in station.diagnostics), what='ERROR')
+    assert station.diagnostics[-1].status[0].message
+    before = len(station.poses)
+    station.send(10, np.zeros_like(station.images[0]))
+    station.graph.spin_for(0.3)
+    assert len(station.poses) == before
+    # and uncovered: it is found again without being told where
+    after = int(station.recording.stamps_ns[10])
+    for k in range(1, 40):
+        station.send(4, header=header_message(after + k * 33_333_333, FRAME, station.types))
+        station.graph.spin_for(0.05)
+        if len(station.poses) > before and station.states[-1].data.startswith('tracking'):
+            break
+    pose = pose_matrix(station.poses[-1])
+    angle, share = pose_errors(pose[:3, :3], pose[:3, 3], station.recording.rotations[4],
+                               station.recording.translations[4])
+    assert np.rad2deg(angle) < 1 and share < 0.02
+
+
 @pytest.mark.parametrize('parameters, error, words', [
     ([], ArgumentError, 'needs the wireframe'),
     (['model:=/nowhere.cao'], InputError, 'nowhere.cao'),
