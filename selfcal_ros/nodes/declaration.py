@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
+from difflib import get_close_matches
 import math
 
 from rcl_interfaces.msg import (FloatingPointRange, IntegerRange, ParameterDescriptor,
@@ -24,6 +25,10 @@ from rcl_interfaces.msg import (FloatingPointRange, IntegerRange, ParameterDescr
 from rclpy.exceptions import InvalidParameterValueException
 
 from selfcal_ros.errors import ArgumentError, SelfcalError
+from selfcal_ros.nodes import parameters
+
+#: Parameters that every node of ROS has, or that come with its topics.
+_OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
 def declare(node, table):
@@ -55,7 +60,21 @@ def declare(node, table):
             # rclpy has looked at the range before us
             raise ArgumentError(f'The parameter {entry.name} must be {_bounds(entry)}.') from None
         values[entry.name] = _checked(entry, given)
+    _tell_of_unknown(node, list(values))
     return table(**values)
+
+
+def _tell_of_unknown(node, names: list[str]) -> None:
+    """Warn of what was given under a name that none of our nodes knows: it has no effect."""
+    known = {name for kind in vars(parameters).values() if is_dataclass(kind)
+             for name in kind.__dataclass_fields__}
+    # rclpy has no other way to ask what was given
+    for given in getattr(node, '_parameter_overrides', ()):
+        if given in known or given.startswith(_OF_ROS) or node.has_parameter(given):
+            continue
+        near = get_close_matches(given, names, 1, 0.7)
+        node.get_logger().warning(f'there is no parameter {given!r:.60}'
+                                  + (f'; did you mean {near[0]}?' if near else ''))
 
 
 def follow(node, check: Callable, apply: Callable) -> None:

@@ -48,7 +48,7 @@ _BLOCK = re.compile(r'(<!-- (parameters|interface):(\w+) -->\n).*?(?=<!-- /\2:\3
 
 def parameters_table(node: str) -> str:
     """Return the parameters of a node as a Markdown table, with a line end."""
-    rows = [(f'`{entry.name}`', f'`{_literal(entry.default)}`', _allowed(entry),
+    rows = [(f'`{entry.name}`', f'`{literal(entry.default)}`', _allowed(entry),
              'yes' if entry.metadata['live'] else 'no', entry.metadata['description'])
             for entry in fields(PARAMETERS[node])]
     return _table(('parameter', 'default', 'allowed', 'at run time', 'meaning'), rows)
@@ -75,7 +75,7 @@ def updated(text: str) -> str:
     return _BLOCK.sub(lambda found: found[1] + tables[found[2]](found[3]), text)
 
 
-def _literal(value) -> str:
+def literal(value) -> str:
     """Write a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()

@@ -51,6 +51,33 @@ class StopSignals:
             signal.signal(number, signal.SIG_IGN)
 
 
+def usage(name: str) -> str:
+    """Return what a node says when it is asked for help: topics, services and parameters."""
+    import textwrap
+
+    from selfcal_ros.nodes.interfaces import INTERFACES
+    from selfcal_ros.nodes.parameters_table import literal, PARAMETERS
+    names = list(PARAMETERS)
+    lines = [f'usage: {name} --ros-args [-p NAME:=VALUE ...] [--params-file FILE] '
+             '[-r TOPIC:=OTHER ...]', '']
+    if name not in PARAMETERS:
+        lines[0] = f'usage: all_nodes [{"] [".join(names)}] --ros-args ...'
+        return '\n'.join([*lines, 'Runs these nodes in one process; each tells of its own '
+                          'parameters: feature_tracker --help, for example.'])
+
+    def entry(head, text):
+        return [f'  {head}', *textwrap.wrap(text, 90, initial_indent=' ' * 6,
+                                            subsequent_indent=' ' * 6)]
+
+    for end in INTERFACES[name]:
+        lines += entry(f'{end.direction:8}{end.name}  ({end.type})', end.description)
+    lines += ['', 'parameters (* changes while the node runs, by `ros2 param set`):']
+    for one in PARAMETERS[name].__dataclass_fields__.values():
+        star = ' *' if one.metadata['live'] else ''
+        lines += entry(f'{one.name}:={literal(one.default)}{star}', one.metadata['description'])
+    return '\n'.join(lines)
+
+
 def run_node(make_node: Callable, args: list[str] | None = None) -> int:
     """Run one node until it is finished or told to stop; see `run_nodes`."""
     return run_nodes(lambda: [make_node()], args)
@@ -75,6 +102,11 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
 
     """
     signals = StopSignals()
+    given = sys.argv[1:] if args is None else args
+    if {'-h', '--help'} & set(given[:given.index('--ros-args') if '--ros-args' in given
+                                    else len(given)]):
+        print(usage(os.path.splitext(os.path.basename(sys.argv[0]))[0]))
+        return 0
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 

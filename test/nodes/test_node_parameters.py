@@ -14,6 +14,8 @@
 """Parameters: one table, bounded, read-only where said, and a wrong value is a sentence."""
 
 from dataclasses import fields, FrozenInstanceError
+import signal
+import sys
 
 import pytest
 from rclpy.node import Node
@@ -21,8 +23,11 @@ from rclpy.parameter import Parameter
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.nodes.declaration import declare, follow
-from selfcal_ros.nodes.parameters import BagPlayerParameters, RorapidTrackerParameters
+from selfcal_ros.nodes.interfaces import INTERFACES
+from selfcal_ros.nodes.parameters import (BagPlayerParameters, FeatureTrackerParameters,
+                                          RorapidTrackerParameters)
 from selfcal_ros.nodes.parameters_table import PARAMETERS, parameters_table
+from selfcal_ros.nodes.running import run_nodes
 
 
 @pytest.mark.parametrize('name', sorted(PARAMETERS))
@@ -89,3 +94,30 @@ def test_a_wrong_value_is_refused_in_a_sentence(graph, given, name):
     node = graph('-p', given).add(Node('some_node'))
     with pytest.raises(ArgumentError, match=f'parameter {name} must be'):
         declare(node, BagPlayerParameters)
+
+
+def test_a_name_that_nobody_knows_is_told_with_the_nearest(graph, monkeypatch):
+    said = []
+    # those of others pass: parameters on one command line hold for all nodes of a process
+    node = graph('-p', 'max_feature:=300', '-p', 'search_most_px:=30.0', '-p',
+                 'use_sim_time:=false', '-p', 'zzz:=1').add(Node('some_node'))
+    monkeypatch.setattr(type(node.get_logger()), 'warning', lambda self, text: said.append(text))
+    declare(node, FeatureTrackerParameters)
+    assert said == ["there is no parameter 'max_feature'; did you mean max_features?",
+                    "there is no parameter 'zzz'"]
+
+
+@pytest.mark.parametrize('name', [*sorted(PARAMETERS), 'all_nodes'])
+def test_help_tells_what_a_node_has(name, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', [f'/bin/{name}', '--help'])
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        assert run_nodes(lambda: pytest.fail('no node is to start')) == 0
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), before):
+            signal.signal(number, handler)
+    said = capsys.readouterr().out
+    assert said.startswith(f'usage: {name} ')
+    for words in ([] if name == 'all_nodes' else [
+            *PARAMETERS[name].__dataclass_fields__, *(e.name for e in INTERFACES[name])]):
+        assert words in said
