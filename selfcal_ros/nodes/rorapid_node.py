@@ -83,7 +83,8 @@ class RorapidNode(Node):
         self._camera_info = (self.create_publisher(CameraInfo, '~/camera_info', PER_IMAGE)
                              if p.camera_model == 'zoom' else None)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._transforms = self._transform_publisher() if p.publish_tf else None
+        self._transforms = (self.create_publisher(self._transform_type(), '/tf', 100)
+                            if p.publish_tf else None)
         self._ready = self.create_guard_condition(self._publish)
         self._worker = TrackingWorker(session, self._ready.trigger)
         self._inputs = ImageInputs(self, self._on_image, transport=p.image_transport,
@@ -105,19 +106,20 @@ class RorapidNode(Node):
             self._worker.stop()
         super().destroy_node()
 
-    def _transform_publisher(self):
+    @staticmethod
+    def _transform_type() -> type:
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             raise InputError('publish_tf needs the package tf2_msgs (ros-jazzy-tf2-msgs), which '
                              'is not installed.') from None
-        return self.create_publisher(TFMessage, '/tf', 100)
+        return TFMessage
 
     def _check_change(self, new: RorapidTrackerParameters):
         """Refuse parameters that contradict each other, or ask for what is not installed."""
         tracker_options(new)
-        if new.publish_tf and self._transforms is None:
-            self._transforms = self._transform_publisher()
+        if new.publish_tf:
+            self._transform_type()
 
     def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters):
         """Do what changed parameters say; the tracker goes on from where the object is."""
@@ -126,6 +128,8 @@ class RorapidNode(Node):
         if options != tracker_options(old):
             self._worker.command(lambda session: session.set_options(options))
         self._inputs.choose(new.image_transport, new.reliability)
+        if new.publish_tf and self._transforms is None:
+            self._transforms = self.create_publisher(self._transform_type(), '/tf', 100)
 
     # what comes in
 
@@ -234,8 +238,7 @@ class RorapidNode(Node):
                 0.01 * self._model.diameter_m, MARKER_LIFE_S))
 
     def _send_transform(self, pose, header):
-        from tf2_msgs.msg import TFMessage
-        self._transforms.publish(TFMessage(transforms=[transform_message(
+        self._transforms.publish(self._transform_type()(transforms=[transform_message(
             pose, header, self.parameters.object_frame, self._types)]))
 
     def _say(self, text: str, state: TrackerState | None = None):

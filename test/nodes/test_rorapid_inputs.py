@@ -13,6 +13,8 @@
 # limitations under the License.
 """rorapid_tracker as a process: cameras that come late, send otherwise, or send compressed."""
 
+from importlib.util import find_spec
+
 import cv2
 from msg_adapters.image import image_message
 from msg_adapters.message_types import rclpy_types
@@ -143,3 +145,13 @@ def test_the_search_changes_while_an_object_is_tracked(station):
     station.track(camera, range(4, 8))
     assert change(model='other.cao') != [''] and change(camera_model='zoom') != ['']
     assert not station.node.has_said('lost') and station.node.process.poll() is None
+
+
+@pytest.mark.skipif(find_spec('tf2_msgs') is not None, reason='tf2_msgs is installed')
+def test_what_needs_a_package_that_is_missing_is_refused_and_the_node_goes_on(station):
+    station = station()
+    camera = station.graph.probe.create_publisher(Image, 'image', RELIABLE)
+    station.track(camera, range(2))
+    refused, = station.graph.set_parameters('rorapid_tracker', publish_tf=True)
+    assert refused.startswith('publish_tf needs the package tf2_msgs')
+    station.track(camera, range(2, 4))

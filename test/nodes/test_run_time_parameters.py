@@ -53,7 +53,7 @@ def test_the_tracker_follows_more_points_and_subscribes_as_it_is_told(graph, lau
     refused, = graph.set_parameters('feature_tracker', max_features=1)
     assert 'range' in refused
     refused, = graph.set_parameters('feature_tracker', image_transport='smoke')
-    assert refused == ("The parameter image_transport must be one of auto, raw, compressed, not "
+    assert refused == ('The parameter image_transport must be one of auto, raw, compressed, not '
                        "'smoke'.")
 
     def reliability():

@@ -276,8 +276,7 @@ def test_the_page_of_many_recordings_looks_like_that_of_one(browser, report, cal
     assert page.complaints == []
     assert page.evaluate('document.documentElement.scrollWidth') <= width
     # a wide table scrolls in its frame
-    assert [one for one in page.evaluate(STICKING_OUT.replace("'pre, svg", "'.scroll, pre, svg"))
-            ] == []
+    assert page.evaluate(STICKING_OUT.replace("'pre, svg", "'.scroll, pre, svg")) == []
     if width == 1280:
         assert page.evaluate('[...document.querySelectorAll(".scroll")].every('
                              'e => e.scrollWidth <= e.clientWidth)')
