@@ -177,10 +177,10 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         else:
             stack.enter_context(_thread_limits())
             stack.enter_context(dask.config.set(_LOCAL_DASK))
-            # without its web page, so that nothing needs a port
+            # without its web page, so that nothing needs a port; what fails we say ourselves
             cluster = stack.enter_context(LocalCluster(
                 n_workers=workers, threads_per_worker=1, dashboard_address=None,
-                silence_logs=logging.ERROR))
+                silence_logs=logging.CRITICAL))
             client = Client(cluster)
         stack.enter_context(client)
         try:
