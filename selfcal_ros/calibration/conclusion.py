@@ -46,8 +46,8 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     frames = tuple(int(f) for f in graph.frames)
     dependence = dependence_of(fit, problem.size)
     inner, notes = dependence.covariance, dependence.notes()
-    residuals = fit.bundle.residuals(state)
-    field = find_lens_field(fit.bundle, state, problem.size, dependence.ratios['track']**2)
+    residuals = np.where(fit.line.ahead[:, None], fit.line.residual, np.nan)
+    field = find_lens_field(fit, problem.size, dependence.ratios['track']**2)
     if field is not None:
         # the field is what the image's regions share
         state, inner, residuals = field.state, field.covariance, field.residual

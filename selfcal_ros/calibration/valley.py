@@ -65,7 +65,7 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
         independent errors.
 
     """
-    joint = share * fit.bundle.covariance(fit.state)
+    joint = share * fit.covariance
     covariance = joint[:9, :9]
     limits = observability_limits(fit.state.camera(*size))
     sigma = np.sqrt(np.diag(parameter_covariance(covariance, fit.state.intrinsics)))

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Evidence
+from selfcal_ros.calibration.evidence import Evidence
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.problem import observations_of
 from selfcal_ros.calibration.refine import bundle_of, Observations, OUTLIER_SIGMAS
