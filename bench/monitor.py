@@ -18,14 +18,14 @@ from __future__ import annotations
 from functools import partial
 import time
 
+from bench.linear_windows import corrected_chance, linear_hours
 from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_drive,
                                    MeasuredDrive, recalibrated, window_of)
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
-from scipy.stats import chi2
 from selfcal_ros import Camera
-from selfcal_ros.calibration.camera_change import CHANGES, MonitorSettings
+from selfcal_ros.calibration.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitor import ChangeMonitor
 from selfcal_ros.calibration.window_score import window_score, WindowScore
 
@@ -38,6 +38,9 @@ KINDS = {'focal length +2 %': 50, 'principal point +5 px': 50,
 #: Hours that are simulated point by point in pieces of half an hour, and hours that are drawn
 #: from their windows.
 PIECES, PIECE_KEYFRAMES, DRAWN_HOURS = 20, 1800, 1000
+#: Hours that are simulated point by point with the adjustment to first order: none in 300 bounds
+#: the rate by one in 100, at 95 percent.
+LINEAR_HOURS, LINEAR_PIECE_HOURS = 300, 10
 #: A whole drive there and back: windows that are drawn together.
 TOGETHER = 10
 #: Stated rates that are checked, hours between false alarms.
@@ -181,6 +184,31 @@ def false_alarms(report: Report, drive: MeasuredDrive, options, share: float) ->
     report.judge(rows[-1][-1] <= drawn / 100, f'{rows[-1][-1]} alarms in {drawn} h drawn from '
                  f'windows, allowed {drawn / 100:g} (1 in 100 h); the least chance that a test '
                  f'gave was {least:.1g}, the alarm is at {limit:.1g}')
+    linear_false_alarms(report, drive, options, share, scored)
+
+
+def linear_false_alarms(report: Report, drive: MeasuredDrive, options, share: float,
+                        whole) -> None:
+    """Simulate many hours point by point, the adjustment of every window to first order."""
+    pieces = max(1, int(LINEAR_HOURS / LINEAR_PIECE_HOURS * share))
+    began = time.perf_counter()
+    found = run_seeds(partial(linear_hours, drive, LINEAR_PIECE_HOURS, PERIOD_S), range(pieces),
+                      options.processes)
+    hours = pieces * LINEAR_PIECE_HOURS
+    errors = np.concatenate([[score[0] for score in piece[1]] for piece in whole])
+    linear = np.concatenate([piece[2] for piece in found])
+    report.say(f'\n{hours} h point by point, every window adjusted to first order; '
+               f'{(time.perf_counter() - began) / hours:.1f} s for an hour.')
+    report.say('scatter of the windows over that with the whole adjustment, a parameter each: '
+               + ', '.join(f'{ratio:.2f}' for ratio in linear.std(axis=0) / errors.std(axis=0)))
+    tests = np.concatenate([piece[1] for piece in found])
+    report.table(('stated', f'allowed in {hours} h', 'to first order'), [
+        (f'1 in {stated} h', f'{hours / stated:.3g}',
+         episodes(tests, (MonitorSettings().keyframes - 1) * PERIOD_S / (stated * 3600)))
+        for stated in STATED_HOURS])
+    alarms = sum(piece[0] for piece in found)
+    report.judge(alarms <= hours / 100, f'{alarms} alarms in {hours} h to first order, allowed '
+                 f'{hours / 100:g} (1 in 100 h)')
 
 
 def unchanged(drive: MeasuredDrive, seed: int):
@@ -211,13 +239,6 @@ def unchanged(drive: MeasuredDrive, seed: int):
                 chances.append(corrected_chance(monitor))
         if frame[0] >= PIECE_KEYFRAMES:
             return int(monitor.change is not None), scores, np.array(chances)
-
-
-def corrected_chance(monitor: ChangeMonitor) -> float:
-    """Chance of the newest statistic with an unchanged camera, all moments together."""
-    moments = chi2.sf(monitor.threshold, len(CHANGES))
-    step = (monitor.settings.keyframes - 1) / monitor.settings.false_alarm_keyframes
-    return float(chi2.sf(monitor.statistic, len(CHANGES)) * step / moments)
 
 
 def drawn_chances(drive: MeasuredDrive, pieces, seed: int, hours: float = 100) -> np.ndarray:

@@ -135,9 +135,45 @@ def keyframes(drive: MeasuredDrive, rng: np.random.Generator,
         Pixels.
 
     """
-    views, count = drive.seen.shape
+    pixels = ideal_places(drive)
+    for index, place, at, identity, error, _ in measurement_errors(drive, rng):
+        camera = drive.camera if camera_at is None else camera_at(index)
+        order = np.argsort(identity)
+        yield index, identity[order], (camera.pixels(pixels[place, at]) + error)[order]
+
+
+def ideal_places(drive: MeasuredDrive) -> np.ndarray:
+    """Normalised image coordinates (V, P, 2) of all points in all views."""
     local = np.einsum('vij,pj->vpi', drive.poses, drive.points)
-    ideal = local[..., :2] / local[..., 2:]
+    return local[..., :2] / local[..., 2:]
+
+
+def measurement_errors(drive: MeasuredDrive, rng: np.random.Generator) -> Iterator[tuple]:
+    """
+    Draw the tracker's errors on a drive there and back for ever.
+
+    Parameters
+    ----------
+    drive : MeasuredDrive
+    rng : numpy.random.Generator
+
+    Yields
+    ------
+    int
+        Index of the keyframe.
+    int
+        View of the recorded drive that it repeats.
+    ndarray of int, shape (M,)
+        Points seen.
+    ndarray of int, shape (M,)
+        Identities of their tracks.
+    ndarray, shape (M, 2)
+        Errors, pixels.
+    ndarray of bool, shape (M,)
+        Whether they are gross.
+
+    """
+    views, count = drive.seen.shape
     route = [*range(views), *range(views - 2, 0, -1)]
     identity = np.zeros(count, np.int64)
     drift, scale = np.zeros((count, 2)), np.ones(count)
@@ -151,14 +187,12 @@ def keyframes(drive: MeasuredDrive, rng: np.random.Generator,
             drift[born] = 0
             scale[born] = np.exp(DRIFT_SPREAD * rng.standard_normal(len(born)))
             drift += drive.drift_px * scale[:, None] * rng.standard_normal((count, 2))
-            camera = drive.camera if camera_at is None else camera_at(index)
             at = np.flatnonzero(now)
-            xy = camera.pixels(ideal[place, at]) + drift[at]
-            xy += drive.white_px * scale[at, None] * rng.standard_normal(xy.shape)
+            error = drift[at] + drive.white_px * scale[at, None] * rng.standard_normal(
+                (len(at), 2))
             gross = rng.random(len(at)) < GROSS_SHARE
-            xy[gross] += rng.uniform(-GROSS_PX, GROSS_PX, (int(gross.sum()), 2))
-            order = np.argsort(identity[at])
-            yield index, identity[at][order], xy[order]
+            error[gross] += rng.uniform(-GROSS_PX, GROSS_PX, (int(gross.sum()), 2))
+            yield index, place, at, identity[at], error, gross
             before, index = now, index + 1
 
 

@@ -29,6 +29,8 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.geometry.camera import Camera, DISTORTION_MODELS, PARAMETER_NAMES
+from selfcal_ros.report.comparison import compare_cameras
+from selfcal_ros.report.projection_uncertainty import parameter_effect
 
 #: COLMAP runs in all configurations on sets of up to so many images.
 MOST_FOR_ALL = 30
@@ -95,6 +97,8 @@ def measure(report: Report, one: RecordedSet, folder: Path, options) -> None:
         report.judge(False, f'{result}')
     else:
         report_result(report, one, truth, result, nearest_lens(truth, result, extraction.tracks))
+        over_the_image(report, 'the published camera', result,
+                       Camera(truth['K'], truth['dist'], *extraction.tracks.image_size))
         if (folder / 'corners.npz').is_file():
             report_corners(report, truth, folder, result)
     if options.peer and is_installed():
@@ -126,6 +130,7 @@ def report_corners(report: Report, truth: dict, folder: Path, result) -> None:
     spread = np.hypot(result.sigma['fx'], free.sigma['fx'])
     report.verdict('fx against that one', abs(result.camera.K[0, 0] - own) / spread, 3.0,
                    'stated sigmas')
+    over_the_image(report, 'that one', result, free.camera, free.covariance)
 
 
 def nearest_lens(truth: dict, result, tracks) -> np.ndarray:
@@ -155,6 +160,43 @@ def nearest_lens(truth: dict, result, tracks) -> np.ndarray:
         return (camera(change).project(turned) - xy).ravel()
 
     return camera(least_squares(misfit, np.zeros(3 + len(free))).x).parameters
+
+
+def over_the_image(report: Report, what: str, result, other: Camera, covariance=None) -> None:
+    """
+    Compare projections, as `selfcal compare` does, and the shapes of the two lenses alone.
+
+    Coefficients of models with unequal numbers of them say nothing by themselves. The shape is
+    what is left after the best rotation, focal length and principal point; it is given in the
+    stated sigmas of the result's own two coefficients.
+    """
+    spread = result.covariance + (0 if covariance is None else covariance)
+    found = compare_cameras(result.camera, other, result.covariance, covariance)
+    report.say(f'\nProjection over the image against {what}, after the best rotation: '
+               f'{np.sqrt(np.nanmean(found.distance_px**2)):.2f} px rms, '
+               f'{np.nanmax(found.distance_px):.2f} px at most; '
+               f'{np.nanmedian(found.sigmas):.1f} stated sigmas in the median; all directions '
+               f'at once: chi2 {found.chi2:.0f} with {found.freedom}.')
+    effect = parameter_effect(result.camera, found.pixels)
+    good = (np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1))
+    effect = effect[good].reshape(-1, 9)
+    plain = np.column_stack([effect[:, 0] + effect[:, 1], effect[:, 2], effect[:, 3]])
+
+    def without(columns):
+        return columns - plain @ np.linalg.lstsq(plain, columns, rcond=None)[0]
+
+    shape = without(found.difference_px[good].ravel())
+    size = np.linalg.norm(shape.reshape(-1, 2), axis=1)
+    free = [k for k in (5, 6) if spread[k, k] > 0]
+    words = ''
+    if free:
+        change = np.linalg.lstsq(without(effect[:, free]), shape, rcond=None)[0]
+        sigmas = np.sqrt(change @ np.linalg.solve(spread[np.ix_(free, free)], change))
+        words = f', {sigmas:.1f} stated sigmas of the coefficients together'
+    report.say(f'Shape of the lens alone: {np.sqrt(np.mean(size**2)):.2f} px rms, '
+               f'{size.max():.2f} px at most{words}.')
+    report.verdict(f'projection against {what}, largest over the image',
+                   float(np.nanmax(found.sigmas)), 3.0, 'stated sigmas')
 
 
 def report_result(report: Report, one: RecordedSet, truth: dict, result, nearest) -> None:

@@ -20,11 +20,13 @@ eliminated, facts and planarity as measurements, Huber's loss.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_array
 
+from selfcal_ros.calibration.evidence import (Evidence, huber_factors,
+                                              HUBER_SIGMAS, inverse_information)
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            ROTATION, SHARED)
@@ -33,35 +35,8 @@ from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weigh
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
-#: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
-HUBER_SIGMAS = 2.0
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """
-    What an optimum rests on.
-
-    Attributes
-    ----------
-    covariance : ndarray, shape (n, n)
-        Of the shared and per-view unknowns, for independent noise.
-    influence : ndarray, shape (N, 11)
-        Share of every observation in the errors of the shared unknowns.
-    freedom_share : float
-        Degrees of freedom over the number of measured coordinates.
-    track_share : float
-        The same once the points are accounted for: the influences of a whole track do not
-        contain what its point has absorbed.
-
-    """
-
-    covariance: np.ndarray
-    influence: np.ndarray
-    freedom_share: float
-    track_share: float
 
 
 class Bundle:
@@ -182,14 +157,14 @@ class Bundle:
         distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
         return np.where(line.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
-    def normal_equations(self, state: BundleState, damping: float = 0.0,
-                         robust: bool = True) -> ReducedSystem:
+    def normal_equations(self, state: BundleState, damping: float = 0.0, robust: bool = True,
+                         line: Linearisation | None = None) -> ReducedSystem:
         """Reduced normal equations in units of sigma, priors and scale gauge included."""
-        return self._weighted(state, damping, robust)[0]
+        return self.weighted_equations(state, damping, robust, line)[0]
 
-    def _weighted(self, state, damping, robust=True) -> tuple[ReducedSystem, np.ndarray]:
+    def weighted_equations(self, state, damping=0.0, robust=True, line=None):
         """Return the normal equations, and the roots of the weights (N, 1)."""
-        line = self.linearise(state)
+        line = self.linearise(state) if line is None else line
         distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
         root = (np.sqrt(weight * line.ahead) / self.sigma_px)[:, None]
@@ -226,7 +201,7 @@ class Bundle:
         damping, growth = 1e-4, 2.0
         unknowns = self.unknowns()
         for _ in range(iterations):
-            system, root = self._weighted(state, damping)
+            system, root = self.weighted_equations(state, damping)
             factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             new_cost = np.inf
             if factor.usable:
@@ -340,7 +315,7 @@ class Bundle:
         square = np.nansum(self.residuals(state)**2)
         return max(float(np.sqrt(square / max(self.degrees_of_freedom, 1))), 1e-9)
 
-    def evidence(self, state: BundleState) -> Evidence:
+    def evidence(self, state: BundleState, line: Linearisation | None = None) -> Evidence:
         """
         Covariance at the optimum, and the influence of every observation.
 
@@ -349,35 +324,39 @@ class Bundle:
         of the mean of ψ' (Huber 1981, 7.6). Held unknowns have zero rows. Directions that
         neither the data nor a fact determine come out very large, not infinite.
         """
-        system, _ = self._weighted(state, 0.0)
-        distance = np.linalg.norm(self.residuals(state), axis=1) / self.sigma_px
-        distance = distance[np.isfinite(distance)]
-        # residuals are smaller than the noise by the square root of this
-        share = max(self.degrees_of_freedom, 1) / (2 * len(distance))
-        psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2 / share
-        weight = np.mean(huber_weights(distance, HUBER_SIGMAS))
-        # beyond the threshold ψ' remains only across the residual's direction
-        slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
-                                 0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
-        E = self.unknowns()
-        H = E.T @ (E.T @ system.matrix).T
-        root = np.sqrt(np.maximum(np.diag(H), 1e-300))
-        values, vectors = np.linalg.eigh(H / np.outer(root, root))
-        values = np.maximum(values, 1e-13 * values[-1])
-        inverse = (vectors / values) @ vectors.T / np.outer(root, root)
-        inverse = E @ (E @ inverse).T
-        # `matrix` carries the weights, whose mean differs from that of ψ'
-        influence = system.influence(inverse[:SHARED]) * weight / slope
-        measured = 2 * len(self.view) - 3 * self.blocks.point_count
-        freedom = max(self.degrees_of_freedom, 3)
-        # Student's: the noise is estimated too
-        factor = psi_square * weight / slope**2 * freedom / (freedom - 2)
-        return Evidence(inverse * factor, influence, share,
-                        max(self.degrees_of_freedom, 1) / max(measured, 1))
+        line = self.linearise(state) if line is None else line
+        system = self.normal_equations(state, line=line)
+        inverse = inverse_information(system.matrix, self.unknowns())
+        factor, pull = self.loss_factors(line.residual[line.ahead])
+        freedom, measured = self.degrees_of_freedom, 2 * len(self.view) - 3 * len(state.points)
+        return Evidence(inverse * factor, system.influence(inverse[:SHARED]) * pull,
+                        max(freedom, 1) / (2 * int(np.count_nonzero(line.ahead))),
+                        max(freedom, 1) / max(measured, 1))
 
     def covariance(self, state: BundleState) -> np.ndarray:
         """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
-        return self.evidence(state).covariance
+        line = self.linearise(state)
+        system = self.normal_equations(state, line=line)
+        return (inverse_information(system.matrix, self.unknowns())
+                * self.loss_factors(line.residual[line.ahead])[0])
+
+    def loss_factors(self, residual: np.ndarray) -> tuple[float, float]:
+        """Tell what covariance and influences are multiplied by; see `huber_factors`."""
+        distance = np.linalg.norm(residual, axis=1) / self.sigma_px
+        freedom = self.degrees_of_freedom
+        factor, pull = huber_factors(distance, max(freedom, 1) / (2 * len(distance)))
+        # Student's: the noise is estimated too
+        freedom = max(freedom, 3)
+        return factor * freedom / (freedom - 2), pull
+
+    def with_priors(self, priors: dict[int, Prior]) -> Bundle:
+        """Return the same problem with other facts."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, priors=priors, free=self.free.copy())
+        other.free[:9] = True
+        for index, prior in priors.items():
+            other.free[index] = prior.sigma > 0
+        return other
 
     def with_sigma(self, sigma_px: float) -> Bundle:
         """Return the same problem with another noise level."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.advice import say, suggest_motions
+from selfcal_ros.calibration.bundle import Bundle
 from selfcal_ros.calibration.dependence import stretch_note
 from selfcal_ros.calibration.identifiability import identify
 from selfcal_ros.calibration.lens_field import find_lens_field
@@ -34,6 +35,9 @@ from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
 #: A larger share of outliers than this, and the rest proves nothing.
 MOST_OUTLIERS = 1 / 3
+#: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
+#: views one in three results was off by more than three of its sigmas.
+MINIMUM_FREEDOM = 40
 #: A calibration whose weakest direction has more than this share of the sigma that would make it
 #: unobservable comes with advice.
 WEAK = 0.05
@@ -46,8 +50,8 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     frames = tuple(int(f) for f in graph.frames)
     dependence = dependence_of(fit, problem.size)
     inner, notes = dependence.covariance, dependence.notes()
-    residuals = fit.bundle.residuals(state)
-    field = find_lens_field(fit.bundle, state, problem.size, dependence.ratios['track']**2)
+    residuals = np.where(fit.line.ahead[:, None], fit.line.residual, np.nan)
+    field = find_lens_field(fit, problem.size, dependence.ratios['track']**2)
     if field is not None:
         # the field is what the image's regions share
         state, inner, residuals = field.state, field.covariance, field.residual
@@ -71,6 +75,8 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
             f'{100 * rejected:.0f} % of the observations contradict the rest: what remains may be '
             'chosen to fit.', 'The scene must stand still and be distinct: repeated patterns are '
             'easily taken for one another.', path.motion, frames, facts, status)
+    if fit.bundle.degrees_of_freedom < MINIMUM_FREEDOM:
+        return NotCalibrated(*unchecked(fit.bundle), path.motion, frames, facts, status)
     missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
     if missing or path.refusal:
         if path.motion == 'translation':
@@ -96,6 +102,13 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
                                       fit.observations.track, state.points),
         fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
         notes=path.notes + notes, residuals=residuals, identifiability=known)
+
+
+def unchecked(bundle: Bundle) -> tuple[str, str]:
+    """Say that the estimate would go unchecked, and what would help."""
+    return (f'{bundle.blocks.point_count} points in {bundle.blocks.view_count} images leave '
+            f'{bundle.degrees_of_freedom} degrees of freedom; the estimate could not be checked.',
+            'More points or more images are needed.')
 
 
 def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Evidence
+from selfcal_ros.calibration.evidence import Evidence
 
 #: Number of internal parameters: only they are judged, since the axis may rest on the prior of the
 #: tilts.
@@ -181,6 +181,8 @@ def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.n
         return nothing
     # a stretch without weight in some direction must not divide by nothing there
     expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
+    if not (np.diag(expected) > 0).any():
+        return nothing
     whiten, unwhiten, free = _whitening(expected)
     scatter = shifts[:, free] @ whiten.T
     gram = scatter.T @ scatter

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Evidence, HUBER_SIGMAS
+from selfcal_ros.calibration.evidence import Evidence, HUBER_SIGMAS
 from selfcal_ros.calibration.object_bundle import INTERNAL, ObjectBundle, ObjectState, POSE
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH

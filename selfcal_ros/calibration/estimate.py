@@ -25,7 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.conclusion import conclude
+from selfcal_ros.calibration.conclusion import conclude, MINIMUM_FREEDOM, unchecked
 from selfcal_ros.calibration.flat_scene import FlatScene
 from selfcal_ros.calibration.model_choice import choose_model, first_fit, hold_parallel, Model
 from selfcal_ros.calibration.motion import MOST_TILT_RAD, not_planar, out_of_plane_rad
@@ -57,8 +57,6 @@ EXPLAINED = 4.0
 MOST_TURN_RAD = np.radians(1.0)
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
-#: Fewer degrees of freedom than this cannot check themselves.
-MINIMUM_FREEDOM = 12
 
 
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
@@ -108,12 +106,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                       'rotation')
     problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
                       flat=plane)
-    freedom = bundle_of(observations, MotionModel(), priors_from_facts(facts),
-                        1.0).degrees_of_freedom
-    if freedom < MINIMUM_FREEDOM:
-        return refuse(f'{len(observations.track)} points in {len(frames)} images leave '
-                      f'{freedom} degrees of freedom; the estimate could not be checked.',
-                      'More points or more images are needed.')
+    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 1.0)
+    if bundle.degrees_of_freedom < MINIMUM_FREEDOM:
+        return refuse(*unchecked(bundle))
     for motion in motions:
         result = _attempt(replace(problem, motion=motion), graph, proposals)
         if result or result.motion != 'general':

@@ -24,8 +24,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.evidence import inverse_information
 from selfcal_ros.calibration.observability import observability_limits
-from selfcal_ros.calibration.refine import bundle_of, Fit
+from selfcal_ros.calibration.refine import Fit
 from selfcal_ros.calibration.result import Identifiability
 from selfcal_ros.calibration.state import ASPECT, CX, CY, parameter_covariance, SKEW
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
@@ -55,7 +56,7 @@ def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiabili
 
     """
     state, priors = fit.state, fit.bundle.priors
-    internal = fit.bundle.covariance(state)[:9, :9]
+    internal = fit.covariance[:9, :9]
     soft = np.zeros(9)
     for index, prior in priors.items():
         if 0 < prior.sigma < np.inf:
@@ -65,13 +66,8 @@ def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiabili
     place = [PARAMETER_NAMES.index(name) for name in estimated]
     limits = observability_limits(state.camera(*size))
     without = {}
-    for fact, about in FACTS.items():
-        if not set(about) <= set(priors):
-            continue
-        freed = bundle_of(fit.observations, fit.bundle.motion,
-                          {k: p for k, p in priors.items() if k not in about},
-                          fit.bundle.sigma_px)
-        alone = np.diag(parameter_covariance(freed.covariance(state), state.intrinsics))
+    for fact, covariance in _without_facts(fit).items():
+        alone = np.diag(parameter_covariance(covariance, state.intrinsics))
         without[fact] = {
             PARAMETER_NAMES[k]: float(np.sqrt(alone[k] / total[k]))
             if alone[k] < limits[k]**2 else np.inf for k in place}
@@ -85,3 +81,23 @@ def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiabili
         {PARAMETER_NAMES[k]: float(value) for k, value, said in zip(place, weakest, heavy)
          if said},
         float(np.sqrt(max(values[-1], 0))))
+
+
+def _without_facts(fit: Fit) -> dict[str, np.ndarray]:
+    """Covariances (n, n) of the optimum if each stated fact were not stated."""
+    priors, state = fit.bundle.priors, fit.state
+    stated = {fact: about for fact, about in FACTS.items() if set(about) <= set(priors)}
+    if not stated:
+        return {}
+    # linearised once with all of them free; those that stay add what they know
+    open_ones = set().union(*stated.values())
+    none = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in open_ones})
+    line = none.linearise(state)
+    system = none.normal_equations(state, line=line)
+    result = {}
+    for fact, about in stated.items():
+        freed = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in about})
+        known = freed.prior_terms(state)[2] - none.prior_terms(state)[2]
+        result[fact] = (inverse_information(system.matrix + np.diag(known), freed.unknowns())
+                        * freed.loss_factors(line.residual[line.ahead])[0])
+    return result

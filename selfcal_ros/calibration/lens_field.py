@@ -30,8 +30,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
-from selfcal_ros.calibration.bundle import Bundle
 from selfcal_ros.calibration.dependence import region_excess
+from selfcal_ros.calibration.evidence import HUBER_SIGMAS
+from selfcal_ros.calibration.refine import Fit
 from selfcal_ros.calibration.state import BundleState, SHARED
 from selfcal_ros.geometry.optimise import huber_weights
 
@@ -43,8 +44,6 @@ SIZES_PX = 0.003 * 2.0**np.arange(9)
 LEAST_GAIN = 5.0
 #: A step that changes the focal length by more than this share is outside the linear range.
 MOST_SHIFT = 0.1
-#: Weights of Huber's loss as in the adjustment itself.
-HUBER_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -113,16 +112,14 @@ def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return modes
 
 
-def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
-                    known: float) -> LensField | None:
+def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField | None:
     """
     Look for a field in the residuals of an optimum.
 
     Parameters
     ----------
-    bundle : Bundle
-    state : BundleState
-        Its optimum.
+    fit : Fit
+        At its optimum.
     size : (int, int)
         Width and height of the image.
     known : float
@@ -134,7 +131,7 @@ def find_lens_field(bundle: Bundle, state: BundleState, size: tuple[int, int],
         None where the residuals show none.
 
     """
-    line = bundle.linearise(state)
+    bundle, state, line = fit.bundle, fit.state, fit.line
     # where the points project: at the measured places the modes would carry the noise itself,
     # and one that the rest of the adjustment all but absorbs would explain the residuals by it
     modes = displacement_modes(bundle.xy + line.residual, size)

@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.cross_validation import leave_out_stretches
 from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
 from selfcal_ros.calibration.motion import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.problem import Problem, start_priors
 from selfcal_ros.calibration.refine import (bundle_of, choose_distortion, choose_motion, Fit,
-                                            fit_robustly, leave_out_stretches, Observations,
-                                            refit)
+                                            fit_robustly, Observations, refit)
 from selfcal_ros.calibration.state import (aligned, BundleState, parameter_covariance,
                                            priors_from_facts)
 from selfcal_ros.calibration.valley import follow_valley
@@ -93,8 +93,8 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
         dependence = dependence_of(fit, problem.size).inflation**2
 
         def determined(trial: Fit, trial_facts: CameraFacts) -> bool:
-            covariance = parameter_covariance(trial.bundle.covariance(trial.state),
-                                              trial.state.intrinsics) * dependence
+            covariance = dependence * parameter_covariance(trial.covariance,
+                                                           trial.state.intrinsics)
             status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
             return 'unobservable' not in status.values()
 
@@ -112,10 +112,8 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
         every = tuple(range(len(fit.state.views)))
         turned = hold_parallel(fit, every, problem.size)[1] > 0
     fit, valley = follow_valley(fit, problem.size, share)
-    independent = fit.bundle.covariance(fit.state)[:9, :9]
-    return Model(fit, facts, exact,
-                 stretch_excess(*leave_out_stretches(fit), independent, known), valley, turned,
-                 share)
+    shared = stretch_excess(*leave_out_stretches(fit), fit.covariance[:9, :9], known)
+    return Model(fit, facts, exact, shared, valley, turned, share)
 
 
 def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) -> tuple[Fit, float]:
@@ -145,5 +143,4 @@ def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) ->
 
 def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:
     """Assess how far the residuals of a fit are from independent."""
-    return assess_dependence(fit.bundle.evidence(fit.state), fit.observations.point,
-                             fit.observations.xy, size)
+    return assess_dependence(fit.evidence, fit.observations.point, fit.observations.xy, size)

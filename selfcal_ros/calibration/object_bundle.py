@@ -24,7 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Bundle, Evidence, HUBER_SIGMAS
+from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.evidence import Evidence, huber_factors, HUBER_SIGMAS
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH
 from selfcal_ros.calibration.state import ASPECT, F, Prior
@@ -286,13 +287,9 @@ class ObjectBundle:
         distance = np.linalg.norm(self.residuals(state), axis=1) / self.sigma_px
         distance = distance[np.isfinite(distance)]
         share = max(self.degrees_of_freedom, 1) / (2 * len(distance))
-        psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2 / share
-        slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
-                                 0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
-        weight = np.mean(huber_weights(distance, HUBER_SIGMAS))
+        factor, pull = huber_factors(distance, share)
         inverse = self._inverse(matrix, equations.shared)
         single = np.einsum('nki,nk->ni', rows[:, :, :-1], rows[:, :, -1])
         own = single[:, :INTERNAL] - np.einsum('nik,nk->ni', carry[self.view],
                                                single[:, INTERNAL:])
-        influence = -own @ inverse * weight / slope
-        return Evidence(inverse * psi_square * weight / slope**2, influence, share, share)
+        return Evidence(inverse * factor, -own @ inverse * pull, share, share)

@@ -17,10 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.evidence import Evidence
+from selfcal_ros.calibration.reprojection import Linearisation
 from selfcal_ros.calibration.selection import verified
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, Prior,
@@ -39,8 +42,6 @@ NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
 #: Models that are tried when none is stated, the richest first. Tangential distortion is not
 #: among them: it trades against the principal point, which planar motion determines weakly enough.
 AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
-#: Stretches of views that are left out in turn, and the views that this needs.
-STRETCHES, STRETCH_LEAST_VIEWS = 7, 6
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -105,6 +106,21 @@ class Fit:
     def cost(self) -> float:
         """Robust cost in units of sigma²."""
         return self.bundle.cost(self.state)
+
+    @cached_property
+    def line(self) -> Linearisation:
+        """Residuals and their derivatives; computed once."""
+        return self.bundle.linearise(self.state)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Covariance, and the influence of every observation; computed once."""
+        return self.bundle.evidence(self.state, self.line)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
+        return self.evidence.covariance
 
 
 def with_all_points(state: BundleState, observations: Observations) -> BundleState | None:
@@ -189,8 +205,7 @@ def out_of_plane(fit: Fit) -> tuple[float, float]:
 
     Empirical Bayes: the mean of the squared estimates and of their variances.
     """
-    covariance = fit.bundle.covariance(fit.state)
-    variance = np.diag(covariance)[11:].reshape(-1, 6)
+    variance = np.diag(fit.covariance)[11:].reshape(-1, 6)
     tilt = np.sqrt(np.mean(fit.state.views[:, 3:5]**2 + variance[:, 3:5]))
     height = np.sqrt(np.mean(fit.state.views[1:, 5]**2 + variance[1:, 5]))
     return (max(float(tilt), MINIMUM_TILT_RAD),
@@ -209,36 +224,6 @@ def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fi
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
     state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
     return Fit(bundle, state, fit.observations, fit.outliers)
-
-
-def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Estimate anew without each of several stretches of views.
-
-    Returns
-    -------
-    shifts : ndarray, shape (G, 9)
-        Change of the internal parameters; G = 0 where too few views would remain.
-    covariances : ndarray, shape (G, 9, 9)
-        Of the estimates without a stretch, for independent errors.
-
-    """
-    views = len(fit.state.views)
-    groups = min(views, STRETCHES)
-    stretch = np.arange(views) * groups // views
-    shifts, covariances = [], []
-    for k in range(groups if views >= STRETCH_LEAST_VIEWS else 0):
-        rest, points = fit.observations.select(stretch[fit.observations.view] != k)
-        kept, index = np.unique(rest.view, return_inverse=True)
-        if len(kept) < 3:
-            continue
-        state = replace(fit.state, views=fit.state.views[kept], points=fit.state.points[points])
-        bundle = bundle_of(replace(rest, view=index), fit.bundle.motion.of_views(kept),
-                           fit.bundle.priors, fit.bundle.sigma_px)
-        state = bundle.optimise(state, 6, 0.1)
-        shifts.append(state.intrinsics - fit.state.intrinsics)
-        covariances.append(bundle.covariance(state)[:9, :9])
-    return np.array(shifts).reshape(-1, 9), np.array(covariances).reshape(-1, 9, 9)
 
 
 def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:

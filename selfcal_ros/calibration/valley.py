@@ -65,7 +65,7 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
         independent errors.
 
     """
-    joint = share * fit.bundle.covariance(fit.state)
+    joint = share * fit.covariance
     covariance = joint[:9, :9]
     limits = observability_limits(fit.state.camera(*size))
     sigma = np.sqrt(np.diag(parameter_covariance(covariance, fit.state.intrinsics)))
@@ -85,7 +85,8 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
         # the flatter side counts: sigmas have but one length
         values, vectors = np.linalg.eigh(np.outer(found, found) / scale - quadratic / scale)
         excess = excess + scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
-    return fit, excess
+    # what is held has no variance, not even that of rounding
+    return fit, excess * np.outer(fit.bundle.free[:9], fit.bundle.free[:9])
 
 
 def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float) -> np.ndarray | Fit:

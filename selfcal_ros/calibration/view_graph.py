@@ -32,8 +32,11 @@ from selfcal_ros.geometry.ransac import ransac_inliers
 
 #: Every view is compared with so many successors.
 SUCCESSORS = 3
-#: Pairs with fewer common tracks than this say too little.
+#: Pairs with fewer common tracks than this say too little, by themselves.
 MINIMUM_MATCHES = 12
+#: Where that leaves views unlinked: so many, if every one of them agrees. An eighth match may
+#: agree by chance with what seven determine; the adjustment of all views finds that out.
+FEWEST_MATCHES = 8
 #: Noise below this is rounding.
 LEAST_NOISE_PX = 1e-3
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
@@ -60,7 +63,7 @@ class ViewGraph:
     noise_px : float
         Robust standard deviation of an image coordinate, from epipolar distances.
     rejected : int
-        Observations that contradict the others.
+        Observations that contradict the others; those that could not be compared do not count.
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise; near 1 the scene is one plane or the camera only rotated.
@@ -140,7 +143,7 @@ def _with_threshold(samples, compared) -> tuple[np.ndarray, float]:
             break
         threshold_px = wider
         near = [np.abs(sampson_distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
-        samples = [(a[k], b[k]) if k.sum() >= MINIMUM_MATCHES else old
+        samples = [(a[k], b[k]) if k.sum() >= _least(len(k)) else old
                    for k, (a, b), old in zip(near, compared, samples)]
         F = _refined(samples)
     return F, threshold_px
@@ -156,8 +159,22 @@ def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     gap = b - a
     # neighbours in time, and the end of a loop that meets its beginning
     wanted = (gap <= SUCCESSORS) | (len(frames) - gap <= SUCCESSORS) | (len(frames) <= 6)
-    wanted &= common[a, b] >= MINIMUM_MATCHES
-    return frames, np.column_stack([a, b])[wanted]
+    pairs = np.column_stack([a, b])[wanted & (common[a, b] >= MINIMUM_MATCHES)]
+    if len(np.unique(_components(pairs, len(frames)))) > 1:
+        pairs = np.column_stack([a, b])[wanted & (common[a, b] >= FEWEST_MATCHES)]
+    return frames, pairs
+
+
+def _least(common: int) -> int:
+    """Tell how many of the matches of a pair have to agree."""
+    return min(max(common, FEWEST_MATCHES), MINIMUM_MATCHES)
+
+
+def _components(pairs, count: int) -> np.ndarray:
+    """Return the number of the connected set (count,) that every view belongs to."""
+    first, second = np.reshape(pairs, (-1, 2)).T
+    links = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    return connected_components(links, directed=False)[1]
 
 
 def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | str:
@@ -183,10 +200,11 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    samples, matches, compared = [], [], []
+    samples, matches, compared, tested = [], [], [], np.zeros(len(tracks), bool)
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
         xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
+        tested[row[[a, b]][:, both]] = True
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
         found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
         if found:
@@ -202,7 +220,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
         distance = sampson_distance(F, xy_a, xy_b)
         inlier = np.abs(distance) < threshold_px
         count = int(inlier.sum())
-        if count < MINIMUM_MATCHES:
+        if count < _least(len(both)):
             continue
         for rows in (rows_a, rows_b):
             used[rows] += 1
@@ -211,22 +229,18 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
                         * np.sqrt(count / max(count - 7, 1)), count))
         pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
     if not pairs:
-        return ('No two images share enough points with a consistent epipolar geometry '
-                f'(at least {MINIMUM_MATCHES} are needed).')
+        return ('No two images share enough points with a consistent epipolar geometry (at least '
+                f'{FEWEST_MATCHES} are needed, and {MINIMUM_MATCHES} where some disagree).')
     keep = votes >= 0.5 * np.maximum(used, 1)
     # the largest connected set of views
-    links = coo_matrix((np.ones(len(pairs)), ([p.first for p in pairs],
-                                              [p.second for p in pairs])),
-                       shape=(len(frames), len(frames)))
-    _, label = connected_components(links, directed=False)
+    label = _components([(p.first, p.second) for p in pairs], len(frames))
     largest = label == np.argmax(np.bincount(label))
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
+    rejected = int(np.sum(tested & ~keep))
     keep &= largest[view]
-    trusted = verified(point, keep)
-    kept = tracks.select(keep & trusted).with_at_least(2)
-    rejected = len(tracks) - len(kept) - int(np.sum(keep & ~trusted))
+    kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
     noise, weight = np.array(spreads).T
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()

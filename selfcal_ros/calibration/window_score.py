@@ -26,7 +26,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle import Evidence
+from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.evidence import Evidence
 from selfcal_ros.calibration.pair_tests import PARALLAX_RATIO
 from selfcal_ros.calibration.problem import observations_of
 from selfcal_ros.calibration.refine import bundle_of, Observations, OUTLIER_SIGMAS
@@ -101,6 +102,35 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
         A string is the reason why the window says nothing.
 
     """
+    found = adjusted(tracks, camera, rng)
+    if isinstance(found, str):
+        return found
+    graph, bundle, state, observations = found
+    free_bundle = without_camera(bundle, free)
+    evidence = free_bundle.evidence(state)
+    covariance = evidence.covariance[np.ix_(free, free)]
+    scale = np.sqrt(np.diag(covariance))
+    if not (np.isfinite(scale).all() and (scale > 0).all()):
+        return 'the adjustment of the keyframes is singular'
+    information = np.linalg.pinv(covariance / np.outer(scale, scale),
+                                 hermitian=True) / np.outer(scale, scale)
+    return WindowScore(
+        tuple(int(frame) for frame in graph.frames), state.intrinsics[free],
+        evidence.influence[:, free].sum(axis=0), information,
+        shared_within_tracks(evidence, observations.point, free, information),
+        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, LEAST_NOISE_PX))
+
+
+def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
+    """
+    Adjust poses and points of a window with the camera held.
+
+    Returns
+    -------
+    ViewGraph, Bundle, BundleState, Observations
+        Or a str, the reason why the window says nothing.
+
+    """
     graph = build_view_graph(tracks, rng)
     if isinstance(graph, str):
         return graph
@@ -115,21 +145,13 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
     fitted = _fit(graph, observations, camera)
     if fitted is None:
         return 'points of the keyframes lie where the distortion cannot be undone'
-    bundle, state, observations = fitted
-    held = {index: prior for index, prior in bundle.priors.items() if index not in free}
-    free_bundle = bundle_of(observations, _ANY_MOTION, held, bundle.sigma_px)
-    evidence = free_bundle.evidence(state)
-    covariance = evidence.covariance[np.ix_(free, free)]
-    scale = np.sqrt(np.diag(covariance))
-    if not (np.isfinite(scale).all() and (scale > 0).all()):
-        return 'the adjustment of the keyframes is singular'
-    information = np.linalg.pinv(covariance / np.outer(scale, scale),
-                                 hermitian=True) / np.outer(scale, scale)
-    return WindowScore(
-        tuple(int(frame) for frame in graph.frames), state.intrinsics[free],
-        evidence.influence[:, free].sum(axis=0), information,
-        _shared_within_tracks(evidence, observations.point, free, information),
-        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, LEAST_NOISE_PX))
+    return graph, *fitted
+
+
+def without_camera(bundle: Bundle, free: np.ndarray) -> Bundle:
+    """Return the same adjustment with these internal parameters (k,) free."""
+    return bundle.with_priors({index: prior for index, prior in bundle.priors.items()
+                               if index not in free})
 
 
 def _fit(graph, observations: Observations, camera: Camera):
@@ -152,7 +174,7 @@ def _fit(graph, observations: Observations, camera: Camera):
     return bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX)), state, fewer
 
 
-def _shared_within_tracks(evidence: Evidence, point, free, information) -> float:
+def shared_within_tracks(evidence: Evidence, point, free, information) -> float:
     """Variance of sums of influences over tracks, over that of independent errors."""
     points = int(point.max()) + 1
     sums = np.stack([np.bincount(point, column, points)

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from selfcal_ros.calibration.measurement import measurement_sentences
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
@@ -76,6 +77,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
     lines += list(result.notes) + list(notes)
     if result.identifiability is not None:
         lines += result.identifiability.sentences()
+    lines += measurement_sentences(result.camera, result.covariance)
     return '\n'.join(lines)
 
 

@@ -234,6 +234,30 @@ class ReducedSystem:
         effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
         return -effect
 
+    def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
+        """
+        Express a linear form of the points' steps by those of the rest.
+
+        Parameters
+        ----------
+        form : ndarray, shape (P, 3)
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Its coefficients by the rest, where the points follow.
+        float
+            Its variance with the rest held.
+
+        """
+        half = np.einsum('pij,pj->pi', self._inverse_root, form)
+        carried = np.zeros(len(self.matrix))
+        for members, M, own in self._factors:
+            part = M.T @ half[members].ravel()
+            carried[:self._shared] -= part[:self._shared]
+            carried[own] -= part[self._shared:]
+        return carried, float(np.sum(half**2))
+
     def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
         """Change J · step of the residuals (N, m) to first order."""
         g = self._shared

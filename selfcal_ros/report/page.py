@@ -30,6 +30,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from selfcal_ros.calibration.measurement import measurement_sentences
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError
@@ -96,7 +97,8 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         rows=parameter_rows(result) if calibrated else [],
         facts=facts_lines(result.facts),
         notes=list(dict.fromkeys([*(result.notes if calibrated else ()),
-                                  *_what_rests_on_facts(result), *notes])),
+                                  *_what_rests_on_facts(result), *_what_it_means(result),
+                                  *notes])),
         numbers=_numbers(result), yaml=_yaml(result, camera_name))
 
 
@@ -191,3 +193,8 @@ def _yaml(result: Calibration | NotCalibrated, name: str) -> str:
 def _what_rests_on_facts(result) -> tuple:
     known = result.identifiability if result else None
     return known.sentences() if known else ()
+
+
+def _what_it_means(result) -> tuple:
+    """Say what the covariance means for angles that are measured."""
+    return measurement_sentences(result.camera, result.covariance) if result else ()

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from selfcal_ros.calibration.measurement import central_angle, fields_of_view
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.files import atomic_write
@@ -46,8 +47,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'sigma', 'covariance' (9x9 in the order of 'parameter_names'), 'parameter_names',
         'parameters', 'held_by', 'frames', 'reprojection_rms_px', 'noise_sigma_px',
         'observations', 'outliers', 'fixed_points', 'identifiability' ('from_images',
-        'without', 'weakest', 'weakest_share'; an infinite factor in 'without' is None), 'facts',
-        'notes', 'software'.
+        'without', 'weakest', 'weakest_share'; an infinite factor in 'without' is None),
+        'measurement' ('field_of_view_deg' with 'horizontal', 'vertical', 'diagonal', and
+        'central_angle_deg': each 'value' and 'sigma'), 'facts', 'notes', 'software'.
 
     """
     good = isinstance(result, Calibration)
@@ -72,6 +74,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
             'horizon': fixed.horizon, 'vanishing_point': fixed.vanishing_point,
             'circular_point': fixed.circular_point},
         'identifiability': _identifiability(result) if good else None,
+        'measurement': _measurement(result) if good else None,
         'facts': dataclasses.asdict(result.facts),
         'notes': result.notes if good else (),
         'software': result.software,
@@ -81,6 +84,15 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
 def _identifiability(result: Calibration) -> dict | None:
     known = result.identifiability
     return None if known is None else dataclasses.asdict(known)
+
+
+def _measurement(result: Calibration) -> dict | None:
+    if not min(result.camera.width, result.camera.height) > 0:
+        return None
+    angle = central_angle(result.camera, result.covariance)
+    return {'field_of_view_deg': {name: dataclasses.asdict(one) for name, one in fields_of_view(
+        result.camera, result.covariance).items()},
+            'central_angle_deg': None if angle is None else dataclasses.asdict(angle)}
 
 
 def write_result_json(path, result: Calibration | NotCalibrated) -> Path:

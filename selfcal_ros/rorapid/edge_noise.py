@@ -166,4 +166,5 @@ class CommonScatter:
         self._freedom = _COMMON_MEMORY * self._freedom + float(expected)
         felt = np.einsum('ci,ij,cj->c', pull, V, rows)
         self._weight = _COMMON_MEMORY * self._weight + float(felt.sum())
-        self._curvature = _COMMON_MEMORY * self._curvature + float(felt @ ((1 - 5 * off) / (1 - off)))
+        self._curvature = _COMMON_MEMORY * self._curvature + float(
+            felt @ ((1 - 5 * off) / (1 - off)))

@@ -36,7 +36,7 @@ _LEAST_NOISE = 0.7
 _MUCH_HIDDEN = 0.5
 #: Limit of the last steps, pixels, and search range once the object is nearly there.
 _NARROW_PX, _NEAR_REACH_PX = 3.0, 5
-#: Steps with the narrow limit in the last round: each leaves a third of the error of the one before.
+#: Steps with the narrow limit in the last round; each leaves a third of the error before.
 _LAST_STEPS = 2
 #: An edgel agrees within this, and Tukey's limit in sigmas.
 _FOUND_PX, _TUKEY = 1.75, 4.5

@@ -15,11 +15,14 @@
 
 from itertools import islice
 
+from bench.linear_windows import EndlessDrive, linear_hours
 from bench.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed)
 from bench.monitored_drive import keyframes, MeasuredDrive, window_of
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.monitor import ChangeMonitor
+from selfcal_ros.calibration.window_score import window_score
 from selfcal_ros.synthetic.special_scenes import drive
 
 
@@ -80,3 +83,24 @@ def test_alarms_in_a_row_are_one_episode():
     chances = np.ones(100)
     chances[[10, 11, 15, 60, 99]] = 1e-9
     assert episodes(chances, 1e-6) == 3 and episodes(chances, 1e-10) == 0
+
+
+def test_windows_to_first_order_err_as_whole_ones_do(measured):
+    """The same errors, adjusted wholly and to first order."""
+    monitor = ChangeMonitor(measured.calibration)
+    true = measured.camera.parameters
+    true[1] /= true[0]
+    whole = []
+    frames = list(islice(keyframes(measured, np.random.default_rng(1)), 97))
+    for first in range(0, 96, 8):
+        score = window_score(window_of(frames[first:first + 9], (640, 480)), measured.camera,
+                             monitor.free, np.random.default_rng(0))
+        whole.append(score.at + score.step - true[monitor.free])
+    endless = EndlessDrive(measured, 9, monitor.free)
+    linear = [score[0] for _, score in endless.scores(np.random.default_rng(1), len(whole))]
+
+    whole, linear = np.array(whole)[:, 0], np.array(linear)[:, 0]
+    assert np.std(linear) == pytest.approx(np.std(whole), rel=0.35)
+    assert np.corrcoef(whole, linear)[0, 1] > 0.6
+    alarms, chances, _ = linear_hours(measured, 0.5, 1.0, 3)
+    assert alarms == 0 and len(chances) == 225

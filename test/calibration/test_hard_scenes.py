@@ -39,7 +39,7 @@ def outcome(name, seed):
     'S-curve, level camera', 'S-curve of 2 degrees', 'about image x, S-curve',
     'general, three views', 'three views in a row, turning', 'floor and wall',
     'a moving body, a fifth of the points', 'outliers, a fifth',
-    'points in a corner of the image', 'long lens', 'floor only'])
+    'points in a corner of the image', 'long lens', 'floor only', '16 points'])
 def test_what_the_images_determine_is_found(name):
     result, away = outcome(name, 0)
 

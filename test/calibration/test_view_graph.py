@@ -16,8 +16,10 @@
 import numpy as np
 import pytest
 from selfcal_ros.calibration.selection import verified
+from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.calibration.view_graph import build_view_graph, truncated_sigma
 from selfcal_ros.synthetic import scenes, special_scenes
+from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
 
 
 @pytest.fixture
@@ -62,6 +64,20 @@ def test_gross_errors_go_with_what_they_leave_unverified(rng, noise_px):
         assert abs(graph.rejected - len(bad)) <= 3
     assert left <= 3
     assert lost <= 6
+
+
+def test_few_points_link_views_if_all_agree():
+    sequence = HARD_SCENES['16 points'](np.random.default_rng([1, 5]))
+    graph = build_view_graph(sequence.tracks, np.random.default_rng(0))
+    wrong = sequence.tracks.xy + np.where(sequence.tracks.track % 5 == 0, 40, 0)[:, None] \
+        * np.random.default_rng(1).standard_normal(sequence.tracks.xy.shape)
+    dirty = build_view_graph(Tracks(sequence.tracks.frame, sequence.tracks.track, wrong,
+                                    sequence.tracks.image_size), np.random.default_rng(0))
+
+    assert len(graph.frames) >= 9
+    # views that could not be linked contradict nobody
+    assert graph.rejected == 0
+    assert isinstance(dirty, str) or len(dirty.frames) < len(graph.frames)
 
 
 def test_two_views_left_of_more_are_not_trusted():
