@@ -37,12 +37,12 @@ class StopSignals:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
 
-    def _stop(self, number, _):
+    def _stop(self, _, __):
         if not self.handed_over:
             # no clean-up: half of what it would clean up is not there yet
             os._exit(0)
-        if number == signal.SIGINT:
-            raise KeyboardInterrupt
+        # rclpy shuts its context down, which ends spin() between two callbacks; an exception from
+        # here could hit rclpy in the middle of making an object, which then complains
 
     @staticmethod
     def ignore() -> None:
