@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How far edges and corners of the texture confirm a pose."""
+"""How far edges and corners of the texture determine and confirm a pose."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from selfcal_ros.rorapid.corner_fit import LEAST_TEXTURE
 
@@ -53,3 +55,23 @@ def confirmation(options, edges: float, matches, agree) -> tuple[float, bool]:
         share *= 0.5
     return float(share), (edges > _EDGES_CERTAIN and len(agree) < _RICH) or (
         count >= CERTAIN and count >= 0.6 * followed)
+
+
+def determines_pose(projection, basis: np.ndarray, information: np.ndarray) -> bool:
+    """Whether the information (m, m) of one image determines the pose; the focal may stay open."""
+    if projection.model == 'zoom':
+        information = (basis @ information @ basis.T)[:6, :6]
+    scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
+
+
+def focal_sigma(projection, basis: np.ndarray, information: np.ndarray,
+                determined: bool) -> float:
+    """Relative standard deviation of the focal length from one image; 0 where it is known."""
+    if projection.model != 'zoom':
+        return 0.0
+    if not determined:
+        return float('inf')
+    row = basis[6]
+    floor = np.diag(1e-9 * np.diagonal(information) + 1e-12)
+    return float(np.sqrt(row @ np.linalg.solve(information + floor, row)))

@@ -19,10 +19,10 @@ import numpy as np
 
 #: Control points with another primitive so close alongside count little.
 _CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
+#: Cosine of the angle between primitives that run alongside, at the least.
+_ALONGSIDE = 0.94
 #: The contrast of an edge changes by this factor at the most while it is the same edge.
 _CHANGE = 2.5
-#: if so many edgels of such contrast had been seen; and the least noise of the place.
-_USUAL_NOISE, _USUAL_CONTRAST, _USUAL_COUNT, _LEAST_PLACE_PX = (0.1, 4.0), 40.0, 20.0, 0.02
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
 _WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
@@ -64,16 +64,28 @@ def uncrowded(view) -> np.ndarray:
     Points that are not searched have weight 1.
     """
     at = np.flatnonzero(view.searched)
+    weight = np.ones(len(view.ids))
+    if not len(at):
+        return weight
     pixels = view.projected.pixels[at].astype(np.float32)
     normal = view.normal[at].astype(np.float32)
-    across = pixels @ normal.T - np.einsum('ci,ci->c', pixels, normal)
-    along = pixels @ np.stack([-normal[:, 1], normal[:, 0]])
-    along -= np.einsum('cc->c', along)
     primitive = view.primitive[at]
-    crowd = np.abs(across) < _CROWD_PX
-    crowd &= primitive[:, None] != primitive
-    crowd &= np.abs(along) < _CROWD_LENGTH_PX
-    crowd &= np.abs(normal @ normal.T) > 0.94
-    weight = np.ones(len(view.ids))
-    weight[at[crowd.any(axis=0)]] = _CROWDED
+    # a line is its first point and its last; a curve is all of its points
+    ends = np.flatnonzero(primitive[1:] != primitive[:-1])
+    head, tail = np.append(0, ends + 1), np.append(ends, len(at) - 1)
+    bent = view.curvature[at] != 0
+    if bent.any():
+        curve = np.flatnonzero(bent)
+        straight = ~bent[head]
+        head, tail = np.append(head[straight], curve), np.append(tail[straight], curve)
+    across = normal[head]
+    along = pixels @ np.stack([-across[:, 1], across[:, 0]])
+    line = np.arange(len(head))
+    one, other = along[head, line], along[tail, line]
+    crowd = np.abs(pixels @ across.T - np.einsum('hi,hi->h', pixels[head], across)) < _CROWD_PX
+    crowd &= primitive[:, None] != primitive[head]
+    crowd &= along > np.minimum(one, other) - _CROWD_LENGTH_PX
+    crowd &= along < np.maximum(one, other) + _CROWD_LENGTH_PX
+    crowd &= np.abs(normal @ across.T) > _ALONGSIDE
+    weight[at[crowd.any(axis=1)]] = _CROWDED
     return weight

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Memory of the noise of edgels and of the common scatter, per image learned.
-_MEMORY, _COMMON_MEMORY = 0.95, 0.9
+#: Memory of what was learned, per image.
+_MEMORY = 0.9
 #: Noise of an edge's place (pixels) and of the grey levels around it that is assumed at first, as
 #: if so many edgels of such contrast had been seen; and the least noise of the place.
 _USUAL_NOISE, _USUAL_CONTRAST, _USUAL_COUNT, _LEAST_PLACE_PX = (0.1, 4.0), 40.0, 20.0, 0.08
@@ -143,7 +143,7 @@ class CommonScatter:
         weight : ndarray, shape (C,)
             Tukey's, over the variance.
         off : ndarray, shape (C,)
-            Squared residual over Tukey's squared limit.
+            Squared distance over Tukey's squared limit, as the weight was made of it: below 1.
         residual : ndarray, shape (C,)
         information : ndarray, shape (m, m)
             Of the pose, all that is known.
@@ -161,10 +161,10 @@ class CommonScatter:
         # the fit has taken its part of each line's pull: judge it by the covariance of the rest
         rest = np.linalg.inv((1 + _RIDGE) * information - own)
         expected = np.einsum('lij,ji->', own, V)
-        self._square = _COMMON_MEMORY * self._square + float(np.einsum(
+        self._square = _MEMORY * self._square + float(np.einsum(
             'li,lij,lj->', gradient, rest, gradient))
-        self._freedom = _COMMON_MEMORY * self._freedom + float(expected)
+        self._freedom = _MEMORY * self._freedom + float(expected)
         felt = np.einsum('ci,ij,cj->c', pull, V, rows)
-        self._weight = _COMMON_MEMORY * self._weight + float(felt.sum())
-        self._curvature = _COMMON_MEMORY * self._curvature + float(
+        self._weight = _MEMORY * self._weight + float(felt.sum())
+        self._curvature = _MEMORY * self._curvature + float(
             felt @ ((1 - 5 * off) / (1 - off)))

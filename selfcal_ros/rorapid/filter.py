@@ -100,7 +100,8 @@ class ConstantVelocityFilter:
         P[at, m + at] += self._acceleration * dt**3 / 2
         P[m + at, at] += self._acceleration * dt**3 / 2
         P[m + at, m + at] += self._acceleration * dt**2
-        self.state = self.projection.moved(self.state, self.basis @ (self.velocity * dt))
+        self.state = self.projection.renewed(
+            self.projection.moved(self.state, self.basis @ (self.velocity * dt)))
         self.velocity *= 1 - damping
         return self.state
 

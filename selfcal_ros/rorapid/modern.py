@@ -17,38 +17,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.confirmation import CERTAIN, confirmation, EDGES_DO
+from selfcal_ros.rorapid.confirmation import (
+    CERTAIN, confirmation, determines_pose, EDGES_DO, focal_sigma)
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
-from selfcal_ros.rorapid.edge_choice import alike, handicap, uncrowded
-from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise
-from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.edge_choice import uncrowded
+from selfcal_ros.rorapid.edge_search import EdgeSearch
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState, Projection
 from selfcal_ros.rorapid.recovery import ViewMemory
 from selfcal_ros.rorapid.region import region_of_interest, Undistorter
-from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
 from selfcal_ros.rorapid.texture import TextureMemory
 
-#: Noise of the edges in one image against what was learned, at the least.
-_LEAST_NOISE = 0.7
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
-#: Limit of the last steps, pixels, and search range once the object is nearly there.
-_NARROW_PX, _NEAR_REACH_PX = 3.0, 5
-#: Steps with the narrow limit in the last round; each leaves a third of the error before.
-_LAST_STEPS = 2
-#: An edgel agrees within this, and Tukey's limit in sigmas.
-_FOUND_PX, _TUKEY = 1.75, 4.5
+#: An edgel agrees within this, pixels.
+_FOUND_PX = 1.75
+#: Search range once the object is nearly there, and in the later rounds from a guess, pixels.
+_NEAR_REACH_PX, _GUESS_REACH_PX = 5, 8
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
 #: After a sudden motion the object is sought so far around, pixels.
 _SEEK_PX = 120.0
-#: Rounds of the search from each start around a first guess, and contrast that is strong.
-_SETTLE_ROUNDS, _STRONG = 4, 40.0
-#: The common scatter is learned from every so many images.
-_SCATTER_EVERY = 2
+#: Rounds of the search from each start around a first guess, the first of them wide.
+_SETTLE_ROUNDS, _WIDE_ROUNDS = 4, 2
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
 
@@ -79,25 +72,21 @@ class ModernCycle:
         self.texture = TextureMemory(faces, corners, self._pinhole, options.texture_points)
         self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
-        self._contrast = np.zeros(control.size)
-        self._turn, self._images, self._edge_share = 0, 0, 1.0
-        self._common, self._noise = CommonScatter(), EdgeNoise()
+        self._turn = 0
         self._outline = np.asarray(model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
+        self._edges = EdgeSearch(control, basis, options, self._corners)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
-        self._contrast[:] = 0
-        self._edge_share = 1.0
-        self._common.forget()
-        self._noise.forget()
+        self._edges.forget()
         self.texture.forget()
         self._views.forget()
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
-        self.basis = self._corners.basis = basis
+        self.basis = self._corners.basis = self._edges.basis = basis
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
@@ -176,32 +165,22 @@ class ModernCycle:
 
     def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
         """Search the edges about a state, in some rounds, and conclude."""
+        edges, rounds = self._edges, self.options.rounds
         view = self.control.view(state)
         alone = uncrowded(view)
-        if led:
-            reach = int(np.ceil(self.options.search_least_px))
-        else:
-            reach = self._reach(state, view, spread)
-        result = None
-        for turn in range(self.options.rounds):
+        reach = int(np.ceil(self.options.search_least_px)) if led else edges.reach(
+            state, view, spread)
+        for turn in range(rounds):
             if turn:
                 view = self.control.again(view, state)
-                reach = _NEAR_REACH_PX
+                reach = min(reach, _NEAR_REACH_PX)
                 if not led and matches is not None:
                     agree = self._corners.near(state, matches)
-            first = turn == 0 and not led
-            limits = self._limits(reach, first, turn + 1 == self.options.rounds)
-            result = self._by_edges(image, view, state, predicted, prior, reach, matches, agree,
-                                    limits, alone)
-            state = result[0]
-        return self._conclude(region, state, result, matches, agree)
-
-    def _reach(self, state, view, spread):
-        """Search range from the spread of the prediction."""
-        rows = self.projection.rows(state, view.projected, view.normal) @ self.basis
-        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
-        options = self.options
-        return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
+            limits = edges.limits(reach, turn == 0 and not led, turn + 1 == rounds)
+            fit = edges.fit(image, view, state, predicted, prior, reach, limits, alone, matches,
+                            agree)
+            state = fit.state
+        return self._conclude(region, fit, matches, agree)
 
     def _by_texture(self, region, predicted, prior):
         """
@@ -226,60 +205,6 @@ class ModernCycle:
                 break
         self.texture.hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
-
-    def _by_edges(self, image, view, state, predicted, prior, reach, matches, agree, limits,
-                  alone):
-        """Search the edges and solve for the state, corners included."""
-        options = self.options
-        at = np.flatnonzero(view.searched)
-        m = self.basis.shape[1]
-        rows = self.projection.rows(state, view.projected, view.normal)[at] @ self.basis
-        wanted = self._contrast[view.ids[at]]
-        if len(at):
-            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
-            edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
-            # the outer lanes meet a curve where it has bent away
-            offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
-            contrast = edgels.contrast
-        else:
-            offset = contrast = np.zeros((0, options.candidates))
-        missing = ~np.isfinite(offset)
-        offset = np.where(missing, 1e6, offset)
-        further = handicap(contrast, wanted)
-        alone = alone[at]
-        corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
-        if agree.any():
-            corner_H, corner_g = self._corners.terms(state, matches, agree,
-                                                     self._edge_share)
-        back = self.basis.T @ self.projection.difference(state, predicted)
-        q = np.zeros(m)
-        line = np.arange(len(at))
-        for limit in limits:
-            along = rows @ q
-            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further
-            best = distance.argmin(axis=1) if len(at) else line
-            chosen = offset[line, best]
-            residual = chosen - along
-            near = distance[line, best] < limit
-            if limit == limits[-1]:
-                own = self._noise.sigma(contrast[line, best], view.end_px[at])
-                share = robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
-                                     _LEAST_NOISE)
-                sigma = share * own
-                limit = np.minimum(_TUKEY * sigma, limit)
-            else:
-                sigma = max(limit / 3, 0.5)
-            w = alone * tukey_weight(distance[line, best], limit) / sigma**2
-            H = (rows * w[:, None]).T @ rows
-            g = rows.T @ (w * np.where(near, chosen, 0.0))
-            information = H + corner_H + prior
-            q = np.linalg.solve(information, g + corner_g - prior @ back)
-        after = self.projection.moved(state, self.basis @ q)
-        residual = np.where(near, chosen - rows @ q, np.nan)
-        information = H / self._common.factor + corner_H + prior
-        contrast = contrast[line, best] if len(at) else np.zeros(0)
-        return (after, information, view, at, residual, contrast, H + corner_H,
-                (rows, w, (residual / limit)**2, residual, H + corner_H + prior), alone)
 
     def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
         """
@@ -311,88 +236,37 @@ class ModernCycle:
             state = self.projection.moved(guess, self.basis @ start)
             view = self.control.view(state)
             for turn in range(_SETTLE_ROUNDS):
-                wide = turn < 2
-                state = self._by_edges(image, view, state, guess, prior, reach if wide else 8,
-                                       None, np.zeros(0, bool),
-                                       self._limits(reach, wide, not wide),
-                                       uncrowded(view))[0]
+                wide = turn < _WIDE_ROUNDS
+                state = self._edges.fit(
+                    image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
+                    self._edges.limits(reach, wide, not wide), uncrowded(view)).state
                 view = self.control.view(state)
-            score = self._edge_score(image, view)
+            score = self._edges.score(image, view)
             if score > best_score:
                 best, best_score = state, score
         return best
 
-    def _edge_score(self, image, view) -> float:
-        """Strength of the edges that lie on the control points, grey levels."""
-        at = np.flatnonzero(view.searched)
-        if not len(at):
-            return 0.0
-        edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at], 3),
-                             1, self.options.least_contrast)
-        near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
-        return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
-
-    def _limits(self, reach, first, last):
-        """Tukey limits of the steps, from wide to narrow."""
-        narrow = [_NARROW_PX] * (_LAST_STEPS if last else 1)
-        if not first:
-            return narrow
-        wide = max(float(reach), _NARROW_PX)
-        steps = max(self.options.steps - 1, 1)
-        return [wide * (_NARROW_PX / wide)**(k / steps) for k in range(steps)] + narrow
-
-    def _conclude(self, region, state, result, matches, agree):
-        """Count what confirms the state, and remember what it looks like."""
-        _, posterior, view, at, residual, contrast, information, used, alone = result
-        covariance = np.linalg.inv(posterior)
-        after = self.control.again(view, state)
-        edge_px = np.full(len(view.ids), np.nan)
-        edge_px[at] = residual
+    def _conclude(self, region, fit, matches, agree):
+        """Count what confirms the state."""
+        edge_px = np.full(len(fit.view.ids), np.nan)
+        edge_px[fit.at] = fit.residual
         found = np.abs(edge_px) < _FOUND_PX
-        same = found[at] & alike(contrast, self._contrast[view.ids[at]])
-        # in a crowd the edge of one is that of another: it speaks for no line
-        edges = float(alone @ same / alone.sum()) if len(at) else 0.0
+        edges = self._edges.found_share(fit, found[fit.at])
         share, certain = confirmation(self.options, edges, matches, agree)
-        determined = self._determined(information)
+        determined = determines_pose(self.projection, self.basis, fit.measured)
+        focal = focal_sigma(self.projection, self.basis, fit.measured, determined)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
-        return Measured(state, covariance, True, after, edge_px, found, texture_px, share,
-                        determined, certain, self._focal_sigma(information, determined),
-                        evidence=(region, at, found, contrast, view, matches, agree,
-                                  used, edges))
-
-    def _determined(self, information) -> bool:
-        """Whether one image determines the pose; the focal length may stay open."""
-        if self.projection.model == 'zoom':
-            information = (self.basis @ information @ self.basis.T)[:6, :6]
-        scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-        return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
-
-    def _focal_sigma(self, information, determined) -> float:
-        """Relative standard deviation of the focal length from one image."""
-        if self.projection.model != 'zoom':
-            return 0.0
-        if not determined:
-            return float('inf')
-        row = self.basis[6]
-        floor = np.diag(1e-9 * np.diagonal(information) + 1e-12)
-        return float(np.sqrt(row @ np.linalg.solve(information + floor, row)))
+        return Measured(fit.state, np.linalg.inv(fit.posterior), True,
+                        self.control.again(fit.view, fit.state), edge_px, found, texture_px, share,
+                        determined, certain, focal,
+                        evidence=(region, fit, found, matches, agree, edges))
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, at, found, contrast, view, matches, agree, used, edges = measured.evidence
-        ids, ok = view.ids[at], found[at]
-        self._edge_share = edges
-        rows, weight, off, residual, whole = used
-        some = np.flatnonzero(weight > 0)
-        self._images += 1
-        if self._images % _SCATTER_EVERY == 0:
-            self._common.learn(view.primitive[at[some]], rows[some], weight[some], off[some],
-                               residual[some], whole)
-        self._noise.learn(contrast[some], view.end_px[at[some]], residual[some])
-        old = self._contrast[ids[ok]]
-        self._contrast[ids[ok]] = np.where(old == 0, contrast[ok], 0.8 * old + 0.2 * contrast[ok])
+        region, fit, found, matches, agree, edges = measured.evidence
+        self._edges.learn(fit, found[fit.at], edges)
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)

@@ -205,11 +205,16 @@ class Projection:
             affine[:, 3] += correction[6:8]
             return nearest_pose(affine, state)
         rotation = _turn(correction[:3]) @ state.rotation
-        # rounding must not grow over many frames: one step towards the nearest rotation
-        rotation = 1.5 * rotation - 0.5 * rotation @ (rotation.T @ rotation)
         zoom = state.zoom * float(np.exp(np.clip(correction[6], -1, 1))) \
             if self.model == 'zoom' else state.zoom
         return ObjectState(rotation, state.translation + correction[3:6], zoom)
+
+    def renewed(self, state: ObjectState) -> ObjectState:
+        """Return a state without the rounding of its rotation, which grows from frame to frame."""
+        rotation = state.rotation
+        # one step towards the nearest rotation
+        rotation = 1.5 * rotation - 0.5 * rotation @ (rotation.T @ rotation)
+        return ObjectState(rotation, state.translation, state.zoom, state.affine)
 
     def difference(self, there: ObjectState, here: ObjectState) -> np.ndarray:
         """Return the correction (size,) that takes `here` to `there`."""

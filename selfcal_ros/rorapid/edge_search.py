@@ -1,0 +1,248 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""One round of the search for edges: all control points at once, and the state they speak for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.rorapid.control import ControlModel, ControlView
+from selfcal_ros.rorapid.corner_fit import CornerFit
+from selfcal_ros.rorapid.edge_choice import alike, handicap
+from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise
+from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection import ObjectState
+from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
+
+#: Noise of the edges in one image against what was learned, at the least.
+_LEAST_NOISE = 0.7
+#: Tukey's limit in sigmas, and of the last steps at the most, pixels.
+_TUKEY, _NARROW_PX = 4.5, 3.0
+#: Steps with the narrow limit in the last round; each leaves a third of the error before.
+_LAST_STEPS = 2
+#: Contrast that is strong.
+_STRONG = 40.0
+#: The noise of edges is learned from every so many images.
+_SCATTER_EVERY = 2
+_NONE = np.zeros(0, bool)
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """
+    Attributes of one round of search and solution; rows of the C control points searched.
+
+    Attributes
+    ----------
+    state : ObjectState
+    posterior : ndarray, shape (m, m)
+        Information of the state: edges with what they share, corners, prior.
+    measured : ndarray, shape (m, m)
+        Information of edges and corners alone, edgels taken as independent.
+    solved : ndarray, shape (m, m)
+        Matrix of the last solution.
+    view : ControlView
+    at : ndarray of int, shape (C,)
+        Which control points of the view.
+    alone : ndarray, shape (C,)
+        Weight by what runs alongside.
+    rows : ndarray, shape (C, m)
+    residual, contrast, weight, off : ndarray, shape (C,)
+        Pixels, NaN without an edge; grey levels; Tukey's weight over the variance; and the
+        squared distance over Tukey's squared limit.
+
+    """
+
+    state: ObjectState
+    posterior: np.ndarray
+    measured: np.ndarray
+    solved: np.ndarray
+    view: ControlView
+    at: np.ndarray
+    alone: np.ndarray
+    rows: np.ndarray
+    residual: np.ndarray
+    contrast: np.ndarray
+    weight: np.ndarray
+    off: np.ndarray
+
+
+class EdgeSearch:
+    """
+    Searches edges, and remembers what they look like and how well they are located.
+
+    Parameters
+    ----------
+    control : ControlModel
+    basis : ndarray, shape (size, m)
+    options : TrackerOptions
+    corners : CornerFit
+        For the corners beside the edges.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (size, m)
+    share : float
+        Of the edges that were found in the last image accepted.
+    contrast : ndarray, shape (size,)
+        Remembered contrast of each control point, 0 where none is, grey levels.
+
+    """
+
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
+                 corners: CornerFit):
+        """Start without memory."""
+        self.basis, self.options = basis, options
+        self._corners, self.projection = corners, control.projection
+        self._common, self._noise = CommonScatter(), EdgeNoise()
+        self.contrast = np.zeros(control.size)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what the edges look like."""
+        self.contrast[:] = 0
+        self.share, self._images = 1.0, 0
+        self._common.forget()
+        self._noise.forget()
+
+    def found_share(self, fit: EdgeFit, found: np.ndarray) -> float:
+        """Share of the edges searched that were found (C,) and look as they are remembered."""
+        if not len(fit.at):
+            return 0.0
+        same = found & alike(fit.contrast, self.contrast[fit.view.ids[fit.at]])
+        # in a crowd the edge of one is that of another: it speaks for no line
+        return float(fit.alone @ same / fit.alone.sum())
+
+    def learn(self, fit: EdgeFit, found: np.ndarray, share: float) -> None:
+        """Take in an image that was accepted, with the edges found (C,) and their share."""
+        self.share = share
+        self._images += 1
+        if self._images % _SCATTER_EVERY == 0:
+            some = np.flatnonzero(fit.weight > 0)
+            at, residual = fit.at[some], fit.residual[some]
+            self._common.learn(fit.view.primitive[at], fit.rows[some], fit.weight[some],
+                               fit.off[some], residual, fit.solved)
+            self._noise.learn(fit.contrast[some], fit.view.end_px[at], residual)
+        ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
+        old = self.contrast[ids]
+        self.contrast[ids] = np.where(old == 0, now, 0.8 * old + 0.2 * now)
+
+    def reach(self, state, view, spread) -> int:
+        """Search range from the spread (m, m) of the prediction, pixels."""
+        rows = self.projection.rows(state, view.projected, view.normal) @ self.basis
+        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
+        options = self.options
+        return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
+
+    def limits(self, reach: int, first: bool, last: bool) -> list:
+        """Limits of the steps of the first, last or another round, from wide to narrow."""
+        narrow = [_NARROW_PX] * (_LAST_STEPS if last else 1)
+        if not first:
+            return narrow
+        wide = max(float(reach), _NARROW_PX)
+        steps = max(self.options.steps - 1, 1)
+        return [wide * (_NARROW_PX / wide)**(k / steps) for k in range(steps)] + narrow
+
+    def score(self, image, view) -> float:
+        """Strength of the edges that lie on the control points, grey levels."""
+        at = np.flatnonzero(view.searched)
+        if not len(at):
+            return 0.0
+        edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at], 3),
+                             1, self.options.least_contrast)
+        near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
+        return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
+
+    def fit(self, image, view, state, predicted, prior, reach, limits, alone, matches=None,
+            agree=_NONE) -> EdgeFit:
+        """
+        Search the edges and solve for the state, corners included.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        view : ControlView
+            At `state`.
+        state, predicted : ObjectState
+        prior : ndarray, shape (m, m)
+            Information of the prediction.
+        reach : int
+            Search range to each side, pixels.
+        limits : sequence of float
+            Of Tukey's biweight, one for each step, pixels.
+        alone : ndarray, shape (C,)
+            Weights of the control points.
+        matches : TextureMatches, optional
+        agree : ndarray of bool, shape (N,)
+            Which of the matches count.
+
+        Returns
+        -------
+        EdgeFit
+
+        """
+        options = self.options
+        at = np.flatnonzero(view.searched)
+        m = self.basis.shape[1]
+        rows = self.projection.rows(state, view.projected, view.normal)[at] @ self.basis
+        wanted = self.contrast[view.ids[at]]
+        if len(at):
+            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
+            edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
+            # the outer lanes meet a curve where it has bent away
+            offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
+            contrast = edgels.contrast
+        else:
+            offset = contrast = np.zeros((0, options.candidates))
+        missing = ~np.isfinite(offset)
+        offset = np.where(missing, 1e6, offset)
+        further = handicap(contrast, wanted)
+        alone = alone[at]
+        corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
+        if agree.any():
+            corner_H, corner_g = self._corners.terms(state, matches, agree,
+                                                     self.share)
+        back = self.basis.T @ self.projection.difference(state, predicted)
+        q = np.zeros(m)
+        line = np.arange(len(at))
+        for limit in limits:
+            along = rows @ q
+            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further
+            best = distance.argmin(axis=1) if len(at) else line
+            chosen = offset[line, best]
+            residual = chosen - along
+            near = distance[line, best] < limit
+            if limit == limits[-1]:
+                own = self._noise.sigma(contrast[line, best], view.end_px[at])
+                share = robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
+                                     _LEAST_NOISE)
+                sigma = share * own
+                limit = np.minimum(_TUKEY * sigma, limit)
+            else:
+                sigma = max(limit / 3, 0.5)
+            off = distance[line, best] / limit
+            w = alone * tukey_weight(off, 1.0) / sigma**2
+            H = (rows * w[:, None]).T @ rows
+            g = rows.T @ (w * np.where(near, chosen, 0.0))
+            information = H + corner_H + prior
+            q = np.linalg.solve(information, g + corner_g - prior @ back)
+        after = self.projection.moved(state, self.basis @ q)
+        residual = np.where(near, chosen - rows @ q, np.nan)
+        measured = H + corner_H
+        return EdgeFit(after, H / self._common.factor + corner_H + prior, measured,
+                       measured + prior, view, at, alone, rows, residual,
+                       contrast[line, best] if len(at) else np.zeros(0), w, off * off)
