@@ -56,6 +56,7 @@ def summary(focals, sigma, clock=True, others=()):
     ([520, 520, 520, 520, 526], 0.3, False, '1 recording contradicts the others and is left out'),
     ([520, 522, 524, 526, 528], 0.3, False, 'The recordings disagree'),
     ([520, 520.05, 520.1, 520.15], 0.01, True, 'which nobody will notice'),
+    ([520.1, 519.8, 520.3, 519.9], 0.25, True, 'leaves out what all recordings share'),
     ([520], 0.3, True, 'With one recording nothing can be compared'),
     ([], 0.3, False, 'None of 0 recordings calibrates'),
 ])
