@@ -21,6 +21,8 @@ from selfcal_ros.rorapid.corner_fit import LEAST_TEXTURE
 
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
 CERTAIN = 10
+#: ... and by so many of those looked for: of more, more agree by chance.
+CERTAIN_SHARE = 0.15
 #: With so many edges found the texture may be wrong.
 EDGES_DO = 0.65
 #: A texture of so many corners is rich enough to be the judge.
@@ -54,7 +56,7 @@ def confirmation(options, edges: float, matches, agree) -> tuple[float, bool]:
     if count < CERTAIN and edges < 0.3:
         share *= 0.5
     return float(share), (edges > _EDGES_CERTAIN and len(agree) < _RICH) or (
-        count >= CERTAIN and count >= 0.6 * followed)
+        count >= max(CERTAIN, CERTAIN_SHARE * len(agree)) and count >= 0.6 * followed)
 
 
 def determines_pose(projection, basis: np.ndarray, information: np.ndarray) -> bool:

@@ -232,7 +232,7 @@ class RorapidTracker:
         lost = self._state is TrackerState.LOST
         first = self._state is TrackerState.INITIALISING
         if not (first or lost):
-            self._filter.predict(seconds, _DAMPING if self._misses else 0.0)
+            self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
         if first and self.options.method == 'modern':
             measured = self._cycle.settle(image, predicted, spread)
@@ -329,8 +329,15 @@ class RorapidTracker:
         accepted = measured.determined and (
             measured.certain if lost else measured.share >= options.lost_share)
         innovation = float('nan')
-        if accepted:
+        if accepted and not measured.certain and measured.share <= options.lost_share:
+            # barely found, and not recognised: half a miss
+            self._misses += 0.5
+            accepted = self._misses < options.frames_to_lost
+        elif accepted:
             self._misses = 0
+        else:
+            self._misses += 1
+        if accepted:
             innovation = self._filter.innovation_share(measured.state, measured.covariance)
             if lost:
                 self._filter.restart(measured.state, measured.covariance)
@@ -350,7 +357,6 @@ class RorapidTracker:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:
-            self._misses += 1
             if not lost and self._misses >= options.frames_to_lost:
                 self._state = TrackerState.LOST
                 place = self._filter.state if self._good is None else self._good
