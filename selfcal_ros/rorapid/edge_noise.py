@@ -28,9 +28,11 @@ _END_PX = 6.0
 _PRIOR_FREEDOM, _COMMON = 10.0, (0.5, 25.0)
 #: Variance over what the lines' residuals show of it: what neighbouring lines share, and what the
 #: choice of edgels near the pose itself shares, no residual shows. Measured on rendered objects.
-_UNSEEN = 1.18
+_UNSEEN = 1.27
 #: Share of the information that is left where one line alone determines something.
 _RIDGE = 0.02
+#: Freedom for which what was learned from the images before counts beside one image: views differ.
+_BEFORE_FREEDOM = 8.0
 #: Curvature of the cost against the weights, at the least.
 _LEAST_CURVATURE = 0.3
 
@@ -108,10 +110,10 @@ class CommonScatter:
 
     Edgels of one line share errors (shading, background, sampling). The pull of a whole line on
     the pose, gradient g of its part of the cost, shows them: over all lines the sum of g' V g,
-    V the covariance of the pose, has a known mean for independent edgels. And the cost is less
-    curved than the weights of its edgels say, for an edgel that lies off is left out, whichever
-    pose it speaks for. Both ratios, averaged over images, make the factor of the variance (the
-    sandwich of an M-estimator, cluster-robust, pooled).
+    V the covariance of the pose from the others, has a known mean for independent edgels. And
+    the cost is less curved than the weights of its edgels say, for an edgel that lies off is left
+    out, whichever pose it speaks for. Both ratios make the factor of the variance: the sandwich
+    of an M-estimator, cluster-robust, of this image and, with a weight, of those before.
     """
 
     def __init__(self):
@@ -120,51 +122,58 @@ class CommonScatter:
 
     def forget(self) -> None:
         """Forget what was learned."""
-        self._square = self._freedom = 0.0
-        self._curvature = self._weight = _PRIOR_FREEDOM
+        # square, freedom; curvature, weight: each ratio starts at 1
+        self._sums = np.full(4, _PRIOR_FREEDOM)
 
-    @property
-    def factor(self) -> float:
-        """By how much the variance of a pose grows."""
-        scatter = (self._square + _PRIOR_FREEDOM) / (self._freedom + _PRIOR_FREEDOM)
-        curvature = max(self._curvature / self._weight, _LEAST_CURVATURE)
-        return float(np.clip(_UNSEEN * scatter / curvature**2, *_COMMON))
+    def factor(self, sums: np.ndarray) -> float:
+        """By how much the variance of a pose grows, from what its image shows (`sums_of`)."""
+        square, freedom, curvature, weight = self._sums
+        scatter = (sums[0] + _BEFORE_FREEDOM * square / freedom) / (sums[1] + _BEFORE_FREEDOM)
+        bend = max(curvature / weight, _LEAST_CURVATURE)
+        return float(np.clip(_UNSEEN * scatter / bend**2, *_COMMON))
 
-    def learn(self, primitive: np.ndarray, rows: np.ndarray, weight: np.ndarray,
-              off: np.ndarray, residual: np.ndarray, information: np.ndarray) -> None:
-        """
-        Take in an image that was accepted.
+    def learn(self, sums: np.ndarray) -> None:
+        """Take in an image that was accepted."""
+        self._sums = _MEMORY * self._sums + sums + (1 - _MEMORY) * _PRIOR_FREEDOM
 
-        Parameters
-        ----------
-        primitive : ndarray of int, shape (C,)
-            Ascending.
-        rows : ndarray, shape (C, m)
-        weight : ndarray, shape (C,)
-            Tukey's, over the variance.
-        off : ndarray, shape (C,)
-            Squared distance over Tukey's squared limit, as the weight was made of it: below 1.
-        residual : ndarray, shape (C,)
-        information : ndarray, shape (m, m)
-            Of the pose, all that is known.
 
-        """
-        if not len(primitive):
-            return
-        first = np.flatnonzero(np.r_[True, primitive[1:] != primitive[:-1]])
-        m = rows.shape[1]
-        pull = rows * weight[:, None]
-        gradient = np.add.reduceat(pull * residual[:, None], first)
-        own = np.add.reduceat((pull[:, :, None] * rows[:, None]).reshape(-1, m * m), first)
-        own = own.reshape(-1, m, m)
-        V = np.linalg.inv(information)
-        # the fit has taken its part of each line's pull: judge it by the covariance of the rest
-        rest = np.linalg.inv((1 + _RIDGE) * information - own)
-        expected = np.einsum('lij,ji->', own, V)
-        self._square = _MEMORY * self._square + float(np.einsum(
-            'li,lij,lj->', gradient, rest, gradient))
-        self._freedom = _MEMORY * self._freedom + float(expected)
-        felt = np.einsum('ci,ij,cj->c', pull, V, rows)
-        self._weight = _MEMORY * self._weight + float(felt.sum())
-        self._curvature = _MEMORY * self._curvature + float(
-            felt @ ((1 - 5 * off) / (1 - off)))
+def sums_of(primitive: np.ndarray, rows: np.ndarray, weight: np.ndarray, off: np.ndarray,
+            residual: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """
+    Sums of `CommonScatter` over the lines of one image.
+
+    Parameters
+    ----------
+    primitive : ndarray of int, shape (C,)
+        Ascending.
+    rows : ndarray, shape (C, m)
+    weight : ndarray, shape (C,)
+        Tukey's, over the variance.
+    off : ndarray, shape (C,)
+        Squared distance over Tukey's squared limit, as the weight was made of it: below 1.
+    residual : ndarray, shape (C,)
+    information : ndarray, shape (m, m)
+        Of the pose, all that is known.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Sum of g' V g and its mean; curvature of the cost and what the weights say of it, both
+        in units of the information.
+
+    """
+    if not len(primitive):
+        return np.zeros(4)
+    first = np.flatnonzero(np.diff(primitive, prepend=-1))
+    m = rows.shape[1]
+    pull = rows * weight[:, None]
+    gradient = np.add.reduceat(pull * residual[:, None], first)
+    own = np.add.reduceat((pull[:, :, None] * rows[:, None]).reshape(-1, m * m), first)
+    own = own.reshape(-1, m, m)
+    V = np.linalg.inv(information)
+    # the fit has taken its part of each line's pull: judge it by the covariance of the rest
+    rest = np.linalg.inv((1 + _RIDGE) * information - own)
+    felt = ((pull @ V) * rows).sum(axis=1)
+    return np.array([np.einsum('li,lij,lj->', gradient, rest, gradient),
+                     np.einsum('lij,ji->', own, V),
+                     felt @ ((1 - 5 * off) / (1 - off)), felt.sum()])

@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.rorapid.control import ControlModel, ControlView
 from selfcal_ros.rorapid.corner_fit import CornerFit
 from selfcal_ros.rorapid.edge_choice import alike, handicap
-from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise
+from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise, sums_of
 from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import ObjectState
@@ -37,7 +37,7 @@ _LAST_STEPS = 2
 #: Contrast that is strong.
 _STRONG = 40.0
 #: The noise of edges is learned from every so many images.
-_SCATTER_EVERY = 2
+_NOISE_EVERY = 2
 _NONE = np.zeros(0, bool)
 
 
@@ -49,12 +49,9 @@ class EdgeFit:
     Attributes
     ----------
     state : ObjectState
-    posterior : ndarray, shape (m, m)
-        Information of the state: edges with what they share, corners, prior.
-    measured : ndarray, shape (m, m)
-        Information of edges and corners alone, edgels taken as independent.
-    solved : ndarray, shape (m, m)
-        Matrix of the last solution.
+    edges, measured, solved : ndarray, shape (m, m)
+        Information of the edges, edgels taken as independent; the same with the corners; with
+        the prior as well, the matrix of the last solution.
     view : ControlView
     at : ndarray of int, shape (C,)
         Which control points of the view.
@@ -68,7 +65,7 @@ class EdgeFit:
     """
 
     state: ObjectState
-    posterior: np.ndarray
+    edges: np.ndarray
     measured: np.ndarray
     solved: np.ndarray
     view: ControlView
@@ -127,16 +124,32 @@ class EdgeSearch:
         # in a crowd the edge of one is that of another: it speaks for no line
         return float(fit.alone @ same / fit.alone.sum())
 
-    def learn(self, fit: EdgeFit, found: np.ndarray, share: float) -> None:
-        """Take in an image that was accepted, with the edges found (C,) and their share."""
+    def scatter(self, fit: EdgeFit):
+        """
+        Judge how the edges of one image scatter.
+
+        Returns
+        -------
+        posterior : ndarray, shape (m, m)
+            Information of the state: edges with what they share, corners, prior.
+        sums : ndarray, shape (4,)
+            To be learned if the state is accepted.
+
+        """
+        some = np.flatnonzero(fit.weight > 0)
+        sums = sums_of(fit.view.primitive[fit.at[some]], fit.rows[some], fit.weight[some],
+                       fit.off[some], fit.residual[some], fit.solved)
+        return fit.solved + (1 / self._common.factor(sums) - 1) * fit.edges, sums
+
+    def learn(self, fit: EdgeFit, found: np.ndarray, share: float, sums: np.ndarray) -> None:
+        """Take in an image that was accepted: edges found (C,), their share and scatter."""
         self.share = share
+        self._common.learn(sums)
         self._images += 1
-        if self._images % _SCATTER_EVERY == 0:
+        if self._images % _NOISE_EVERY == 0:
             some = np.flatnonzero(fit.weight > 0)
-            at, residual = fit.at[some], fit.residual[some]
-            self._common.learn(fit.view.primitive[at], fit.rows[some], fit.weight[some],
-                               fit.off[some], residual, fit.solved)
-            self._noise.learn(fit.contrast[some], fit.view.end_px[at], residual)
+            self._noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
+                              fit.residual[some])
         ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
         old = self.contrast[ids]
         self.contrast[ids] = np.where(old == 0, now, 0.8 * old + 0.2 * now)
@@ -243,6 +256,5 @@ class EdgeSearch:
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
         measured = H + corner_H
-        return EdgeFit(after, H / self._common.factor + corner_H + prior, measured,
-                       measured + prior, view, at, alone, rows, residual,
+        return EdgeFit(after, H, measured, measured + prior, view, at, alone, rows, residual,
                        contrast[line, best] if len(at) else np.zeros(0), w, off * off)

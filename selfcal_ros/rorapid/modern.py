@@ -258,15 +258,16 @@ class ModernCycle:
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
-        return Measured(fit.state, np.linalg.inv(fit.posterior), True,
+        posterior, sums = self._edges.scatter(fit)
+        return Measured(fit.state, np.linalg.inv(posterior), True,
                         self.control.again(fit.view, fit.state), edge_px, found, texture_px, share,
                         determined, certain, focal,
-                        evidence=(region, fit, found, matches, agree, edges))
+                        evidence=(region, fit, found, matches, agree, sums, edges))
 
     def remember(self, measured: Measured, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, fit, found, matches, agree, edges = measured.evidence
-        self._edges.learn(fit, found[fit.at], edges)
+        region, fit, found, matches, agree, sums, edges = measured.evidence
+        self._edges.learn(fit, found[fit.at], edges, sums)
         if region is not None and self._use_texture:
             if measured.certain and matches is not None:
                 self.texture.judge(matches, agree)
