@@ -40,7 +40,7 @@ class CalibrationFile:
     Raises
     ------
     ArgumentError
-        If the name is impossible.
+        If the name or the path is impossible.
 
     """
 
@@ -51,7 +51,11 @@ class CalibrationFile:
         self.camera_name = camera_name
         home = os.environ.get('ROS_HOME') or '~/.ros'
         path = output.removeprefix('file://') or f'{home}/camera_info/{camera_name}.yaml'
-        self.path = Path(path.replace('${ROS_HOME}', home)).expanduser()
+        try:
+            self.path = Path(path.replace('${ROS_HOME}', home)).expanduser()
+        except RuntimeError:
+            raise ArgumentError(f'There is no such home folder as in {path!r}; give the full path '
+                                'of the calibration file.') from None
 
     def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
         """

@@ -41,7 +41,7 @@ from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.scene import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.silence import SilenceWatch
-from selfcal_ros.nodes.upload import CameraInfoUpload
+from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.report.result_json import result_to_json
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -67,6 +67,7 @@ class Calibrator(Node):
         super().__init__(name)
         self.parameters = declare(self, table)
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
+        self._upload = CameraInfoUpload(self, self.parameters.set_camera_info_service)
         self._session = CalibrationSession(session_settings(self.parameters))
         self._scene = ScenePublisher(self, self.parameters.world_frame)
         self._worker = worker(partial(prepare_estimate, partial(
@@ -76,7 +77,6 @@ class Calibrator(Node):
         self._types = rclpy_types()
         self._size = (0, 0)
         self._driver = DriverWindow(self, self._begin_anew)
-        self._upload = CameraInfoUpload(self, self.parameters.set_camera_info_service)
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -90,10 +90,11 @@ class Calibrator(Node):
         self.create_timer(1.0, self._diagnose, clock=STEADY)
         follow(self, self._check_change, self._change)
 
-    @staticmethod
-    def _check_change(new: CalibratorParameters):
-        """Refuse parameters that contradict each other."""
+    def _check_change(self, new: CalibratorParameters):
+        """Refuse parameters that contradict each other, or name what cannot be."""
         session_settings(new), monitor_settings(new)
+        CalibrationFile(new.camera_name, new.output)
+        check_service(self, new.set_camera_info_service)
 
     def _change(self, new: CalibratorParameters, old: CalibratorParameters):
         """Do what changed parameters say, from the next estimate on."""
@@ -208,11 +209,14 @@ class Calibrator(Node):
         response.success = views > 0
         if views:
             response.message = f'estimating from {views} views; the result comes on ~/result'
-        elif state.estimating:
-            response.message = 'an estimate is under way; its result comes on ~/result'
-        else:
+        elif state.keyframes < 3:
             response.message = (f'{state.keyframes} views with parallax so far, three are needed: '
                                 'keep moving')
+        elif state.abandoned:
+            response.message = ('the estimate under way is from before a change and is dropped; '
+                                'another follows, whose result comes on ~/result')
+        else:
+            response.message = 'an estimate is under way; its result comes on ~/result'
         return response
 
     def _on_reset(self, _, response):

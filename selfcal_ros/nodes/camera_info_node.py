@@ -65,10 +65,10 @@ class CameraInfoPublisher(Node):
         self.create_timer(1.0, self._look, clock=STEADY)
         follow(self, self._check_change, self._change)
 
-    @staticmethod
-    def _check_change(new: CameraInfoPublisherParameters):
+    def _check_change(self, new: CameraInfoPublisherParameters):
         """Refuse a file that cannot be read: the calibration in force is better than none."""
-        read_camera_yaml(CalibrationFile(new.camera_name, new.camera_info_url).path)
+        if new.camera_info_url != self.parameters.camera_info_url:
+            read_camera_yaml(CalibrationFile(new.camera_name, new.camera_info_url).path)
 
     def _change(self, new: CameraInfoPublisherParameters, old: CameraInfoPublisherParameters):
         """Do what changed parameters say."""

@@ -69,6 +69,10 @@ class ChangeWatch:
             return
         self._settings = settings
         if settings is None:
+            if self._monitoring.change is not None:
+                self._logger.warning('the monitor is off and its alarm with it: estimates go on, '
+                                     'from the views since the change, and replace the '
+                                     'calibration')
             self.release()
             self._monitoring.forget()
             return

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 import math
+import traceback
 
 from rcl_interfaces.msg import (FloatingPointRange, IntegerRange, ParameterDescriptor,
                                 SetParametersResult)
@@ -109,15 +110,27 @@ def follow(node, check: Callable, apply: Callable) -> None:
                 check(new)
         except SelfcalError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:  # a node must not die of what somebody asks for
+            return SetParametersResult(successful=False, reason=_fault(node, error))
         return SetParametersResult(successful=True)
 
     def take(given):
         old, node.parameters = node.parameters, changed(given)
         if node.parameters != old:
-            apply(node.parameters, old)
+            try:
+                apply(node.parameters, old)
+            except Exception as error:  # as above
+                node.get_logger().error(_fault(node, error))
 
     node.add_on_set_parameters_callback(judge)
     node.add_post_set_parameters_callback(take)
+
+
+def _fault(node, error: Exception) -> str:
+    """Log where the program is at fault, and say so."""
+    node.get_logger().error(''.join(traceback.format_exception(error)))
+    return (f'The change failed ({type(error).__name__}: {error}); please report the lines that '
+            'are logged.')
 
 
 def _descriptor(entry) -> ParameterDescriptor:

@@ -63,7 +63,12 @@ class BagPlayer(Node):
         self.get_logger().info(f'{self._recording.count} images of {self._recording.topic} in '
                                f'{self.parameters.bag}, on {self._publisher.topic_name}')
 
-        follow(self, lambda new: None, self._change)
+        follow(self, self._check_change, self._change)
+
+    def _check_change(self, new: BagPlayerParameters):
+        """Refuse what would have no effect any more."""
+        if self.finished.done():
+            raise InputError('The bag has been played to its end; start another bag_player.')
 
     def _change(self, new: BagPlayerParameters, old: BagPlayerParameters):
         """Go on at another speed, from the time of the bag that it is now."""

@@ -41,6 +41,7 @@ from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.tracked_frame import TrackerState
+from selfcal_ros.rorapid.visibility import check_size
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -117,12 +118,12 @@ class RorapidNode(Node):
 
     def _check_change(self, new: RorapidTrackerParameters):
         """Refuse parameters that contradict each other, or ask for what is not installed."""
-        tracker_options(new)
+        check_size(self._model, *tracker_options(new).control_points)
         if new.publish_tf:
             self._transform_type()
 
     def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters):
-        """Do what changed parameters say; the tracker goes on from where the object is."""
+        """Do what changed parameters say; the tracker goes on with all that it has learned."""
         self._silence.limit_s = new.silence_s
         options = tracker_options(new)
         if options != tracker_options(old):
@@ -180,7 +181,7 @@ class RorapidNode(Node):
             session.start(rotation, translation)
             self._start = rotation, translation
 
-        self._worker.command(begin)
+        self._worker.command(begin, anew=True)
 
     def _on_start(self, _, response):
         if self._start is None:
@@ -193,7 +194,7 @@ class RorapidNode(Node):
         return response
 
     def _on_reset(self, _, response):
-        self._worker.command(lambda session: session.reset(forget_pose=True))
+        self._worker.command(lambda session: session.reset(forget_pose=True), anew=True)
         self._say('waiting for a start pose')
         self._clear_markers()
         self._newest = None

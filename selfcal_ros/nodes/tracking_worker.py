@@ -86,16 +86,30 @@ class TrackingWorker:
         self._commands = deque()
         self._image = None
         self._results = deque()
+        self._begun = 0
         self._stopped = False
         self.dropped = 0
         self._thread = threading.Thread(target=self._work, daemon=True, name='tracking')
         self._thread.start()
 
-    def command(self, action: Callable) -> None:
-        """Queue action(session), to be done before the next image."""
+    def command(self, action: Callable, anew: bool = False) -> None:
+        """
+        Queue action(session), to be done before the next image.
+
+        Parameters
+        ----------
+        action : callable
+        anew : bool
+            It is a reset or another start: of images from before it nothing comes out any more.
+
+        """
         with self._wake:
             self._commands.append(action)
-            # an image from before a reset or a new start is of no use after it
+            if anew:
+                self._begun += 1
+                self.dropped += self._image is not None
+                self._image = None
+                self._results = deque(one for one in self._results if isinstance(one, str))
             self._wake.notify()
 
     def submit(self, msg, with_overlay: bool) -> None:
@@ -107,10 +121,8 @@ class TrackingWorker:
 
     def poll(self) -> TrackedImage | str | None:
         """Return what is done: an image, or the sentence of a command that failed."""
-        try:
-            return self._results.popleft()
-        except IndexError:
-            return None
+        with self._wake:
+            return self._results.popleft() if self._results else None
 
     def stop(self) -> None:
         """End the thread; waits for the image at hand, but not for long."""
@@ -128,21 +140,28 @@ class TrackingWorker:
                 commands = list(self._commands)
                 self._commands.clear()
                 job, self._image = self._image, None
+                begun = self._begun
             for action in commands:
                 self._do(action)
             if job is not None:
-                self._results.append(self._track(*job))
+                self._tell(self._track(*job), begun)
             if not self._stopped:
                 self._ready()
+
+    def _tell(self, result, begun: int | None = None):
+        """Hand a result over, unless it is of an image from before a new beginning."""
+        with self._wake:
+            if begun in (None, self._begun):
+                self._results.append(result)
 
     def _do(self, action):
         try:
             action(self._session)
         except SelfcalError as error:
-            self._results.append(str(error))
+            self._tell(str(error))
         except Exception as error:  # the thread must live, and the fault must be seen
             traceback.print_exc()
-            self._results.append(_fault(error))
+            self._tell(_fault(error))
 
     def _track(self, msg, with_overlay: bool) -> TrackedImage:
         began, tracked, problem, picture = time.perf_counter(), None, '', None

@@ -19,10 +19,37 @@ from msg_adapters.camera_info import camera_info_message
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import NameValidationException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rclpy.validate_topic_name import validate_topic_name
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from sensor_msgs.srv import SetCameraInfo
 
 SERVICE_TYPE = 'sensor_msgs/srv/SetCameraInfo'
+
+
+def check_service(node, service: str) -> None:
+    """
+    Refuse what cannot be the name of a service of a node; none is fine.
+
+    Raises
+    ------
+    ArgumentError
+        It says what is wrong with the name.
+
+    """
+    if not service:
+        return
+    try:
+        validate_topic_name(service, is_service=True)
+        validate_full_topic_name(expand_topic_name(service, node.get_name(), node.get_namespace()),
+                                 is_service=True)
+    except (NameValidationException, ValueError) as error:
+        why = str(error).partition('\n')[0].rstrip(':')
+        raise ArgumentError(f'The parameter set_camera_info_service cannot be {service!r}: {why}.'
+                            ) from None
 
 
 class CameraInfoUpload:
@@ -35,9 +62,15 @@ class CameraInfoUpload:
     service : str
         Name of the service, as ROS resolves it; empty: nothing is uploaded.
 
+    Raises
+    ------
+    ArgumentError
+        If there cannot be a service of this name.
+
     """
 
     def __init__(self, node, service: str):
+        check_service(node, service)
         self._node = node
         self._client = node.create_client(
             SetCameraInfo, service,

@@ -45,6 +45,7 @@ class SessionSnapshot:
     estimates: int
     resets: int
     estimating: bool
+    abandoned: bool
     calibration: Calibration | None
     failure: NotCalibrated | None
 
@@ -83,6 +84,7 @@ class CalibrationSession:
         self._estimates = 0
         self._estimating = False
         self._held = self._abandoned = self._settled = self._from_scratch = False
+        self._wished = False
         self._calibration = None
         self._failure = None
 
@@ -96,8 +98,7 @@ class CalibrationSession:
         old, self.settings = self.settings, settings
         if self._selector is not None:
             self._selector.displacement_px = self._parallax_px
-        while len(self._keyframes) > settings.max_keyframes:
-            self._thin_out()
+        self._thin_out()
         if (old.motion, old.facts) != (settings.motion, settings.facts):
             self._new_keyframes = len(self._keyframes)
             self._abandoned = self._estimating
@@ -160,8 +161,7 @@ class CalibrationSession:
         if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
             self._keyframes.append(frame)
             self._new_keyframes += 1
-            if len(self._keyframes) > self.settings.max_keyframes:
-                self._thin_out()
+            self._thin_out()
         return reason
 
     def expect(self, stamp_ns: int, image_size: tuple[int, int]) -> str:
@@ -204,17 +204,29 @@ class CalibrationSession:
 
     def _thin_out(self):
         """
-        Drop the keyframe that is missed least.
+        Drop the keyframes that are too many, first the one that is missed least.
 
         That is the one whose neighbours share the most points: the chain of views stays
         connected, and the views stay spread over the whole drive. Where every gap is too wide
         already, the oldest goes.
         """
-        frames = self._keyframes
-        shared = [np.intersect1d(before.ids, after.ids, assume_unique=True).size
-                  for before, after in zip(frames[:-2], frames[2:])]
-        widest = int(np.argmax(shared))
-        del frames[widest + 1 if shared[widest] >= self.settings.min_common else 0]
+        frames, most = self._keyframes, self.settings.max_keyframes
+        if len(frames) <= most:
+            return
+
+        def shared_around(middle):
+            return np.intersect1d(frames[middle - 1].ids, frames[middle + 1].ids,
+                                  assume_unique=True).size
+
+        # of the neighbours of all but the first and the last
+        shared = [shared_around(middle) for middle in range(1, len(frames) - 1)]
+        while len(frames) > most:
+            widest = int(np.argmax(shared))
+            gone = widest + 1 if shared[widest] >= self.settings.min_common else 0
+            del frames[gone], shared[max(gone - 1, 0)]
+            for middle in (gone - 1, gone):
+                if gone and 0 < middle < len(frames) - 1:
+                    shared[middle - 1] = shared_around(middle)
 
     def is_due(self, idle: bool = False) -> bool:
         """
@@ -227,6 +239,8 @@ class CalibrationSession:
 
         """
         kept = len(self._keyframes)
+        if self._wished and not self._estimating:
+            return kept >= 3
         if self._estimating or kept < self.settings.first_estimate or not self._new_keyframes:
             return False
         if self._held or self._settled:
@@ -237,7 +251,7 @@ class CalibrationSession:
 
     def hold(self) -> None:
         """Keep the calibration until `keep_since` or `reset`: no estimate comes by itself."""
-        self._held, self._abandoned = True, self._estimating
+        self._held, self._abandoned, self._wished = True, self._estimating, False
 
     def keep_since(self, index: int) -> None:
         """
@@ -260,13 +274,15 @@ class CalibrationSession:
         Returns
         -------
         EstimateRequest or None
-            None while an estimate is under way, or with fewer than three keyframes.
+            None while an estimate is under way, or with fewer than three keyframes. Where the
+            result of the one under way will be dropped, another is due after it.
 
         """
         frames = self._keyframes
         if self._estimating or len(frames) < 3:
+            self._wished = self._abandoned and len(frames) >= 3
             return None
-        self._estimating = True
+        self._estimating, self._wished = True, False
         self._new_keyframes = 0
         tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
                         np.concatenate([f.ids for f in frames]),
@@ -310,7 +326,8 @@ class CalibrationSession:
             frames=self._frames, keyframes=len(self._keyframes),
             new_keyframes=self._new_keyframes, points=self._newest_points,
             image_size=self._image_size, estimates=self._estimates, resets=self._generation,
-            estimating=self._estimating, calibration=self._calibration, failure=self._failure)
+            estimating=self._estimating, abandoned=self._abandoned,
+            calibration=self._calibration, failure=self._failure)
 
 
 def _is_precise(calibration: Calibration) -> bool:

@@ -14,16 +14,16 @@
 """
 Run one function over many jobs: in processes of this machine, or on a Dask cluster.
 
-A job that fails is a value; one that takes its process with it (out of memory, a crash in a
-decoder) costs its own result and nobody else's. Every process computes with one thread: many jobs
-share the cores better than many threads in each.
+A job that fails is a value, also where it cannot even begin; one that takes its process with it
+(out of memory, a crash in a decoder) costs its own result and nobody else's. Every process
+computes with one thread: many jobs share the cores better than many threads in each.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, ExitStack
 from functools import partial
@@ -31,6 +31,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import time
 
 from selfcal_ros.errors import ArgumentError, InputError
 
@@ -44,6 +45,8 @@ _LOCAL_DASK = {'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': Non
                'distributed.worker.profile.enabled': False,
                # a job whose worker dies runs again, alone, and not four times among others
                'distributed.scheduler.allowed-failures': 0}
+#: A cluster without any worker for so long is given up, seconds: some start them on demand.
+NO_WORKERS_S = 60.0
 CRASHED = 'its process died, as for want of memory or from a file that crashes a decoder.'
 
 
@@ -77,14 +80,14 @@ def run_jobs(function: Callable, jobs: list, *, engine: str = 'processes',
     int
         Number of the job.
     object
-        Its value, None if its process died.
+        Its value; None if its process died, the exception if it raised one or could not be begun.
 
     Raises
     ------
     ArgumentError
         If the engine is unknown or not installed, or the options contradict each other.
     InputError
-        If the scheduler cannot be reached.
+        If the scheduler cannot be reached, or it or all its workers are lost on the way.
 
     """
     if engine not in ENGINES:
@@ -147,8 +150,10 @@ def _in_processes(function, jobs, workers) -> Iterator[tuple]:
                         future = pool.submit(function, jobs[queue[0]])
                         running[future] = queue.popleft()
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        value = future.result()
-                        yield running.pop(future), value
+                        failure = future.exception()
+                        if isinstance(failure, BrokenProcessPool):
+                            raise failure
+                        yield running.pop(future), failure or future.result()
             except BrokenProcessPool:
                 if alone:
                     yield from ((number, None) for number in running.values())
@@ -167,7 +172,7 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
     """Run on a cluster; jobs whose worker died run again, each alone."""
     try:
         import dask
-        from dask.distributed import as_completed, Client, LocalCluster
+        from dask.distributed import as_completed, Client, KilledWorker, LocalCluster
     except ImportError:
         raise ArgumentError('--engine dask needs Dask, which is not installed: pip install '
                             '"selfcal_ros[dask]".') from None
@@ -192,17 +197,19 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         futures = client.map(partial(_run_with_one_thread, function), jobs, pure=False, retries=0)
         numbers = {future.key: number for number, future in enumerate(futures)}
         # each result is let go of as soon as it is here
-        futures = as_completed(futures)
-        for future in futures:
-            if _finishes(future, scheduler):
-                yield numbers[future.key], future.result()
-            else:
+        futures = as_completed(futures, with_results=True, raise_errors=False)
+        for key, value in _arriving(client, futures, scheduler):
+            if isinstance(value, KilledWorker):
                 # also those that only waited on a worker when another job took it away
-                suspects.append(numbers[future.key])
+                suspects.append(numbers[key])
+            else:
+                yield numbers[key], value
         for number in suspects:
             future = client.submit(_run_with_one_thread, function, jobs[number], pure=False,
                                    retries=0)
-            yield number, future.result() if _finishes(future, scheduler) else None
+            futures = as_completed([future], with_results=True, raise_errors=False)
+            for _, value in _arriving(client, futures, scheduler):
+                yield number, None if isinstance(value, KilledWorker) else value
 
 
 def _connected(make_client, scheduler: str):
@@ -221,16 +228,28 @@ def _connected(make_client, scheduler: str):
     return client
 
 
-def _finishes(future, scheduler: str | None) -> bool:
-    """Wait for a job; tell whether its worker came to the end of it."""
-    try:
-        failure = future.exception()
-    except CancelledError:
-        failure = None
-    if future.cancelled():
-        raise InputError(f'The Dask scheduler {scheduler or "of this machine"} was lost on the '
-                         'way; what was finished before is there.')
-    return failure is None
+def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
+    """Yield key, and value or exception, of each job that ends, while there is who runs it."""
+    name = scheduler or 'of this machine'
+    looked = seen = time.monotonic()
+    while not futures.is_empty():
+        if futures.has_ready():
+            future, value = next(futures)
+            if future.cancelled():
+                raise InputError(f'The Dask scheduler {name} was lost on the way; what was '
+                                 'finished before is there.')
+            yield future.key, future.exception() if future.status == 'error' else value
+            continue
+        time.sleep(0.02)
+        now = time.monotonic()
+        if now - looked > 1:
+            looked = now
+            if client.scheduler_info()['workers']:
+                seen = now
+            elif now - seen > NO_WORKERS_S:
+                raise InputError(f'The Dask scheduler {name} has had no workers for '
+                                 f'{NO_WORKERS_S:.0f} s; start some and run again. What was '
+                                 'finished before is there.')
 
 
 def _run_with_one_thread(function, job):

@@ -248,7 +248,7 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
     jobs = [Job(str(path), settings) for path in paths]
     for done, (number, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
         path = jobs[number].path
-        found[number] = value or [Outcome(path, error=f'{path}: {CRASHED}')]
+        found[number] = _outcomes(path, value)
         for outcome in found[number] if each else ():
             each(outcome)
         if progress:
@@ -261,6 +261,14 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
     cameras = tuple(_summarise(group, settings, engine, progress) for group in groups.values())
     failures = tuple(outcome for outcome in outcomes if not outcome.image_size)
     return Summary(cameras, failures, time.monotonic() - began)
+
+
+def _outcomes(path: str, value) -> list[Outcome]:
+    """Turn what `run_jobs` yields into outcomes, also where there is no value."""
+    if isinstance(value, BaseException):
+        why = ' '.join(f'{type(value).__name__}: {value}'.split())
+        return [Outcome(path, error=f'{path}: it could not be run there ({why:.200}).')]
+    return value or [Outcome(path, error=f'{path}: {CRASHED}')]
 
 
 def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummary:
@@ -287,7 +295,7 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
         for number in again:
             del results[number]
         for done, (place, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
-            result = value[0].result if value else None
+            result = _outcomes(jobs[place].path, value)[0].result
             if result and np.isfinite(result.covariance).all():
                 results[again[place]] = result
             if progress:

@@ -29,6 +29,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
 from selfcal_ros.rorapid.tracker import (RorapidTracker, TrackedFrame, TrackerOptions,
                                          TrackerState)
+from selfcal_ros.rorapid.visibility import check_size
 
 #: Smaller images than this hold no object that could be followed.
 MINIMUM_SIDE_PX = 16
@@ -77,12 +78,19 @@ class TrackingSession:
     seed : int
         Of the samples of RANSAC: the same images give the same poses.
 
+    Raises
+    ------
+    ArgumentError
+        If there are too many control points for the model; so do `set_camera` and `set_options`,
+        which change nothing then.
+
     """
 
     def __init__(self, model, options: TrackerOptions | None = None, camera: Camera | None = None,
                  seed: int = 0):
         self.model = model
         self.options = TrackerOptions() if options is None else options
+        check_size(model, *self.options.control_points)
         self._seed = seed
         self._camera = None
         self._tracker = None
@@ -119,7 +127,9 @@ class TrackingSession:
 
     def set_camera(self, camera: Camera) -> bool:
         """
-        Take a calibration; the object is followed on from where it is.
+        Take a calibration; the object is followed on, or sought, from where it is.
+
+        What it looks like is learned anew.
 
         Returns
         -------
@@ -132,27 +142,30 @@ class TrackingSession:
                 np.array_equal(old.K, camera.K) and \
                 np.array_equal(old.distortion, camera.distortion):
             return False
-        self._camera = camera
-        self._follow_on()
+        self._take(camera, self.options)
         return True
 
     def set_options(self, options: TrackerOptions) -> None:
-        """Take other settings; the object is followed on from where it is."""
+        """Take other settings; the object is followed on, or sought, from where it is."""
         if options == self.options:
             return
+        check_size(self.model, *options.control_points)
+        if self._tracker is not None and not self._tracker.adopt(options):
+            self._take(self._camera, options)
         self.options = options
-        if self._camera is not None:
-            self._follow_on()
 
-    def _follow_on(self) -> None:
-        """Make a tracker for camera and settings; it has yet to see what the object looks like."""
-        self._tracker = RorapidTracker(self.model, self._camera, self.options,
-                                       rng=np.random.default_rng(self._seed))
-        pose = self._start
-        if self._newest:
-            pose = self._newest.rotation, self._newest.translation
-        if pose is not None:
-            self._tracker.start(*pose)
+    def _take(self, camera: Camera, options: TrackerOptions) -> None:
+        """Make another tracker; where that fails, the old one stays and what belongs to it."""
+        tracker = RorapidTracker(self.model, camera, options,
+                                 rng=np.random.default_rng(self._seed))
+        newest = self._newest
+        if {'tracking', 'degraded'} & set(self._by_state):
+            # of an object that is lost since it is the last good pose
+            tracker.start(newest.rotation, newest.translation, focal_px=newest.focal_px,
+                          lost=newest.state is TrackerState.LOST)
+        elif self._start is not None:
+            tracker.start(*self._start)
+        self._tracker, self._camera, self.options = tracker, camera, options
 
     def start(self, rotation, translation) -> None:
         """

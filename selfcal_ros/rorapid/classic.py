@@ -44,11 +44,15 @@ class ClassicCycle:
 
     def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
         """Start with full weights and the nearest search; it widens where nothing is found."""
-        self.control, self.basis, self.options, self.rng = control, basis, options, rng
+        self.basis, self.rng = basis, rng
+        self._lay_out(options, control)
+        self.reset()
+
+    def _lay_out(self, options: TrackerOptions, control: ControlModel) -> None:
+        """Number the control points, and read the settings."""
+        self.options, self.control = options, control
         self.robust = options.method == 'rorapid'
         primitives = len(control.is_conic)
-        self._weight = np.ones(control.size)
-        self._reach = np.full(primitives, float(options.search_least_px))
         self._least = np.where(control.is_conic, options.least_per_conic, options.least_per_line)
         # place of each control point in its primitive
         counts = np.where(control.is_conic, options.control_points_per_conic,
@@ -60,13 +64,20 @@ class ClassicCycle:
 
     def reset(self) -> None:
         """Forget weights and ranges."""
-        self._weight[:] = 1
-        self._reach[:] = self.options.search_least_px
+        self._weight = np.ones(self.control.size)
+        self._reach = np.full(len(self._least), float(self.options.search_least_px))
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
         self.basis = basis
         self.control.projection.become(camera_model)
+
+    def adopt(self, options: TrackerOptions, control: ControlModel) -> None:
+        """Go on by other settings, and with control points that may lie elsewhere."""
+        nearest = control.visible_model.nearest_in(self.control.visible_model)
+        self._lay_out(options, control)
+        self._weight = self._weight[nearest]
+        self._reach = self._reach.clip(options.search_least_px, options.search_most_px)
 
     def measure(self, image: np.ndarray, predicted: ObjectState, spread=None) -> Measured:
         """Search from the predicted state and correct it once."""

@@ -90,6 +90,13 @@ class ModernCycle:
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
+    def adopt(self, options: TrackerOptions, control: ControlModel) -> None:
+        """Go on by other settings, and with control points that may lie elsewhere."""
+        self.options = self._edges.options = options
+        self._use_texture = options.texture and options.camera_model != 'affine'
+        nearest = control.visible_model.nearest_in(self.control.visible_model)
+        self.control, self._edges.contrast = control, self._edges.contrast[nearest]
+
     def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool, spread):
         """
         Propose other states, one at a time, the cheapest first.

@@ -168,3 +168,16 @@ class PlaneLearner:
         if np.trace(along) > 0.01 * np.trace(information):
             common = 0.5 * noise_r / max(np.trace(self._turns) / self._count, 1e-12)
         return LearnedPlane(axis, float(np.sqrt(1 / gap + common)))
+
+
+def recentring(arm: np.ndarray) -> np.ndarray:
+    """
+    Carry (theta, Delta) at the object's middle to its own origin, (6, 6).
+
+    The middle moves by Delta and the origin lies at -arm from it: it moves by
+    Delta - theta x arm.
+    """
+    x, y, z = arm.tolist()
+    carry = np.eye(6)
+    carry[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    return carry

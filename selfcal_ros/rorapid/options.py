@@ -155,3 +155,19 @@ class TrackerOptions:
         if self.camera_model == 'affine' and self.motion == 'planar':
             raise ArgumentError('The affine camera has no rotation that planar motion could '
                                 'restrict; use weak perspective, or general motion.')
+
+    @property
+    def control_points(self) -> tuple[int, int]:
+        """Control points on each line and on each conic."""
+        return self.control_points_per_line, self.control_points_per_conic
+
+    @property
+    def built_in(self) -> tuple:
+        """What a tracker cannot change once it is made; the rest it reads from image to image."""
+        return (self.method, self.camera_model, self.motion, self.plane_axis, self.texture_points,
+                self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)
+
+    @property
+    def seeks(self) -> bool:
+        """Whether an object that is lost is sought."""
+        return self.method == 'modern' and self.recovery

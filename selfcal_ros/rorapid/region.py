@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 
 #: The region of interest is halved until its longer side is shorter than this, pixels.
@@ -129,3 +130,27 @@ def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
                           interpolation=cv2.INTER_AREA)
         corner = corner + (step - 1) / 2
     return Region(np.ascontiguousarray(part), corner, scale)
+
+
+def checked_grey(image, camera: Camera) -> np.ndarray:
+    """
+    Return an image in grey, (H, W) uint8.
+
+    Raises
+    ------
+    InputError
+        If it is not of the camera's size, or neither grey nor BGR of 8 bits.
+
+    """
+    image = np.asarray(image)
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
+            image.ndim == 3 and image.shape[2] != 3) or not image.size:
+        raise InputError('The tracker takes grey or BGR images of 8 bits, not '
+                         f'{image.dtype} of shape {image.shape}.')
+    height, width = image.shape[:2]
+    if camera.width and camera.height and (width, height) != (camera.width, camera.height):
+        raise InputError(f'The image is {width}x{height} pixels, the camera '
+                         f'{camera.width}x{camera.height}; they do not belong together.')
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.ascontiguousarray(image)

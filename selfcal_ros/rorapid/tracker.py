@@ -15,18 +15,20 @@
 
 from __future__ import annotations
 
-import cv2
+from dataclasses import replace
+
 import numpy as np
 
-from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.classic import ClassicCycle
 from selfcal_ros.rorapid.control import ControlModel, Measured
 from selfcal_ros.rorapid.filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.modern import ModernCycle
-from selfcal_ros.rorapid.motion import completed, motion_basis, PlaneLearner
+from selfcal_ros.rorapid.motion import completed, motion_basis, PlaneLearner, recentring
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection import Projection
+from selfcal_ros.rorapid.region import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.visibility import VisibleModel
 
@@ -71,36 +73,27 @@ class RorapidTracker:
         self.model, self.camera = model, camera
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
-        self._visible = VisibleModel(model, options.control_points_per_line,
-                                     options.control_points_per_conic)
+        self._visible = VisibleModel(model, *options.control_points)
         self._plane = PlaneLearner()
         self._axis = options.plane_axis
-        self._build(options.camera_model)
-        self._filter = None
-        self._state = TrackerState.LOST
-        self._stamp_ns = None
-
-    def _build(self, camera_model: str) -> None:
-        """Make the parts that depend on the camera model and on the motion model."""
-        options = self.options
-        self._camera_model = camera_model
-        self._projection = Projection(self.camera, camera_model)
+        self._camera_model = options.camera_model
+        self._projection = Projection(camera, options.camera_model)
         self._lay_basis()
-        size = (self.camera.width or 1 << 30, self.camera.height or 1 << 30)
+        size = (camera.width or 1 << 30, camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
         cycle = ModernCycle if options.method == 'modern' else ClassicCycle
         self._cycle = cycle(self._control, self._basis, options, self._rng)
-        self._seeks = options.method == 'modern' and options.recovery
+        self._filter = None
+        self._state, self._stamp_ns = TrackerState.LOST, None
 
     def _lay_basis(self) -> None:
         """Lay out the corrections that motion and camera model allow."""
-        options = self.options
-        motion = options.motion
+        motion = self.options.motion
         if motion == 'planar' and self._axis is None:
             motion = 'general'                # until the plane is learned
         self._basis = motion_basis(motion, self._projection.size, self._axis)
         self._free = self._basis.shape[1]
-        if options.method == 'modern':
+        if self.options.method == 'modern':
             # what the motion does not change is estimated all the same, from all images
             self._basis = completed(self._basis)
 
@@ -120,12 +113,36 @@ class RorapidTracker:
             self._lay_basis()
             self._cycle.switch(self._basis, self._camera_model)
         self._filter = None
-        self._state = TrackerState.LOST
-        self._stamp_ns = None
+        self._state, self._stamp_ns = TrackerState.LOST, None
 
-    def start(self, rotation, translation, covariance=None) -> None:
+    def adopt(self, options: TrackerOptions) -> bool:
         """
-        Take a guess of the pose; the state becomes INITIALISING.
+        Go on by other settings, with all that was learned: pose, velocity, zoom, plane, looks.
+
+        Returns
+        -------
+        bool
+            False, and nothing has changed, where it takes a new tracker (`built_in` differs).
+
+        Raises
+        ------
+        ArgumentError
+            If there were too many control points; nothing has changed then, either.
+
+        """
+        if options.built_in != self.options.built_in:
+            return False
+        if options.control_points != self.options.control_points:
+            self._visible = VisibleModel(self.model, *options.control_points)
+            self._control = ControlModel(self._visible, self._projection, self._control.image_size)
+        self.options = options
+        self._cycle.adopt(options, self._control)
+        return True
+
+    def start(self, rotation, translation, covariance=None, focal_px: float | None = None,
+              lost: bool = False) -> None:
+        """
+        Take a guess of the pose; the state becomes INITIALISING, or LOST.
 
         Parameters
         ----------
@@ -134,6 +151,10 @@ class RorapidTracker:
             Metres, object before the camera.
         covariance : array_like, shape (6, 6), optional
             Of the guess, (tx ty tz rx ry rz).
+        focal_px : float, optional
+            fx where a zoom stands; that of the camera by default.
+        lost : bool
+            The object was last seen there, and is to be sought.
 
         Raises
         ------
@@ -162,13 +183,17 @@ class RorapidTracker:
             spread = np.asarray(covariance, float)
             if spread.shape != (6, 6) or not np.isfinite(spread).all():
                 raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
-            carry = _recentring(rotation @ self._control.centre)
-            spread = np.linalg.inv(carry) @ spread[_TURN_LAST] @ np.linalg.inv(carry).T
-            spread = spread + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+            back = np.linalg.inv(recentring(rotation @ self._control.centre))
+            spread = back @ spread[_TURN_LAST] @ back.T
+            spread += np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
         state = self._projection.from_pose(rotation, centred)
+        if focal_px is not None and self._camera_model == 'zoom':
+            state = replace(state, zoom=focal_px / self.camera.K[0, 0])
         self._start_filter(state, spread)
-        self._state = TrackerState.INITIALISING
+        self._state = TrackerState.LOST if lost else TrackerState.INITIALISING
         self._misses, self._open, self._stamp_ns, self._good = 0, 0, None, None
+        if lost:
+            self._filter.restart(state, self._wide(state))
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
@@ -227,7 +252,8 @@ class RorapidTracker:
         """
         if self._filter is None:
             raise ArgumentError('The tracker needs a start pose before the first image.')
-        image = self._grey(image)
+        image = checked_grey(image, self.camera)
+        self._control.image_size = image.shape[::-1]
         seconds = self._elapsed(stamp_ns)
         lost = self._state is TrackerState.LOST
         first = self._state is TrackerState.INITIALISING
@@ -238,7 +264,7 @@ class RorapidTracker:
             measured = self._cycle.settle(image, predicted, spread)
         else:
             measured = self._cycle.measure(image, predicted, spread)
-        if not first and self._seeks and not measured.certain and (
+        if not first and self.options.seeks and not measured.certain and (
                 lost or measured.share < self.options.tracking_share):
             measured = self._seek(image, measured, lost)
         return self._judge(measured, stamp_ns)
@@ -297,23 +323,6 @@ class RorapidTracker:
         self._filter.covariance[:m, :m] = B.T @ full[:size, :size] @ B + 1e-12 * np.eye(m)
         self._filter.velocity = B.T @ velocity[:size]
         self._filter.velocity[self._free:] = 0
-
-    def _grey(self, image):
-        """Check an image and make it grey."""
-        image = np.asarray(image)
-        if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
-                image.ndim == 3 and image.shape[2] != 3) or not image.size:
-            raise InputError('The tracker takes grey or BGR images of 8 bits, not '
-                             f'{image.dtype} of shape {image.shape}.')
-        height, width = image.shape[:2]
-        camera = self.camera
-        if camera.width and camera.height and (width, height) != (camera.width, camera.height):
-            raise InputError(f'The image is {width}x{height} pixels, the camera '
-                             f'{camera.width}x{camera.height}; they do not belong together.')
-        self._control.image_size = (width, height)
-        if image.ndim == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        return np.ascontiguousarray(image)
 
     def _elapsed(self, stamp_ns):
         """Seconds since the last image."""
@@ -374,7 +383,7 @@ class RorapidTracker:
         arm = state.rotation @ self._control.centre
         B = self._basis
         full = B @ self._filter.spread @ B.T
-        carry = _recentring(arm)
+        carry = recentring(arm)
         pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
         view = measured.view if accepted and measured.with_prior else self._control.again(
             measured.view, state)
@@ -388,16 +397,3 @@ class RorapidTracker:
             focal, sigma, self._camera_model, view.projected.pixels, view.normal, edge, found,
             np.isfinite(edge) & ~found, ~view.searched, view.primitive, measured.texture_px, rms,
             measured.share, innovation, stamp_ns)
-
-
-def _recentring(arm: np.ndarray) -> np.ndarray:
-    """
-    Carry (theta, Delta) at the object's middle to its own origin, (6, 6).
-
-    The middle moves by Delta and the origin lies at -arm from it: it moves by
-    Delta - theta x arm.
-    """
-    x, y, z = arm.tolist()
-    carry = np.eye(6)
-    carry[3:, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
-    return carry

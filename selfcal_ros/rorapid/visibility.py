@@ -78,6 +78,22 @@ class ControlPoints:
         return len(self.ids)
 
 
+def check_size(model: WireframeModel, control_points_per_line: int, per_conic: int) -> None:
+    """
+    Refuse what would take too long: every control point is tested against every triangle.
+
+    Raises
+    ------
+    ArgumentError
+        If there were more than `MOST_TESTS` tests.
+
+    """
+    points = control_points_per_line * len(model.lines) + per_conic * len(model.conics)
+    if points * len(model.triangles) > MOST_TESTS:
+        raise ArgumentError(f'{points} control points and {len(model.triangles)} triangles are '
+                            'too many to be tested; simplify the model, or use fewer points.')
+
+
 class VisibleModel:
     """
     A model with control points on its primitives.
@@ -106,6 +122,7 @@ class VisibleModel:
         """Lay out the control points."""
         if control_points_per_line < 1 or per_conic < 1:
             raise ArgumentError('There must be at least one control point on each primitive.')
+        check_size(model, control_points_per_line, per_conic)
         self.model = model
         self.min_visible = int(min_visible)
         n = int(control_points_per_line)
@@ -149,9 +166,6 @@ class VisibleModel:
         self.end_m = np.concatenate([ends_m[:L].ravel(), np.full(K * per_conic, np.inf),
                                      ends_m[L:].ravel()])
         self._corners = model.vertices[model.triangles]
-        if self._static * len(self._corners) > MOST_TESTS:
-            raise ArgumentError(f'{self._static} control points and {len(self._corners)} '
-                                'triangles are too many to be tested; simplify the model.')
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
@@ -179,6 +193,13 @@ class VisibleModel:
             for j, face in enumerate(around[1:], start=1):
                 sides[k, j] = self.model.into_face(k, face)
         return sides
+
+    def nearest_in(self, other: VisibleModel) -> np.ndarray:
+        """Return the number of the control point in another layout that lies nearest to each."""
+        primitive = self._primitive
+        place = np.arange(self.size) - self._first[primitive] + 0.5
+        along = place / self._counts[primitive] * other._counts[primitive]
+        return other._first[primitive] + along.astype(int)
 
     def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None,
                triangles=None) -> np.ndarray:

@@ -31,12 +31,6 @@ GRID = TsaiGrid(3, 3, 0.04, 0.03, 0.03)
 WHAT = 'tsai:3x3:0.04:0.03:0.03'
 
 
-@pytest.fixture(autouse=True)
-def in_tmp(tmp_path, monkeypatch):
-    """Let default outputs land in the temporary folder."""
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture(scope='module')
 def pictures(tmp_path_factory):
     """Write two images of a grid, and one of nothing."""

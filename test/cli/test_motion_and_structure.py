@@ -28,12 +28,6 @@ BAG = Path(__file__).resolve().parents[2] / 'bags' / 'arm_move'
 SIZE = ['--image-size', '640', '480', '--distortion', 'none']
 
 
-@pytest.fixture(autouse=True)
-def in_tmp(tmp_path, monkeypatch):
-    """Let default outputs land in the temporary folder."""
-    monkeypatch.chdir(tmp_path)
-
-
 def vertices(path):
     """Read position and colour of each vertex."""
     header, _, body = Path(path).read_bytes().partition(b'end_header\n')

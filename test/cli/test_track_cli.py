@@ -16,10 +16,10 @@
 import json
 from pathlib import Path
 
+from command_line import selfcal
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.cli import main as command
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.report.poses_csv import read_poses
@@ -31,20 +31,6 @@ ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / 'bags' / 'tracked_object'
 OBJECT = ['--model', f'{BAG}.model.yaml', '--init', f'{BAG}.pos']
 CAMERA = ['--camera', f'{BAG}.camera.yaml']
-
-
-@pytest.fixture(autouse=True)
-def in_tmp(tmp_path, monkeypatch):
-    """Let default outputs land in the temporary folder."""
-    monkeypatch.chdir(tmp_path)
-
-
-def selfcal(*arguments):
-    """Run the command in this process; returns the exit status."""
-    try:
-        return command.main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return stop.code
 
 
 def test_the_recorded_object_is_tracked_to_its_end(capsys):

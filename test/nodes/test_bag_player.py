@@ -112,3 +112,17 @@ def test_compressed_images_go_to_the_compressed_topic(graph, bag, tmp_path):
     graph.wait_for(player.finished.done)
     graph.wait_for(lambda: len(images) == 3)
     assert images == recorded(tmp_path / 'small', CompressedImage)
+
+
+def test_a_player_that_has_finished_stays_so_and_says_so(graph, bag):
+    graph = graph('-p', f'bag:={bag}', '-p', 'rate:=20.0')
+    images = graph.listen(Image, 'image', 100)
+    player = graph.add(BagPlayer())
+    graph.wait_for(player.finished.done)
+    graph.wait_for(lambda: len(images) == 12)
+    for values in ({'loop': True}, {'rate': 1.0}):
+        refused, = graph.set_parameters('bag_player', **values)
+        assert 'played to its end' in refused
+    # in company it lives on
+    graph.spin_for(0.3)
+    assert len(images) == 12

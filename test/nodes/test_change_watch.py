@@ -14,6 +14,7 @@
 """A calibrator whose camera is zoomed on the way: it warns, keeps its calibration, and obeys."""
 
 import json
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.message_types import rclpy_types
@@ -54,7 +55,7 @@ class ZoomedDrive:
         self.tracks = [observe(rng, self.after if k >= ZOOMED_AT else self.before,
                                sequence.cam_from_world[k:k + 1], sequence.points, 0.1, True,
                                seen[k:k + 1]).tracks for k in range(VIEWS)]
-        graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+        self.node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 100)
         self.infos = graph.listen(CameraInfo, 'camera_info', 100)
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)
@@ -151,8 +152,11 @@ def test_the_monitor_is_switched_and_set_while_the_node_runs(zoomed):
     # another threshold does not take back what was noticed
     change(false_alarm_keyframes=1e5)
     zoomed.wait_for_status(lambda level, message, values: level == b'\x01', 'the alarm still')
-    # without a monitor there is no alarm, and estimates go on from what came since
+    # without a monitor there is no alarm, and estimates go on from what came since: it is told
+    said = []
+    zoomed.node._watch._logger = SimpleNamespace(warning=said.append)
     change(monitor=False)
+    assert 'replace the calibration' in said[0]
     zoomed.publish(range(60, VIEWS))
     change(first_estimate=6)
     change(idle_s=0.1)

@@ -121,3 +121,26 @@ def test_help_tells_what_a_node_has(name, monkeypatch, capsys):
     for words in ([] if name == 'all_nodes' else [
             *PARAMETERS[name].__dataclass_fields__, *(e.name for e in INTERFACES[name])]):
         assert words in said
+
+
+def test_a_fault_in_a_change_is_told_and_costs_no_node(graph, monkeypatch):
+    graph = graph()
+    node = graph.add(Node('some_node'))
+    node.parameters = declare(node, RorapidTrackerParameters)
+    said = []
+    monkeypatch.setattr(type(node.get_logger()), 'error', lambda self, text: said.append(text))
+
+    def check(new):
+        if new.silence_s > 50:
+            raise KeyError('unforeseen')
+
+    def apply(new, old):
+        raise ZeroDivisionError('unforeseen, too')
+
+    follow(node, check, apply)
+    refused, = graph.set_parameters('some_node', silence_s=100.0)
+    assert "The change failed (KeyError: 'unforeseen'); please report" in refused
+    assert node.parameters.silence_s == 5.0
+    assert graph.set_parameters('some_node', silence_s=10.0) == ['']
+    assert 'ZeroDivisionError: unforeseen, too' in said[-1] and 'Traceback' in said[-2]
+    assert node.parameters.silence_s == 10.0

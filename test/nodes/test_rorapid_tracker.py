@@ -287,3 +287,29 @@ def test_interface_is_what_is_written(graph, model):
     expected = {end for end in written('rorapid_tracker') if end[1] != '/tf'}
     assert has(node) == expected
     assert any(end.name == '/tf' for end in INTERFACES['rorapid_tracker'])
+
+
+def test_a_refused_setting_changes_nothing_and_the_next_camera_info_counts(station, monkeypatch):
+    station = station('camera_model:=zoom')
+    station.add_node()
+    station.send_info()
+    station.send_start()
+    station.graph.spin_for(0.3)
+    cameras = station.graph.listen(CameraInfo, 'rorapid_tracker/camera_info')
+    station.track(range(3))
+    monkeypatch.setattr('selfcal_ros.rorapid.visibility.MOST_TESTS', 2000)
+    refused, = station.graph.set_parameters('rorapid_tracker', control_points_per_line=200)
+    assert 'too many to be tested' in refused
+    K = station.recording.camera.K.copy()
+    K[0, 2] += 5
+    station.send_info(Camera(K, station.recording.camera.distortion, 320, 240))
+    station.graph.spin_for(0.3)
+    cameras.clear()
+    station.track(range(3, 5))
+    station.graph.wait_for(lambda: cameras)
+    assert cameras[-1].k[2] == K[0, 2]
+    # the pose is that of the camera in the header: five pixels further to the left
+    pose, index = pose_matrix(station.poses[-1]), 4
+    true = station.recording.translations[index]
+    shift = 5 * true[2] / K[0, 0]
+    assert abs(pose[0, 3] - (true[0] - shift)) < 0.3 * shift

@@ -23,7 +23,10 @@ from msg_adapters.tracks import tracks_from_message, tracks_message
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
@@ -177,3 +180,84 @@ def test_a_publisher_takes_another_file_and_refuses_one_that_is_none(graph, laun
     assert graph.set_parameters('camera_info_publisher',
                                 camera_info_url=f'file://{paths[1]}') == ['']
     assert focal(2) == 600
+
+
+#: What no calibrator can do anything with: names of services, and a home that nobody has.
+IMPOSSIBLE = {'set_camera_info_service': ('bad name', 'left//camera', '{camera}/set', '1st'),
+              'output': ('~nobody_of_this_name/x.yaml',)}
+
+
+def test_names_and_paths_that_cannot_be_are_refused_and_the_calibrator_goes_on(graph, launch):
+    graph = graph()
+    node = launch('planar_calibrator')
+    for name, values in IMPOSSIBLE.items():
+        for value in values:
+            refused, = graph.set_parameters('planar_calibrator', **{name: value})
+            assert value in refused and refused.endswith('.') and '\n' not in refused
+    # what there was stays, and what can be is taken
+    assert graph.call('planar_calibrator/save').message == 'there is no calibration yet'
+    for value in ('camera/set_camera_info', '~/mine', '/{node}/set', ''):
+        assert graph.set_parameters('planar_calibrator', set_camera_info_service=value) == ['']
+    assert node.process.poll() is None
+
+
+@pytest.mark.parametrize('module, given', [
+    ('planar_calibrator', 'set_camera_info_service:=bad name'),
+    ('planar_calibrator', 'output:=~nobody_of_this_name/x.yaml'),
+    ('camera_info_publisher', 'camera_info_url:=~nobody_of_this_name/x.yaml')])
+def test_names_and_paths_that_cannot_be_are_a_sentence_at_the_start(launch, module, given):
+    node = launch(module, '-p', given)
+    assert node.process.wait(30) == 2
+    node._reader.join(5)
+    assert node.has_said(given.partition(':=')[2]) and 'Traceback' not in node.said
+
+
+def test_a_publisher_without_a_file_takes_what_does_not_concern_the_file(graph, launch):
+    graph = graph()
+    node = launch('camera_info_publisher')
+    assert graph.set_parameters('camera_info_publisher', silence_s=0.5) == ['']
+    graph.wait_for(lambda: node.has_said('for 0.5 s; no publisher'))
+    refused, = graph.set_parameters('camera_info_publisher', camera_info_url='/nowhere.yaml')
+    assert '/nowhere.yaml' in refused
+
+
+class Waiting:
+    """A worker that works when it is told to."""
+
+    def __init__(self, _):
+        self.requests, self.done = [], []
+
+    def submit(self, request):
+        self.requests.append(request)
+
+    def poll(self):
+        return self.done.pop() if self.done else None
+
+
+def test_who_asks_while_an_estimate_is_dropped_is_told_so_and_gets_the_next(graph):
+    graph = graph('-p', 'keyframe_parallax:=0.001', '-p', 'idle_s:=600.0')
+    node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters, Waiting))
+    worker = node._worker
+
+    def calibrate():
+        answer = graph.call('planar_calibrator/calibrate')
+        return answer.success, answer.message
+
+    assert calibrate() == (False, '0 views with parallax so far, three are needed: keep moving')
+    tracks = drive(np.random.default_rng(3), 0.1, 5, 200, 5).tracks
+    for number, frame in enumerate(tracks.frames):
+        view = tracks.in_frames([frame])
+        header = header_message(10 ** 18 + number * 10 ** 8, 'camera', rclpy_types())
+        node.announce(header, (640, 480))
+        node.take(header, (640, 480), view.track, view.xy)
+    assert calibrate()[0] and len(worker.requests) == 1
+    assert calibrate() == (False, 'an estimate is under way; its result comes on ~/result')
+    assert graph.set_parameters('planar_calibrator', aspect_ratio=0.0) == ['']
+    asked, message = calibrate()
+    assert not asked and 'is dropped; another follows' in message
+    worker.done.append((worker.requests[0], NotCalibrated('of old facts'), None))
+    # too few views for one by itself: it was asked for
+    graph.wait_for(lambda: len(worker.requests) == 2, what='the next estimate')
+    assert worker.requests[1].settings.facts.aspect_ratio is None
+    graph.spin_for(0.2)
+    assert len(worker.requests) == 2

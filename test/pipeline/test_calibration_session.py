@@ -178,6 +178,47 @@ def test_other_bounds_hold_for_what_has_been_gathered():
     assert session.keyframes[-1].index - session.keyframes[-2].index == 4
 
 
+def test_many_keyframes_go_at_once_in_the_order_and_the_time_of_one_by_one(monkeypatch):
+    most, least = 400, 3
+    session = fed(SessionSettings(max_keyframes=most, parallax=1e-3), step_px=8, frames=most)
+    expected = list(session.keyframes)
+    assert len(expected) == most
+    while len(expected) > least:
+        shared = [len(np.intersect1d(before.ids, after.ids))
+                  for before, after in zip(expected, expected[2:])]
+        widest = int(np.argmax(shared))
+        del expected[widest + 1 if shared[widest] >= session.settings.min_common else 0]
+    compared, intersect = [], np.intersect1d
+
+    def counting(*args, **kwargs):
+        compared.append(1)
+        return intersect(*args, **kwargs)
+
+    monkeypatch.setattr(np, 'intersect1d', counting)
+    session.change(replace(session.settings, max_keyframes=least, first_estimate=least))
+    assert [frame.index for frame in session.keyframes] == [frame.index for frame in expected]
+    assert len(compared) <= 3 * most
+
+
+def test_an_estimate_that_was_wished_for_follows_the_one_that_is_dropped():
+    session = fed(step_px=20, frames=30)
+    under_way = session.request()
+    assert session.request() is None and not session.snapshot().abandoned
+    facts = CameraFacts(aspect_ratio=1.0)
+    # by itself the next would come much later
+    session.change(replace(session.settings, facts=facts, first_estimate=40))
+    assert session.snapshot().abandoned and session.request() is None
+    assert not session.is_due()
+    assert not session.accept(under_way, FakeCalibration()) and session.is_due()
+    assert session.request().settings.facts == facts and not session.is_due()
+    # an alarm puts an end to the wish
+    session.change(replace(session.settings, facts=CameraFacts()))
+    assert session.request() is None
+    session.hold()
+    session.accept(under_way, FakeCalibration())
+    assert not session.is_due()
+
+
 def test_a_result_that_was_asked_for_before_a_reset_is_dropped():
     session = fed()
     request = session.request()

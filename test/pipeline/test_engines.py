@@ -66,6 +66,45 @@ def test_a_job_that_kills_its_process_costs_only_itself(engine):
     assert dict(found) == expected and len(found) == 12
 
 
+def unreadable():
+    raise ImportError('no module of this name')
+
+
+class Unreadable:
+    """What cannot be read where it arrives, as where a module is missing."""
+
+    def __reduce__(self):
+        return unreadable, ()
+
+    def __call__(self):
+        return 1
+
+
+@both_engines
+def test_a_job_that_raises_says_what(engine):
+    found = dict(run_jobs(call, [partial(int, 'x'), partial(pow, 2, 2)], engine=engine, workers=2))
+    assert found[1] == 4
+    assert isinstance(found[0], ValueError) and "'x'" in str(found[0])
+
+
+@needs_dask
+def test_a_job_that_cannot_be_read_on_the_cluster_says_what():
+    (_, value), = run_jobs(call, [Unreadable()], engine='dask', workers=1)
+    assert isinstance(value, Exception)
+
+
+def test_a_recording_that_could_not_be_run_says_why(monkeypatch):
+    def run(function, jobs, **_):
+        yield 0, ModuleNotFoundError("No module named\n 'rosbags'")
+        yield 1, None
+
+    monkeypatch.setattr(many_inputs, 'run_jobs', run)
+    first, second = calibrate_many(['a.mcap', 'b.mcap'], SETTINGS).failures
+    assert first.error == ("a.mcap: it could not be run there (ModuleNotFoundError: No module "
+                           "named 'rosbags').")
+    assert second.error.startswith('b.mcap: its process died')
+
+
 def test_whoever_stops_listening_stops_the_work():
     results = run_jobs(call, [partial(pow, 1, 1)] + [partial(time.sleep, 60)] * 3, workers=2)
     assert next(results) == (0, 1)
@@ -124,6 +163,25 @@ def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence
         worker.wait()
     with pytest.raises(InputError, match=f'{address} cannot be reached'):
         list(run_jobs(abs, [1], engine='dask', scheduler=address))
+
+
+@needs_dask
+def test_a_run_whose_workers_are_all_gone_ends_with_a_sentence(scheduler, monkeypatch):
+    _, address = scheduler
+    monkeypatch.setattr('selfcal_ros.pipeline.engines.NO_WORKERS_S', 2.0)
+    worker = subprocess.Popen([sys.executable, '-m', 'distributed.cli.dask_worker', address,
+                               '--nthreads', '1', '--no-nanny', '--no-dashboard'],
+                              stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
+    try:
+        results = run_jobs(call, [partial(pow, 3, 2), partial(time.sleep, 60)], engine='dask',
+                           scheduler=address)
+        assert next(results) == (0, 9)
+        worker.kill()
+        with pytest.raises(InputError, match=f'{address} has had no workers for 2 s'):
+            list(results)
+    finally:
+        worker.kill()
+        worker.wait()
 
 
 def tracks_folder(tmp_path, count):

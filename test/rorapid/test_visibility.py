@@ -294,3 +294,14 @@ def test_a_cube_takes_less_than_a_millisecond():
         seen.control_points(R, [0, 0, 4.0])
         best = min(best, time.perf_counter() - start)
     assert best < 1e-3
+
+
+def test_each_control_point_has_its_nearest_in_another_layout():
+    model = spool().model
+    few, many = VisibleModel(model, 6, 10), VisibleModel(model, 18, 30)
+    assert (few.nearest_in(few) == np.arange(few.size)).all()
+    nearest = many.nearest_in(few)
+    assert (few.primitive[nearest] == many.primitive).all()
+    # three lie about each of the few
+    assert (np.bincount(nearest) == 3).all()
+    assert (nearest[few.nearest_in(many)] == np.arange(few.size)).all()

@@ -1,0 +1,39 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Every test of the command line writes into a folder of its own; tracks of a drive for all."""
+
+from pathlib import Path
+import sys
+
+import numpy as np
+import pytest
+from selfcal_ros.synthetic.special_scenes import drive
+
+# for what tests of this folder share
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(scope='session')
+def driven(tmp_path_factory):
+    """Write the tracks of a drive; returns the file and the true camera."""
+    sequence = drive(np.random.default_rng(3), noise_px=0.1, views=14, tracks=500)
+    path = tmp_path_factory.mktemp('drive') / 'tracks.csv'
+    sequence.tracks.to_csv(path)
+    return path, sequence.camera
+
+
+@pytest.fixture(autouse=True)
+def in_tmp(tmp_path, monkeypatch):
+    """Let default outputs land in the temporary folder."""
+    monkeypatch.chdir(tmp_path)

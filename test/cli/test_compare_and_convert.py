@@ -1,0 +1,119 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal compare` and `selfcal convert`: cameras of several programs, images as a bag."""
+
+import json
+from pathlib import Path
+
+from command_line import selfcal, SIZE
+import numpy as np
+import pytest
+from selfcal_ros import Camera
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from selfcal_ros.report.comparison import compare_cameras
+
+
+def test_compare_says_in_pixels_and_words_how_far_apart(capsys):
+    a = Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    b = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    write_camera_yaml('a.yaml', a, 'a')
+    write_camera_yaml('b.yaml', b, 'b')
+    assert selfcal('compare', 'a.yaml', 'a.yaml') == 0
+    assert 'practically the same' in capsys.readouterr().out
+    assert selfcal('compare', 'a.yaml', 'b.yaml') == 0
+    said = capsys.readouterr().out
+    apart = compare_cameras(a, b).distance_px
+    assert f'{np.nanmax(apart):.3f} px at most' in said and 'Without covariances' in said
+    # the same from other programs' files
+    assert selfcal('convert', 'b.yaml', 'b.bin', '--quiet') == 0
+    assert selfcal('compare', 'a.yaml', 'b.bin', '--json', '-') == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content['difference_px']['max'] == pytest.approx(np.nanmax(apart), abs=1e-9)
+    assert content['agree'] is None and content['parameters']['fx']['difference'] == 5
+    write_camera_yaml('c.yaml', Camera(a.K, a.distortion, 320, 240), 'c')
+    assert selfcal('compare', 'a.yaml', 'c.yaml') == 2
+    assert 'one size' in capsys.readouterr().err
+
+
+def test_compare_finds_the_covariance_beside_a_camera_file(driven, capsys):
+    path, truth = driven
+    assert selfcal('calibrate', path, *SIZE, '--json', 'camera.json', '--quiet') == 0
+    write_camera_yaml('truth.yaml', truth, 'truth')
+    assert selfcal('compare', 'camera.yaml', 'truth.yaml') == 0
+    said = capsys.readouterr().out
+    assert 'agree' in said and 'within their uncertainties' in said
+    assert 'B has no covariance and counts as exact.' in said
+    changed = Camera(np.diag([1.02, 1.02, 1]) @ truth.K, truth.distortion, 640, 480)
+    write_camera_yaml('zoomed.yaml', changed, 'zoomed')
+    assert selfcal('compare', 'camera.yaml', 'zoomed.yaml', '--json', 'c.json') == 0
+    content = json.loads(Path('c.json').read_text(encoding='utf-8'))
+    assert content['agree'] is False and 'the camera has changed' in content['verdict']
+    assert content['parameters']['fx']['sigmas'] > 4
+    assert selfcal('compare', 'zoomed.yaml', 'truth.yaml', '--result-a', 'camera.json') == 2
+    assert 'is not the result that zoomed.yaml comes from' in capsys.readouterr().err
+
+
+def test_an_image_folder_becomes_a_bag(capsys):
+    import cv2
+    folder = Path('images')
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 256, (48, 64), np.uint8) for _ in range(4)]
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f'{k:03d}.png'), image)
+    assert selfcal('convert', folder, 'bag', '--topic', '/front/image_raw') == 0
+    assert '4 images' in capsys.readouterr().out
+    with open_source('bag') as source:
+        assert source.topic == '/front/image_raw'
+        for frame, image in zip(source, images, strict=True):
+            assert np.array_equal(frame.image, image)
+    assert selfcal('convert', folder, 'bag') == 2
+    assert 'exists' in capsys.readouterr().err
+
+
+def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
+    camera = Camera([[505, 0, 322], [0, 505, 241], [0, 0, 1]], [-0.1, 0.02, 0, 0], 640, 480)
+    write_camera_yaml('front.yaml', camera, 'front')
+    for path in ('opencv.xml', 'cameras.txt', 'cameras.bin', 'camchain.yaml'):
+        assert selfcal('convert', 'front.yaml', path) == 0
+    assert selfcal('convert', 'front.yaml', 'opencv.yaml', '--to', 'opencv', '--quiet') == 0
+    said = capsys.readouterr().out
+    assert 'half a pixel' in said
+    assert 'front of front.yaml written to opencv.xml for OpenCV' in said
+    assert '322.5 241.5' in Path('cameras.txt').read_text(encoding='utf-8')
+    for path in ('opencv.xml', 'opencv.yaml', 'cameras.txt', 'cameras.bin', 'camchain.yaml'):
+        # what the reader of camera files advises works
+        assert selfcal('convert', path, 'back.yaml', '--force', '--camera-name', 'front') == 0
+        back, name = read_camera_yaml('back.yaml')
+        assert np.array_equal(back.parameters, camera.parameters) and name == 'front'
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['a.yaml', 'b.yaml'], 'say with --to'), (['a.yaml', 'b.dat'], 'does not tell'),
+    (['a.yaml', 'taken.txt'], '--force'), (['a.yaml', 'b.xml', '--camera', 'cam1'], 'cam1'),
+    (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
+    (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),
+    (['a.yaml', 'no/folder/b.xml'], 'does not exist'),
+    (['k3.yaml', 'camchain.yaml'], 'Kalibr has no model for the plumb_bob')])
+def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments, words):
+    K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]
+    write_camera_yaml('a.yaml', Camera(K, [], 640, 480), 'a')
+    write_camera_yaml('k3.yaml', Camera(K, [0, 0, 0, 0, 0.1], 640, 480), 'a')
+    Path('taken.txt').touch()
+    before = sorted(Path().iterdir())
+    assert selfcal('convert', *arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 1 and words in heard.err
+    assert sorted(Path().iterdir()) == before

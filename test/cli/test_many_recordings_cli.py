@@ -1,0 +1,62 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal calibrate` on many recordings."""
+
+import json
+from pathlib import Path
+
+from command_line import selfcal, SIZE
+import numpy as np
+from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.synthetic.special_scenes import drive, pure_translation
+
+
+def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys, driven):
+    Path('drives').mkdir()
+    for number in range(3):
+        drive(np.random.default_rng(number), 0.2, 12, 250, 12).tracks.to_csv(
+            f'drives/d{number}.csv')
+    Path('drives/broken.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    pure_translation(np.random.default_rng(1)).tracks.to_csv('drives/straight.csv')
+    assert selfcal('calibrate', 'drives', *SIZE, '--output-dir', 'out') == 0
+    said = capsys.readouterr().out
+    for words in ('d0.csv', 'straight.csv', 'not calibrated: ', 'broken.csv, line 2',
+                  '3 of 4 recordings calibrate', 'The recordings agree'):
+        assert words in said
+    joint = json.loads(Path('out/camera.json').read_text(encoding='utf-8'))
+    assert abs(joint['camera']['fx'] - 520) < 4 * joint['sigma']['fx']
+    assert read_camera_yaml('out/camera.yaml')[0].K[0, 0] == joint['camera']['fx']
+    assert sorted(p.name for p in Path('out/recordings').iterdir()) == [
+        'd0.json', 'd0.yaml', 'd1.json', 'd1.yaml', 'd2.json', 'd2.yaml', 'straight.json']
+    page = Path('out/summary.html').read_text(encoding='utf-8')
+    assert 'data:image/svg+xml' in page and 'http://' not in page and 'straight.csv' in page
+    assert Path('out/summary.png').read_bytes().startswith(b'\x89PNG')
+    content = json.loads(Path('out/summary.json').read_text(encoding='utf-8'))
+    assert len(content['cameras'][0]['recordings']) == 4 and len(content['failures']) == 1
+    assert content['cameras'][0]['joint'] == joint
+
+
+def test_many_recordings_none_of_which_can_be_used(capsys):
+    for name in ('a', 'b'):
+        Path(f'{name}.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    assert selfcal('calibrate', 'a.csv', 'b.csv', '--quiet') == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 2
+    for options, words in ((['--output', 'c.yaml'], '--output is for a single'),
+                           (['--track', '--model', 'm.cao'], '--track takes a single'),
+                           (['--jobs', '0'], 'positive'), (['--scheduler', 'x'], 'dask')):
+        assert selfcal('calibrate', 'a.csv', 'b.csv', *options) == 2
+        assert words in capsys.readouterr().err
+    assert selfcal('calibrate', 'a.csv', '--output-dir', 'x') == 2
+    assert '--output-dir is for many' in capsys.readouterr().err

@@ -1,0 +1,105 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Wrong words and broken inputs: status 2, one sentence, and nothing half-written."""
+
+from pathlib import Path
+
+from command_line import selfcal, SIZE
+import numpy as np
+import pytest
+from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.frame_source import Frame
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['calibrate'], 'selfcal calibrate: the following arguments are required: INPUT; '),
+    (['calib'], 'did you mean calibrate? selfcal --help tells more.'),
+    (['frobnicate'], "invalid choice: 'frobnicate'"),
+    (['calibrate', 'x.csv', '--reprot=r.html'], 'unrecognized arguments: --reprot=r.html; did '
+     'you mean --report?'),
+    (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
+    (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
+    (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
+    (['calibrate', ''], 'selfcal calibrate: An INPUT is empty'),
+    (['calibrate', 'x.csv', ''], 'selfcal calibrate: An INPUT is empty')])
+def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
+    assert selfcal(*arguments) == 2
+    heard = capsys.readouterr()
+    assert words in heard.err and heard.err.count('\n') == 1 and not heard.out
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['nowhere.mcap'], 'nowhere.mcap does not exist'),
+    (['hollow'], 'hollow is empty'),
+    (['empty.csv'], 'empty.csv'),
+    (['nan.csv'], 'line 2'),
+    (['good.csv', '--output', 'no/such/folder/camera.yaml'], 'does not exist'),
+    (['good.csv', '--json', 'camera.yaml'], 'same name'),
+    (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
+    (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
+    (['good.csv', '--topic', '/image'], 'topic'),
+    (['good.csv', '--motion', 'known-object'], 'needs --object'),
+    (['good.csv', '--ply', 'camera.yaml'], 'same name'),
+    (['good.csv', '--max-keyframes', '1'], 'at least 3'),
+    (['good.csv', '--image-size', '0', '480'], 'image size'),
+])
+def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
+    Path('empty.csv').touch()
+    Path('hollow').mkdir()
+    Path('nan.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    Path('good.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')
+    before = sorted(Path().iterdir())
+    assert selfcal('calibrate', *arguments, *([] if '--image-size' in arguments else SIZE)) == 2
+    heard = capsys.readouterr()
+    assert heard.out == ''
+    assert heard.err.startswith('selfcal calibrate: ') and heard.err.count('\n') == 1
+    assert words in heard.err
+    assert sorted(Path().iterdir()) == before, 'nothing half-written'
+
+
+@pytest.fixture
+def bad_inputs():
+    """Make inputs that go wrong in the middle, or hold nothing."""
+    rng = np.random.default_rng(0)
+
+    def frames(sizes):
+        return [Frame(k, 10 ** 18 + k * 10 ** 8, rng.integers(0, 256, size, np.uint8))
+                for k, size in enumerate(sizes)]
+
+    write_image_bag('good', frames([(96, 128)] * 8))
+    write_image_bag('mixed', frames([(96, 128)] * 4 + [(64, 64)] * 4))
+    recording = next(Path('good').glob('*.mcap'))
+    content = recording.read_bytes()
+    Path('truncated.mcap').write_bytes(content[:len(content) // 2])
+    Path('folder').mkdir()
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['truncated.mcap'], 'truncated'), (['mixed'], 'change size'), (['folder'], 'folder'),
+    (['good', '--topic', '/nothing'], '/camera/image_raw')])
+def test_a_broken_recording_is_status_2_in_one_sentence(bad_inputs, capsys, arguments, words):
+    before = sorted(Path().rglob('*'))
+    assert selfcal('calibrate', *arguments, '--json', 'result.json') == 2
+    heard = capsys.readouterr()
+    assert heard.err.startswith('selfcal calibrate: ') and heard.err.count('\n') == 1
+    assert words in heard.err
+    assert sorted(Path().rglob('*')) == before, 'nothing half-written'
+
+
+def test_an_option_that_does_not_exist_is_status_2(capsys):
+    assert selfcal('calibrate', 'x', '--mood', 'good') == 2
+    assert selfcal('calibrate', 'x', '--skew', 'some') == 2
+    assert selfcal('sing') == 2
+    assert selfcal() == 2
+    capsys.readouterr()
