@@ -34,8 +34,8 @@ from selfcal_ros.geometry.ransac import ransac_inliers
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little, by themselves.
 MINIMUM_MATCHES = 12
-#: Where that leaves views unlinked: so many, if every one of them agrees. An eighth match may
-#: agree by chance with what seven determine; the adjustment of all views finds that out.
+#: Between views that those leave unlinked: so many, if every one of them agrees. An eighth match
+#: may agree by chance with what seven determine; the adjustment of all views finds that out.
 FEWEST_MATCHES = 8
 #: Noise below this is rounding.
 LEAST_NOISE_PX = 1e-3
@@ -63,7 +63,8 @@ class ViewGraph:
     noise_px : float
         Robust standard deviation of an image coordinate, from epipolar distances.
     rejected : int
-        Observations that contradict the others; those that could not be compared do not count.
+        Observations that contradict the others; those of which no pair of views with a
+        consistent epipolar geometry has told do not count.
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise; near 1 the scene is one plane or the camera only rotated.
@@ -159,10 +160,11 @@ def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     gap = b - a
     # neighbours in time, and the end of a loop that meets its beginning
     wanted = (gap <= SUCCESSORS) | (len(frames) - gap <= SUCCESSORS) | (len(frames) <= 6)
-    pairs = np.column_stack([a, b])[wanted & (common[a, b] >= MINIMUM_MATCHES)]
-    if len(np.unique(_components(pairs, len(frames)))) > 1:
-        pairs = np.column_stack([a, b])[wanted & (common[a, b] >= FEWEST_MATCHES)]
-    return frames, pairs
+    pairs = np.column_stack([a, b])
+    enough = wanted & (common[a, b] >= MINIMUM_MATCHES)
+    label = _components(pairs[enough], len(frames))
+    joining = wanted & (common[a, b] >= FEWEST_MATCHES) & (label[a] != label[b])
+    return frames, pairs[enough | joining]
 
 
 def _least(common: int) -> int:
@@ -200,11 +202,10 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    samples, matches, compared, tested = [], [], [], np.zeros(len(tracks), bool)
+    samples, matches, compared = [], [], []
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
         xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
-        tested[row[[a, b]][:, both]] = True
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
         found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
         if found:
@@ -238,7 +239,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
-    rejected = int(np.sum(tested & ~keep))
+    rejected = int(np.sum((used > 0) & ~keep))
     keep &= largest[view]
     kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
     noise, weight = np.array(spreads).T

@@ -22,6 +22,10 @@ from selfcal_ros.synthetic import scenes, special_scenes
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
 
 
+#: Points of sequence SI in general position on its two grids.
+TEN = [0, 7, 13, 19, 21, 27, 30, 36, 43, 49]
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(4)
@@ -78,6 +82,36 @@ def test_few_points_link_views_if_all_agree():
     # views that could not be linked contradict nobody
     assert graph.rejected == 0
     assert isinstance(dirty, str) or len(dirty.frames) < len(graph.frames)
+
+
+def test_few_points_link_only_what_is_not_linked_otherwise(rng):
+    """The last of seven views shares ten points with each, and so do the first and the third."""
+    tracks = scenes.sequence_si(rng, 0.1, 7).tracks
+    even, shared = tracks.track % 2 == 0, np.isin(tracks.track, TEN)
+    kept = (tracks.frame != 6) | shared
+    kept &= (tracks.frame != 0) | shared | even
+    kept &= (tracks.frame != 2) | shared | ~even
+    graph = build_view_graph(tracks.select(kept), rng)
+
+    few = [(p.first, p.second) for p in graph.pairs if len(p.xy_first) < 12]
+    assert len(graph.frames) == 7
+    assert few and all(6 in pair for pair in few)
+
+
+def test_pairs_without_a_geometry_contradict_nobody(rng):
+    """Of the ten points that the last view shares, two are wrong: the view says nothing."""
+    tracks = scenes.sequence_si(rng, 0.1, 7).tracks
+    last = tracks.frame == 6
+    xy = tracks.xy.copy()
+    # one of them at least across the epipolar lines
+    xy[last & (tracks.track == 13)] += [70, 0]
+    xy[last & (tracks.track == 30)] += [0, 70]
+    kept = ~last | np.isin(tracks.track, TEN)
+    graph = build_view_graph(Tracks(tracks.frame, tracks.track, xy, tracks.image_size)
+                             .select(kept), rng)
+
+    assert graph.frames.tolist() == list(range(6))
+    assert graph.rejected == 0
 
 
 def test_two_views_left_of_more_are_not_trusted():
