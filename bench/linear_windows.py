@@ -66,7 +66,10 @@ class LinearWindow:
                                    (drive.camera.width, drive.camera.height)), drive.camera, rng)
         if isinstance(found, str):
             raise ValueError(found)
-        _, bundle, state, observations = found
+        graph, bundle, state, observations = found
+        if len(graph.frames) != len(frames):
+            raise ValueError('Keyframes of the window are not connected: what is seen in one '
+                             'would be taken for what is seen in the next.')
         row = {}
         for _, at, identity, _ in frames:
             row.update(zip(identity.tolist(), at.tolist()))

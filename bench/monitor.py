@@ -24,6 +24,7 @@ from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_dri
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
+from scipy.stats import chi2
 from selfcal_ros import Camera
 from selfcal_ros.calibration.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitor import ChangeMonitor
@@ -209,6 +210,17 @@ def linear_false_alarms(report: Report, drive: MeasuredDrive, options, share: fl
     alarms = sum(piece[0] for piece in found)
     report.judge(alarms <= hours / 100, f'{alarms} alarms in {hours} h to first order, allowed '
                  f'{hours / 100:g} (1 in 100 h)')
+    bound = rate_bound(alarms, hours)
+    sentence = f'with 95 % confidence no more than {100 * bound:.3g} alarms in 100 h'
+    if hours < LINEAR_HOURS:
+        report.say(f'{sentence}; fewer hours than {LINEAR_HOURS} cannot show 1 in 100 h.')
+    else:
+        report.judge(100 * bound <= 1, sentence)
+
+
+def rate_bound(events: int, hours: float) -> float:
+    """Rate of a Poisson process, an hour, that exceeds the true one with 95 % confidence."""
+    return float(chi2.ppf(0.95, 2 * (events + 1)) / 2 / hours)
 
 
 def unchanged(drive: MeasuredDrive, seed: int):

@@ -15,8 +15,9 @@
 
 from itertools import islice
 
-from bench.linear_windows import EndlessDrive, linear_hours
-from bench.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed)
+from bench.linear_windows import EndlessDrive, linear_hours, LinearWindow
+from bench.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed,
+                           rate_bound)
 from bench.monitored_drive import keyframes, MeasuredDrive, window_of
 import numpy as np
 import pytest
@@ -83,6 +84,22 @@ def test_alarms_in_a_row_are_one_episode():
     chances = np.ones(100)
     chances[[10, 11, 15, 60, 99]] = 1e-9
     assert episodes(chances, 1e-6) == 3 and episodes(chances, 1e-10) == 0
+
+
+def test_a_window_whose_keyframes_are_not_connected_is_no_window(measured):
+    frames = [(index, at, identity, index) for index, at, identity in (
+        (k, np.flatnonzero(measured.seen[k]), np.flatnonzero(measured.seen[k]))
+        for k in range(9))]
+    # new tracks in one view: nothing links it to the others
+    index, at, identity, view = frames[4]
+    frames[4] = index, at, identity + len(measured.points), view
+    with pytest.raises(ValueError, match='not connected'):
+        LinearWindow(measured, frames, ChangeMonitor(measured.calibration).free)
+
+
+def test_no_event_in_three_hundred_hours_bounds_the_rate_by_one_in_a_hundred():
+    assert rate_bound(0, 300) == pytest.approx(-np.log(0.05) / 300)
+    assert 100 * rate_bound(0, 300) < 1 < 100 * rate_bound(1, 300)
 
 
 def test_windows_to_first_order_err_as_whole_ones_do(measured):
