@@ -22,23 +22,30 @@ from selfcal_ros.version import __version__
 
 if TYPE_CHECKING:
     from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
-    from selfcal_ros.calibration.result import Calibration, NotCalibrated
+    from selfcal_ros.calibration.measurement import ray_angles
+    from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated
     from selfcal_ros.calibration.solve import calibrate
+    from selfcal_ros.calibration.structure_measurement import length_ratio, structure_angle
     from selfcal_ros.calibration.tracks import Tracks
     from selfcal_ros.geometry.camera import Camera, CameraFacts
 
-__all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'NotCalibrated', 'Tracks',
-           '__version__', 'calibrate', 'calibrate_known_object']
+__all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'Measured', 'NotCalibrated',
+           'Tracks', '__version__', 'calibrate', 'calibrate_known_object', 'length_ratio',
+           'ray_angles', 'structure_angle']
 
 _HOMES = {
     'Calibration': 'calibration.result',
     'Camera': 'geometry.camera',
     'CameraFacts': 'geometry.camera',
     'KnownObject': 'calibration.known_object',
+    'Measured': 'calibration.result',
     'NotCalibrated': 'calibration.result',
     'Tracks': 'calibration.tracks',
     'calibrate': 'calibration.solve',
     'calibrate_known_object': 'calibration.known_object',
+    'length_ratio': 'calibration.structure_measurement',
+    'ray_angles': 'calibration.measurement',
+    'structure_angle': 'calibration.structure_measurement',
 }
 
 

@@ -331,7 +331,7 @@ class Bundle:
         freedom, measured = self.degrees_of_freedom, 2 * len(self.view) - 3 * len(state.points)
         return Evidence(inverse * factor, system.influence(inverse[:SHARED]) * pull,
                         max(freedom, 1) / (2 * int(np.count_nonzero(line.ahead))),
-                        max(freedom, 1) / max(measured, 1))
+                        max(freedom, 1) / max(measured, 1), system)
 
     def covariance(self, state: BundleState) -> np.ndarray:
         """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""

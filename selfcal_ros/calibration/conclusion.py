@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from selfcal_ros.calibration.advice import say, suggest_motions
@@ -30,6 +32,7 @@ from selfcal_ros.calibration.refine import Fit
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
 from selfcal_ros.calibration.state import BundleState, parameter_covariance
+from selfcal_ros.calibration.structure_measurement import sample_structure
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
@@ -99,9 +102,11 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=fit.outliers + graph.rejected,
         reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
-                                      fit.observations.track, state.points),
+                                      fit.observations.track, state.points,
+                                      replace(fit)),      # without what it has computed
         fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
-        notes=path.notes + notes, residuals=residuals, identifiability=known)
+        notes=path.notes + notes, residuals=residuals, identifiability=known,
+        measured=sample_structure(fit, state.points, covariance))
 
 
 def unchecked(bundle: Bundle) -> tuple[str, str]:

@@ -15,13 +15,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 
-from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0
@@ -46,6 +46,8 @@ class Evidence:
     track_share : float
         The same once the points are accounted for: the influences of a whole track do not
         contain what its point has absorbed.
+    system : ReducedSystem, optional
+        The normal equations, by which the points follow.
 
     """
 
@@ -53,6 +55,7 @@ class Evidence:
     influence: np.ndarray
     freedom_share: float
     track_share: float
+    system: ReducedSystem | None = field(default=None, repr=False)
 
 
 def inverse_information(matrix: np.ndarray, unknowns: csr_array) -> np.ndarray:

@@ -12,39 +12,61 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What the uncertainty of a calibration means for what is measured with it: angles and lengths.
+What the uncertainty of a calibration means for angles that are measured in its images.
 
-Angles between the rays of two pixels come from the camera alone. Ratios of lengths in the
-structure come from the adjustment of everything, and their sigma holds the noise of the points,
-the poses and the camera together. First order throughout.
+Angles between the rays of two pixels come from the camera alone; first order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from selfcal_ros.calibration.evidence import inverse_information
 from selfcal_ros.calibration.pixel_model import PixelModel
-from selfcal_ros.calibration.refine import Fit
+from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated,
+                                            StructureSample)
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.projective import tangent_basis
 
 #: An angle across the middle of the image that the report speaks of, degrees.
 COMMON_ANGLE_DEG = 30.0
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A value and its standard deviation, in the same unit."""
-
-    value: float
-    sigma: float
-
-
-def ray_angles(camera: Camera, covariance: np.ndarray, first: np.ndarray, second: np.ndarray,
+def ray_angles(result: Calibration | NotCalibrated, first: np.ndarray, second: np.ndarray,
                ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Angles between the rays of pixels, and what the uncertainty of the camera makes of them.
+
+    Parameters
+    ----------
+    result : Calibration
+    first, second : ndarray, shape (N, 2) or (2,)
+        Pixels, exact: add the noise of what is measured there.
+
+    Returns
+    -------
+    angle, sigma : ndarray, shape (N,)
+        Radians; NaN where the distortion cannot be undone.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no calibration, or the pixels are none.
+
+    """
+    if not isinstance(result, Calibration):
+        raise ArgumentError('Angles need a Calibration to be measured with.')
+    try:
+        first, second = np.broadcast_arrays(np.atleast_2d(np.asarray(first, float)),
+                                            np.atleast_2d(np.asarray(second, float)))
+    except (TypeError, ValueError):
+        first = second = np.zeros(0)
+    if first.ndim != 2 or first.shape[1] != 2:
+        raise ArgumentError('The pixels must be two arrays of the same shape (N, 2).')
+    return angles_between(result.camera, result.covariance, first, second)
+
+
+def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, second: np.ndarray,
+                   ) -> tuple[np.ndarray, np.ndarray]:
     """
     Angles between the rays of pixels, and what the camera's covariance makes of them.
 
@@ -115,7 +137,7 @@ def fields_of_view(camera: Camera, covariance: np.ndarray) -> dict[str, Measured
     ends = {'horizontal': ((-0.5, middle[1]), (right, middle[1])),
             'vertical': ((middle[0], -0.5), (middle[0], bottom)),
             'diagonal': ((-0.5, -0.5), (right, bottom))}
-    angle, sigma = np.degrees(ray_angles(camera, covariance, *np.array(
+    angle, sigma = np.degrees(angles_between(camera, covariance, *np.array(
         list(ends.values())).swapaxes(0, 1)))
     return {name: Measured(float(value), float(spread))
             for name, value, spread in zip(ends, angle, sigma) if np.isfinite(value + spread)}
@@ -142,7 +164,8 @@ def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
     middle = (size - 1) / 2
     axis = np.eye(2)[int(np.argmax(size))]
     along = np.linspace(0.01, 0.5, 400)[:, None] * size.max() * axis
-    angle, sigma = np.degrees(ray_angles(camera, covariance, middle - along, middle + along))
+    angle, sigma = np.degrees(angles_between(camera, covariance, middle - along,
+                                             middle + along))
     seen = np.isfinite(angle) & np.isfinite(sigma)
     if not seen.any():
         return None
@@ -151,18 +174,24 @@ def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
     return Measured(float(wanted), float(np.interp(wanted, angle[seen], sigma[seen])))
 
 
-def measurement_sentences(camera: Camera, covariance: np.ndarray) -> tuple:
-    """Say what the covariance means for angles that are measured in images of the camera."""
-    if not min(camera.width, camera.height) > 0:
-        return ()
+def measurement_sentences(camera: Camera, covariance: np.ndarray,
+                          sample: StructureSample | None = None) -> tuple:
+    """Say what the covariance means for what is measured in images of the camera."""
     said = []
-    wide = fields_of_view(camera, covariance).get('horizontal')
+    sized = min(camera.width, camera.height) > 0
+    wide = fields_of_view(camera, covariance).get('horizontal') if sized else None
     if wide:
         said.append(f'The horizontal field of view is {_rounded(wide)} degrees.')
-    angle = central_angle(camera, covariance)
+    angle = central_angle(camera, covariance) if sized else None
     if angle:
         said.append(f'An angle of {angle.value:.3g} degrees measured across the middle of the '
                     f'image is good to ± {angle.sigma:.2g} degrees.')
+    if sample:
+        said.append('In the structure, two typical lengths (between the tracks {} and {}, {} and '
+                    '{})'.format(*sample.first, *sample.second)
+                    + f' have the ratio {_rounded(sample.length_ratio)}, and an angle of '
+                    f'{sample.angle_deg.value:.3g} degrees (at track {sample.corner[1]}) is good '
+                    f'to ± {sample.angle_deg.sigma:.2g} degrees.')
     return tuple(said)
 
 
@@ -171,53 +200,3 @@ def _rounded(measured: Measured) -> str:
     digits = 2 if not measured.sigma > 0 else int(np.clip(1 - np.floor(np.log10(measured.sigma)),
                                                           0, 6))
     return f'{measured.value:.{digits}f} ± {measured.sigma:.{digits}f}'
-
-
-# ---------------------------------------------------------------------- structure
-
-def distance_ratio(fit: Fit, first: tuple[int, int], second: tuple[int, int],
-                   covariance: np.ndarray | None = None) -> Measured:
-    """
-    Ratio of the lengths of two segments of the structure.
-
-    Parameters
-    ----------
-    fit : Fit
-        At its optimum.
-    first, second : (int, int)
-        Points (rows of the state's points) that each segment connects.
-    covariance : ndarray, shape (9, 9), optional
-        Of the internal parameters, if it is to count in place of that for independent errors.
-
-    Returns
-    -------
-    Measured
-        NaN with a point at infinity.
-
-    """
-    if not fit.state.points[[*first, *second], 3].all():
-        return Measured(np.nan, np.nan)
-    state, bundle = fit.state, fit.bundle
-    ends = np.array([*first, *second])
-    finite = state.points[ends]
-    X = finite[:, :3] / finite[:, 3:]
-    # of X = p / w by steps along the tangents of the homogeneous unit vector
-    basis = tangent_basis(finite)
-    by_point = (basis[:, :3] - X[:, :, None] * basis[:, 3:]) / finite[:, 3:, None]
-    apart = np.array([X[1] - X[0], X[3] - X[2]])
-    length = np.linalg.norm(apart, axis=1)
-    ratio = float(length[0] / length[1])
-    unit = apart / length[:, None] / length[:, None]            # of the logarithm
-    by_end = np.array([-unit[0], unit[0], unit[1], -unit[1]])
-    form = np.zeros((len(state.points), 3))
-    np.add.at(form, ends, np.einsum('pi,pij->pj', by_end, by_point))
-    system = bundle.normal_equations(state, line=fit.line)
-    carried, own = system.point_form(form)
-    factor, _ = bundle.loss_factors(fit.line.residual[fit.line.ahead])
-    joint = inverse_information(system.matrix, bundle.unknowns()) * factor
-    variance = factor * own + carried @ joint @ carried
-    if covariance is not None:
-        inner = joint[:9, :9]
-        pull = np.linalg.pinv(inner, 1e-12, hermitian=True) @ (joint[:9] @ carried)
-        variance += pull @ (covariance - inner) @ pull
-    return Measured(ratio, float(ratio * np.sqrt(max(variance, 0))))

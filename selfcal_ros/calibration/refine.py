@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -121,6 +121,10 @@ class Fit:
     def covariance(self) -> np.ndarray:
         """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
         return self.evidence.covariance
+
+    def __getstate__(self):
+        """Leave out what is computed once: it is large, and can be computed again."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
 
 def with_all_points(state: BundleState, observations: Observations) -> BundleState | None:

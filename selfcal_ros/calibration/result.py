@@ -16,10 +16,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.refine import Fit
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
@@ -60,6 +64,9 @@ class Reconstruction:
     tracks : ndarray of int, shape (P,)
     points : ndarray, shape (P, 4)
         Homogeneous world points; the last entry may be zero (at infinity).
+    fit : Fit, optional
+        The adjustment that the points come from, in the same order; lengths and angles of the
+        structure get their sigmas from it.
 
     """
 
@@ -67,6 +74,40 @@ class Reconstruction:
     cam_from_world: np.ndarray
     tracks: np.ndarray
     points: np.ndarray
+    fit: Fit | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A value and its standard deviation, in the same unit."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class StructureSample:
+    """
+    Two typical measurements in the structure, and how good they are.
+
+    Attributes
+    ----------
+    length_ratio : Measured
+        Length of the segment `first` over that of `second`.
+    first, second : (int, int)
+        Tracks of the points that each segment connects.
+    angle_deg : Measured
+        Angle at the middle one of three points.
+    corner : (int, int, int)
+        Their tracks.
+
+    """
+
+    length_ratio: Measured
+    first: tuple[int, int]
+    second: tuple[int, int]
+    angle_deg: Measured
+    corner: tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -143,6 +184,8 @@ class Calibration:
         Of the observations used, pixels.
     identifiability : Identifiability, optional
         What the images say and what the facts say.
+    measured : StructureSample, optional
+        What the uncertainty means for measurements in the structure.
 
     """
 
@@ -163,6 +206,7 @@ class Calibration:
     software: str = ''
     residuals: np.ndarray | None = field(default=None, repr=False)
     identifiability: Identifiability | None = field(default=None, repr=False)
+    measured: StructureSample | None = field(default=None, repr=False)
 
     def __bool__(self) -> bool:
         """Be true: there is a calibration."""

@@ -196,3 +196,22 @@ def parameter_covariance(covariance: np.ndarray, intrinsics: np.ndarray) -> np.n
     J = np.eye(9)
     J[1, F], J[1, ASPECT] = intrinsics[ASPECT], intrinsics[F]     # fy = ζ f
     return J @ covariance[:9, :9] @ J.T
+
+
+def intrinsic_covariance(covariance: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """
+    Carry a covariance of `PARAMETER_NAMES` to `INTRINSIC_NAMES`: `parameter_covariance` undone.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (9, 9)
+    intrinsics : ndarray, shape (9,)
+
+    Returns
+    -------
+    ndarray, shape (9, 9)
+
+    """
+    J = np.eye(9)
+    J[ASPECT, 0], J[ASPECT, 1] = -intrinsics[ASPECT] / intrinsics[F], 1 / intrinsics[F]
+    return J @ covariance @ J.T

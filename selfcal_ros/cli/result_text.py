@@ -77,7 +77,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
     lines += list(result.notes) + list(notes)
     if result.identifiability is not None:
         lines += result.identifiability.sentences()
-    lines += measurement_sentences(result.camera, result.covariance)
+    lines += measurement_sentences(result.camera, result.covariance, result.measured)
     return '\n'.join(lines)
 
 

@@ -196,5 +196,6 @@ def _what_rests_on_facts(result) -> tuple:
 
 
 def _what_it_means(result) -> tuple:
-    """Say what the covariance means for angles that are measured."""
-    return measurement_sentences(result.camera, result.covariance) if result else ()
+    """Say what the covariance means for angles and lengths that are measured."""
+    return (measurement_sentences(result.camera, result.covariance, result.measured) if result
+            else ())

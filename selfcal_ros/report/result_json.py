@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.calibration.measurement import central_angle, fields_of_view
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.result import Calibration, NotCalibrated, StructureSample
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.files import atomic_write
 
@@ -48,8 +48,11 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'parameters', 'held_by', 'frames', 'reprojection_rms_px', 'noise_sigma_px',
         'observations', 'outliers', 'fixed_points', 'identifiability' ('from_images',
         'without', 'weakest', 'weakest_share'; an infinite factor in 'without' is None),
-        'measurement' ('field_of_view_deg' with 'horizontal', 'vertical', 'diagonal', and
-        'central_angle_deg': each 'value' and 'sigma'), 'facts', 'notes', 'software'.
+        'measurement' ('field_of_view_deg' with 'horizontal', 'vertical', 'diagonal',
+        'central_angle_deg', 'length_ratio' with the tracks of its two lengths in 'first' and
+        'second', 'structure_angle_deg' with the tracks of its three points in 'corner': each
+        'value' and 'sigma'; the last two None without a structure that was adjusted), 'facts',
+        'notes', 'software'.
 
     """
     good = isinstance(result, Calibration)
@@ -92,7 +95,17 @@ def _measurement(result: Calibration) -> dict | None:
     angle = central_angle(result.camera, result.covariance)
     return {'field_of_view_deg': {name: dataclasses.asdict(one) for name, one in fields_of_view(
         result.camera, result.covariance).items()},
-            'central_angle_deg': None if angle is None else dataclasses.asdict(angle)}
+            'central_angle_deg': None if angle is None else dataclasses.asdict(angle),
+            **_in_the_structure(result.measured)}
+
+
+def _in_the_structure(sample: StructureSample | None) -> dict:
+    if sample is None:
+        return {'length_ratio': None, 'structure_angle_deg': None}
+    return {'length_ratio': {**dataclasses.asdict(sample.length_ratio), 'first': sample.first,
+                             'second': sample.second},
+            'structure_angle_deg': {**dataclasses.asdict(sample.angle_deg),
+                                    'corner': sample.corner}}
 
 
 def write_result_json(path, result: Calibration | NotCalibrated) -> Path:

@@ -11,19 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sigmas of measured angles and lengths against sampling, and against repeated runs."""
-
-from dataclasses import replace
+"""Sigmas of angles that are measured in images, against sampling."""
 
 import numpy as np
 import pytest
 
-from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.measurement import (central_angle, distance_ratio, fields_of_view,
-                                                 measurement_sentences, ray_angles)
-from selfcal_ros.calibration.refine import bundle_of, Fit, Observations
+from selfcal_ros import calibrate, CameraFacts, NotCalibrated, ray_angles
+from selfcal_ros.calibration.measurement import (angles_between, central_angle, fields_of_view,
+                                                 measurement_sentences)
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.state import BundleState, MotionModel, priors_from_facts
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.result_json import result_to_dict
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -44,9 +41,9 @@ def test_angles_scatter_as_stated(covariance):
     second = np.array([[639, 479], [639, 479], [600, 250], [101, 100]])
     rng = np.random.default_rng(0)
 
-    angle, sigma = ray_angles(CAMERA, covariance, first, second)
+    angle, sigma = angles_between(CAMERA, covariance, first, second)
 
-    drawn = np.array([ray_angles(Camera.from_parameters(
+    drawn = np.array([angles_between(Camera.from_parameters(
         CAMERA.parameters + step, 640, 480), covariance, first, second)[0]
         for step in rng.multivariate_normal(np.zeros(9), covariance, 1500)])
     np.testing.assert_allclose(np.mean(drawn, axis=0), angle, atol=4 * sigma.max() / 30)
@@ -55,7 +52,7 @@ def test_angles_scatter_as_stated(covariance):
 
 
 def test_a_held_camera_measures_exactly():
-    assert ray_angles(CAMERA, np.zeros((9, 9)), [[0, 0]], [[639, 0]])[1] == 0
+    assert angles_between(CAMERA, np.zeros((9, 9)), [[0, 0]], [[639, 0]])[1] == 0
     plain = Camera([[320, 0, 319.5], [0, 320, 239.5], [0, 0, 1]], width=640, height=480)
     wide = fields_of_view(plain, np.zeros((9, 9)))['horizontal']
     assert wide.value == pytest.approx(90)
@@ -84,60 +81,24 @@ def test_sentences_and_json_say_the_same():
     assert isinstance(result, Calibration)
     stated = result_to_dict(result)['measurement']
     wide = stated['field_of_view_deg']['horizontal']
-    words = measurement_sentences(result.camera, result.covariance)
+    words = measurement_sentences(result.camera, result.covariance, result.measured)
 
     true = 2 * np.degrees(np.arctan(result.camera.width / 2 / 900))
     assert abs(wide['value'] - true) < 4 * wide['sigma'] + 0.5
     assert f'± {stated["central_angle_deg"]["sigma"]:.2g} degrees' in words[1]
     assert 'horizontal field of view' in words[0]
+    ends = [[-0.5, (result.camera.height - 1) / 2], [result.camera.width - 0.5,
+                                                     (result.camera.height - 1) / 2]]
+    np.testing.assert_allclose(np.degrees(ray_angles(result, *ends)).T,
+                               [[wide['value'], wide['sigma']]])
 
 
-def test_ratios_of_lengths_scatter_as_stated():
-    """The same scene and path with new noise: chi-square of the ratio over the runs."""
-    facts = CameraFacts(aspect_ratio=1.0, distortion='none')
-    ends, spread, own = ((0, 30), (12, 45)), [], []
-    for seed in range(60):
-        sequence = sequence_si(np.random.default_rng([seed, 1]), 0.3, views=5)
-        fit, true = _fit(sequence, facts), sequence.points
-        apart = [np.linalg.norm(true[b] - true[a]) for a, b in ends]
-        found = distance_ratio(fit, *ends)
-        spread.append((found.value - apart[0] / apart[1]) / found.sigma)
-        own.append(distance_ratio(fit, *ends, covariance=np.zeros((9, 9))).sigma / found.sigma)
-
-    # chi-square over 60 runs: the root of its mean is 1 ± 0.09
-    assert 0.7 < np.sqrt(np.mean(np.square(spread))) < 1.3
-    # the camera's part is not nothing, and not all
-    assert 0.1 < np.mean(own) < 1
-
-
-def test_a_point_at_infinity_has_no_distance():
-    fit = _fit(sequence_si(np.random.default_rng(0), 0.1), CameraFacts(1.0, distortion='none'))
-    points = fit.state.points.copy()
-    points[3] = [1, 0, 0, 0]
-    far = replace(fit, state=replace(fit.state, points=points))
-
-    assert np.isnan(distance_ratio(far, (0, 3), (1, 2)).sigma)
-
-
-def _fit(sequence, facts) -> Fit:
-    """Adjust a planar sequence from its truth."""
-    tracks = sequence.tracks
-    order = np.lexsort((tracks.frame, tracks.track))
-    view, point = tracks.frame[order], tracks.track[order]
-    poses = sequence.cam_from_world
-    mount = poses[0, :, :3]
-    local = np.einsum('ji,vjk->vik', mount, poses)
-    angle = np.arctan2(local[:, 1, 0], local[:, 0, 0])
-    shift = local[:, :, 3] - local[0, :, 3]
-    views = np.column_stack([angle, shift[:, :2], np.zeros((len(poses), 3))])
-    # the world of the adjustment starts at the first view
-    R = local[:, :, :3]
-    views[:, 1:3] = (local[:, :, 3] - np.einsum('vij,j->vi', R, local[0, :, 3]))[:, :2]
-    points = np.column_stack([sequence.points + local[0, :, 3], np.ones(len(sequence.points))])
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    f, fy, *rest = sequence.camera.parameters
-    observations = Observations(view, point, tracks.xy[order], np.arange(len(points)))
-    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 0.3)
-    state = bundle.optimise(BundleState(np.array([f, fy / f, *rest]), mount, views, points),
-                            50, 1e-6)
-    return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations, 0)
+def test_what_is_no_calibration_measures_nothing():
+    result = calibrate(sequence_si(np.random.default_rng(0), 0.3, views=3).tracks,
+                       facts=CameraFacts(1.0, 0.0, distortion='none'))
+    with pytest.raises(ArgumentError):
+        ray_angles(NotCalibrated('nothing moves.'), [0, 0], [1, 1])
+    pixels = np.zeros((3, 2))
+    for first, second in (([0, 0, 0], [1, 1, 1]), ([0, 0], 'ab'), (pixels[:2], pixels)):
+        with pytest.raises(ArgumentError):
+            ray_angles(result, first, second)

@@ -1,0 +1,209 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Sigmas of lengths and angles of the structure against repeated runs."""
+
+from dataclasses import replace
+import pickle
+
+import numpy as np
+import pytest
+
+from selfcal_ros import (calibrate, CameraFacts, length_ratio, Measured, NotCalibrated,
+                         structure_angle)
+from selfcal_ros.calibration.measurement import measurement_sentences
+from selfcal_ros.calibration.refine import bundle_of, Fit, Observations
+from selfcal_ros.calibration.state import (BundleState, intrinsic_covariance, MotionModel,
+                                           parameter_covariance, Prior, priors_from_facts)
+from selfcal_ros.calibration.structure_measurement import (corner_angle, distance_ratio,
+                                                           regression)
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.report.result_json import result_to_dict
+from selfcal_ros.synthetic.scenes import sequence_si
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
+
+
+@pytest.fixture(scope='module')
+def result():
+    return calibrate(sequence_si(np.random.default_rng(0), 0.3, views=5).tracks, facts=FACTS)
+
+
+def test_measurements_of_a_result_scatter_as_stated():
+    """Calibrate the same scene and path with new noise; compare with the truth."""
+    ratios, angles, typical = [], [], []
+    for seed in range(40):
+        sequence = sequence_si(np.random.default_rng([seed, 2]), 0.3, views=5)
+        found = calibrate(sequence.tracks, facts=FACTS)
+        X = sequence.points
+
+        def ratio(first, second, X=X):
+            return np.linalg.norm(X[first[1]] - X[first[0]]) / np.linalg.norm(
+                X[second[1]] - X[second[0]])
+
+        def angle(a, b, c, X=X):
+            arms = X[[a, c]] - X[b]
+            return np.arccos(arms[0] @ arms[1] / np.prod(np.linalg.norm(arms, axis=1)))
+
+        one = length_ratio(found, (0, 30), (12, 45))
+        ratios.append((one.value - ratio((0, 30), (12, 45))) / one.sigma)
+        one = structure_angle(found, (3, 40, 21))
+        angles.append((one.value - angle(3, 40, 21)) / one.sigma)
+        told = found.measured
+        typical.append((told.length_ratio.value - ratio(told.first, told.second))
+                       / told.length_ratio.sigma)
+        typical.append((told.angle_deg.value - np.degrees(angle(*told.corner)))
+                       / told.angle_deg.sigma)
+
+    # the root of the mean of 40 squares is 1 +- 0.11
+    for scaled in (ratios, angles, typical):
+        assert 0.7 < np.sqrt(np.mean(np.square(scaled))) < 1.35
+
+
+def test_words_and_json_give_the_typical_measurements(result):
+    told = result.measured
+    stated = result_to_dict(result)['measurement']
+    words = measurement_sentences(result.camera, result.covariance, told)[-1]
+
+    again = length_ratio(result, told.first, told.second)
+    assert stated['length_ratio'] == {
+        'value': pytest.approx(again.value), 'sigma': pytest.approx(again.sigma),
+        'first': list(told.first), 'second': list(told.second)}
+    assert stated['structure_angle_deg'] == {
+        'value': pytest.approx(np.degrees(structure_angle(result, told.corner).value)),
+        'sigma': pytest.approx(np.degrees(structure_angle(result, told.corner).sigma)),
+        'corner': list(told.corner)}
+    assert f'{again.value:.3f}' in words and f'{told.angle_deg.sigma:.2g} degrees' in words
+    # what the camera is known to less well is known less well
+    wider = replace(result, covariance=4 * result.covariance)
+    assert again.sigma < length_ratio(wider, told.first, told.second).sigma < 2 * again.sigma
+
+
+@pytest.mark.parametrize('first, second', [
+    ((0, 0), (1, 2)), ((0, 1), (2, 2)), ((0, 9999), (1, 2)), ((-1, 0), (1, 2)), ((0,), (1, 2)),
+    ((0, 1.5), (1, 2)), (7, (1, 2)), ((0, 10**30), (1, 2))])
+def test_impossible_lengths_are_refused_in_a_sentence(result, first, second):
+    with pytest.raises(ArgumentError, match=r'.\.$'):
+        length_ratio(result, first, second)
+
+
+def test_without_an_adjusted_structure_nothing_is_measured(result):
+    for one in (NotCalibrated('nothing moves.'), replace(result, reconstruction=None),
+                replace(result, reconstruction=replace(result.reconstruction, fit=None))):
+        with pytest.raises(ArgumentError, match='no adjusted structure'):
+            length_ratio(one, (0, 1), (2, 3))
+        with pytest.raises(ArgumentError, match='no adjusted structure'):
+            structure_angle(one, (0, 1, 2))
+    with pytest.raises(ArgumentError, match='Track 1 is named twice'):
+        structure_angle(result, (0, 1, 1))
+
+
+def test_a_result_stays_small(result):
+    copy = pickle.loads(pickle.dumps(result))
+    before = len(pickle.dumps(copy))
+    first = length_ratio(copy, (0, 30), (12, 45))
+
+    assert len(pickle.dumps(copy)) == before
+    # no derivatives, no covariance of poses
+    assert before < 300 * result.observation_count
+    assert first == length_ratio(result, (0, 30), (12, 45))
+
+
+def test_the_covariance_is_that_of_the_public_parameters():
+    """The sigma of fy is pixels; taken for that of the aspect ratio it would swamp everything."""
+    fit = _fit(sequence_si(np.random.default_rng(5), 0.3, views=5),
+               CameraFacts(distortion='none'))
+    public = parameter_covariance(fit.covariance, fit.state.intrinsics)
+    ends = (0, 30), (12, 45)
+
+    assert public[1, 1] > 1e3 * fit.covariance[1, 1]
+    np.testing.assert_allclose(intrinsic_covariance(public, fit.state.intrinsics),
+                               fit.covariance[:9, :9], atol=1e-12)
+    assert distance_ratio(fit, *ends, covariance=public).sigma == pytest.approx(
+        distance_ratio(fit, *ends).sigma, rel=1e-6)
+
+
+def test_a_camera_known_exactly_leaves_what_holding_it_leaves():
+    """All nine parameters free, of which some are known to 1e-5 and others to pixels."""
+    fit = _fit(sequence_si(np.random.default_rng(5), 0.3, views=5),
+               CameraFacts(distortion='plumb_bob'))
+    held = fit.bundle.with_priors({k: Prior(v, 0.0) for k, v in enumerate(fit.state.intrinsics)})
+    factor = fit.bundle.loss_factors(fit.line.residual)[0] / held.loss_factors(
+        fit.line.residual)[0]
+    ends = (0, 30), (12, 45)
+
+    alone = distance_ratio(replace(fit, bundle=held), *ends).sigma * np.sqrt(factor)
+    assert distance_ratio(fit, *ends, covariance=np.zeros((9, 9))).sigma == pytest.approx(
+        alone, rel=1e-3)
+
+
+def test_small_variances_are_no_rounding():
+    covariance = np.diag([1e4, 0.0, 4.0, 1e-10])
+
+    np.testing.assert_allclose(regression(covariance, np.array([50.0, 0.0, 2.0, 3e-10])),
+                               [5e-3, 0, 0.5, 3])
+
+
+def test_ratios_of_lengths_scatter_as_stated():
+    """The same scene and path with new noise: chi-square of the ratio over the runs."""
+    facts = CameraFacts(aspect_ratio=1.0, distortion='none')
+    ends, spread, own = ((0, 30), (12, 45)), [], []
+    for seed in range(60):
+        sequence = sequence_si(np.random.default_rng([seed, 1]), 0.3, views=5)
+        fit, true = _fit(sequence, facts), sequence.points
+        apart = [np.linalg.norm(true[b] - true[a]) for a, b in ends]
+        found = distance_ratio(fit, *ends)
+        spread.append((found.value - apart[0] / apart[1]) / found.sigma)
+        own.append(distance_ratio(fit, *ends, covariance=np.zeros((9, 9))).sigma / found.sigma)
+
+    # chi-square over 60 runs: the root of its mean is 1 ± 0.09
+    assert 0.7 < np.sqrt(np.mean(np.square(spread))) < 1.3
+    # the camera's part is not nothing, and not all
+    assert 0.1 < np.mean(own) < 1
+
+
+def test_a_point_at_infinity_has_no_distance():
+    fit = _fit(sequence_si(np.random.default_rng(0), 0.1), CameraFacts(1.0, distortion='none'))
+    points = fit.state.points.copy()
+    points[3] = [1, 0, 0, 0]
+    far = replace(fit, state=replace(fit.state, points=points))
+
+    assert np.isnan(distance_ratio(far, (0, 3), (1, 2)).sigma)
+    assert np.isnan(corner_angle(far, (0, 3, 1)).value)
+    assert isinstance(corner_angle(far, (0, 2, 1)), Measured)
+    with pytest.raises(ArgumentError):
+        distance_ratio(fit, (0, 1), (2, 2))
+
+
+def _fit(sequence, facts) -> Fit:
+    """Adjust a planar sequence from its truth."""
+    tracks = sequence.tracks
+    order = np.lexsort((tracks.frame, tracks.track))
+    view, point = tracks.frame[order], tracks.track[order]
+    poses = sequence.cam_from_world
+    mount = poses[0, :, :3]
+    local = np.einsum('ji,vjk->vik', mount, poses)
+    angle = np.arctan2(local[:, 1, 0], local[:, 0, 0])
+    shift = local[:, :, 3] - local[0, :, 3]
+    views = np.column_stack([angle, shift[:, :2], np.zeros((len(poses), 3))])
+    # the world of the adjustment starts at the first view
+    R = local[:, :, :3]
+    views[:, 1:3] = (local[:, :, 3] - np.einsum('vij,j->vi', R, local[0, :, 3]))[:, :2]
+    points = np.column_stack([sequence.points + local[0, :, 3], np.ones(len(sequence.points))])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    f, fy, *rest = sequence.camera.parameters
+    observations = Observations(view, point, tracks.xy[order], np.arange(len(points)))
+    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 0.3)
+    state = bundle.optimise(BundleState(np.array([f, fy / f, *rest]), mount, views, points),
+                            50, 1e-6)
+    return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations, 0)
