@@ -253,6 +253,9 @@ class ReducedSystem:
         half = np.einsum('pij,pj->pi', self._inverse_root, form)
         carried = np.zeros(len(self.matrix))
         for members, M, own in self._factors:
+            # most forms are of a few points
+            if not half[members].any():
+                continue
             part = M.T @ half[members].ravel()
             carried[:self._shared] -= part[:self._shared]
             carried[own] -= part[self._shared:]
