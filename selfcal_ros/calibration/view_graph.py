@@ -63,8 +63,10 @@ class ViewGraph:
     noise_px : float
         Robust standard deviation of an image coordinate, from epipolar distances.
     rejected : int
-        Observations that contradict the others; those of which no pair of views with a
-        consistent epipolar geometry has told do not count.
+        Observations that contradict the others: outliers of a pair of views, or in pairs of
+        which none has a consistent epipolar geometry. Those that could not be compared do not
+        count, nor do those of pairs with fewer than `MINIMUM_MATCHES` matches that disagree: a
+        single one may be to blame.
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise; near 1 the scene is one plane or the camera only rotated.
@@ -202,10 +204,11 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    samples, matches, compared = [], [], []
+    samples, matches, compared, tested = [], [], [], np.zeros(len(tracks), bool)
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
         xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
+        tested[row[[a, b]][:, both]] |= len(both) >= MINIMUM_MATCHES
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
         found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
         if found:
@@ -239,7 +242,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
-    rejected = int(np.sum((used > 0) & ~keep))
+    rejected = int(np.sum((tested | (used > 0)) & ~keep))
     keep &= largest[view]
     kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
     noise, weight = np.array(spreads).T
