@@ -105,7 +105,9 @@ def recorded(report: Report, name: str, motion: str, facts: CameraFacts, limits)
     errors = against(report, result, Camera(truth['K'], truth['dist']))
     report.say(' '.join(result.notes))
     if limits is None:
-        report.say(f'error {errors[0]:+.2f} %, {errors[1]:.1f} px, {errors[2]:.1f} sigmas')
+        report.say(f'fx error {errors[0]:+.2f} %, principal point {errors[1]:.1f} px')
+        # right or refused
+        report.verdict('truth from the result, largest', errors[2], 3.0, 'stated sigmas')
         return
     report.verdict('fx error', errors[0], limits[0], '%')
     report.verdict('principal point error', errors[1], limits[1], 'px')
