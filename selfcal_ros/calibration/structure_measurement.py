@@ -134,8 +134,9 @@ def sample_structure(fit: Fit, points: np.ndarray, covariance: np.ndarray,
     """
     Measure a typical ratio of lengths and a typical angle.
 
-    The longest extent of that half of the points which lies nearest to the middle of all, over
-    the longest across it; and the angle at the end of the latter between the ends of the former.
+    About the longest extent of that half of the points which lies nearest to the middle of all,
+    over the longest across it; and the angle at the end of the latter between the ends of the
+    former.
 
     Parameters
     ----------
