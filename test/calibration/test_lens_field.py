@@ -93,3 +93,13 @@ def test_a_bent_lens_is_found_and_the_truth_covered():
 
     assert np.abs(covered).max() < 4
     assert np.isfinite(covered).all()
+
+
+def test_what_bends_more_than_a_lens_is_no_calibration():
+    tracks, _ = drive(0, 4.0)
+
+    result = calibrate(tracks, facts=FACTS)
+
+    assert not result
+    assert 'smoothly over the image' in result.reason and '--distortion' in result.advice
+    assert not any(word in result.reason for word in ('nan', 'inf'))
