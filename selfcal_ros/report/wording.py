@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.measurement import fields_of_view
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 
@@ -109,29 +110,14 @@ def _derived_rows(result: Calibration) -> list[Row]:
     text, sigma = with_sigma(fy / fx, 0.0 if held or spread < 1e-9 else spread)
     rows = [Row('fy / fx', 'aspect ratio', text, sigma, '', 'held' if held else 'derived',
                 f'aspect ratio = {facts.aspect_ratio:g}' if held else '')]
-    for name, size, axis in (('horizontal', camera.width, 0), ('vertical', camera.height, 1)):
-        if size <= 0:
-            continue
-        angle, spread = _field_of_view(camera, C, size, axis)
-        if np.isfinite(angle):
-            text, sigma = with_sigma(angle, spread)
-            rows.append(Row('FoV', f'{name} field of view, degrees', text, sigma, '', 'derived'))
+    if camera.width > 0 and camera.height > 0:
+        fields = fields_of_view(camera, C)
+        for name in ('horizontal', 'vertical'):
+            if name in fields:
+                text, sigma = with_sigma(fields[name].value, fields[name].sigma)
+                rows.append(Row('FoV', f'{name} field of view, degrees', text, sigma, '',
+                                'derived'))
     return rows
-
-
-def _field_of_view(camera, covariance, size, axis) -> tuple[float, float]:
-    """Return the angle between the ends of the middle row or column, and its sigma, degrees."""
-    def angle(change):
-        moved = type(camera).from_parameters(camera.parameters + change)
-        ends = np.tile(camera.K[:2, 2], (2, 1))
-        ends[:, axis] = -0.5, size - 0.5
-        rays = np.arctan(moved.normalised(ends)[:, axis])
-        return float(np.degrees(rays[1] - rays[0]))
-
-    steps = np.array([1e-3] * 5 + [1e-6] * 4)
-    slope = np.array([(angle(d) - angle(-d)) / (2 * s)
-                      for s, d in zip(steps, np.diag(steps))])
-    return angle(np.zeros(9)), _spread(slope, covariance)
 
 
 def facts_lines(facts: CameraFacts) -> list[str]:
