@@ -64,9 +64,8 @@ class CornerFit:
             best = self._sample(rows, residual, prior, score)
         if best is None:
             return predicted, agree
-        state, m = predicted, self.basis.shape[1]
-        q = best
-        state = self.projection.moved(predicted, self.basis @ q)
+        m = self.basis.shape[1]
+        state = self.projection.moved(predicted, self.basis @ best)
         for _ in range(2):
             rows, residual = self._rows(state, points, pixels)
             distance = np.sqrt((residual**2).sum(axis=0))
@@ -79,18 +78,14 @@ class CornerFit:
             back = self.basis.T @ self.projection.difference(state, predicted)
             q = np.linalg.solve(H + prior, g - prior @ back)
             state = self.projection.moved(state, self.basis @ q)
-        residual = pixels - self.projection.project(state, points).pixels
-        near = (residual**2).sum(axis=1) < near_px**2
-        if near.sum() < LEAST_TEXTURE:
-            return predicted, agree
-        agree[good[near]] = True
-        return state, agree
+        near = self.near(state, matches, near_px)
+        return (state, near) if near.sum() >= LEAST_TEXTURE else (predicted, agree)
 
-    def near(self, state, matches) -> np.ndarray:
+    def near(self, state, matches, near_px: float = AGREE_PX) -> np.ndarray:
         """Which of the followed corners lie where a state puts them, (N,) bool."""
         seen = self.projection.project(state, matches.object_points).pixels
         square = ((matches.pixels - seen)**2).sum(axis=1)
-        return matches.followed & (square < AGREE_PX**2)
+        return matches.followed & (square < near_px**2)
 
     def _rows(self, state, points, pixels):
         """Jacobian (2, N, m) and residual (2, N) of corners, x and then y."""

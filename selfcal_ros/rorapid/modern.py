@@ -61,7 +61,7 @@ class ModernCycle:
 
     def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions, rng):
         """Start without memory."""
-        self.control, self.basis, self.options, self.rng = control, basis, options, rng
+        self.control, self.basis, self.options = control, basis, options
         self.projection = control.projection
         model = control.visible_model.model
         faces = [model.vertices[list(face.indices)] - control.centre for face in model.faces]

@@ -145,17 +145,16 @@ class VisibleModel:
             [(ends[:, :1] + share[:, None] * span[:, None]).reshape(-1, 3), *conics])
         self._tangents = np.concatenate([np.repeat(along, n, axis=0), *slopes])
         self._counts = np.array([n] * L + [per_conic] * K + [n] * S)
-        self._primitive = np.repeat(np.arange(L + K + S), self._counts)
+        #: Primitive of each control point, (size,).
+        self.primitive = np.repeat(np.arange(L + K + S), self._counts)
         self._first = np.concatenate([[0], np.cumsum(self._counts)[:-1]]).astype(int)
         self._static = len(self._points)
         #: Number of all control points.
-        self.size = len(self._primitive)
-        #: Primitive of each control point, (size,).
-        self.primitive = self._primitive
+        self.size = len(self.primitive)
         lengths = np.r_[np.linalg.norm(span, axis=1), np.repeat(
             [np.linalg.norm(np.subtract(c.end, c.start)) for c in model.cylinders], 2)]
         ends_m = np.minimum(share, 1 - share) * lengths[:, None]
-        bends = np.zeros((len(self._primitive), 3))
+        bends = np.zeros((len(self.primitive), 3))
         #: Curvature vectors of conics, per metre, up to a part along the tangent, (size, 3).
         self.bends = bends
         for k, conic in enumerate(model.conics):
@@ -196,7 +195,7 @@ class VisibleModel:
 
     def nearest_in(self, other: VisibleModel) -> np.ndarray:
         """Return the number of the control point in another layout that lies nearest to each."""
-        primitive = self._primitive
+        primitive = self.primitive
         place = np.arange(self.size) - self._first[primitive] + 0.5
         along = place / self._counts[primitive] * other._counts[primitive]
         return other._first[primitive] + along.astype(int)
@@ -280,8 +279,8 @@ class VisibleModel:
         seen = np.add.reduceat(visible, self._first) >= self.min_visible
         if focal_px is not None:
             seen[:self._L] &= self._large_enough(rotation, translation, focal_px)
-        keep = np.flatnonzero(seen[self._primitive])
-        primitive = self._primitive[keep]
+        keep = np.flatnonzero(seen[self.primitive])
+        primitive = self.primitive[keep]
         return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
                              keep, self._contours(centre)[primitive], self.kind, self.names)
 

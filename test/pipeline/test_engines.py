@@ -13,6 +13,7 @@
 # limitations under the License.
 """Many jobs in processes and on Dask: order, crashes, threads, errors of the caller."""
 
+from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from operator import call
@@ -143,24 +144,31 @@ def scheduler(tmp_path):
     process.stderr.close()
 
 
+@contextmanager
+def working(address):
+    """Start a worker of Dask for a scheduler; gives its process."""
+    worker = subprocess.Popen([sys.executable, '-m', 'distributed.cli.dask_worker', address,
+                               '--nthreads', '1', '--no-nanny', '--no-dashboard'],
+                              stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
+    try:
+        yield worker
+    finally:
+        worker.kill()
+        worker.wait()
+
+
 @needs_dask
 def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence(scheduler):
     process, address = scheduler
     with pytest.raises(InputError, match=rf'{address} has no workers; start some: dask worker'):
         list(run_jobs(abs, [1], engine='dask', scheduler=address))
-    worker = subprocess.Popen([sys.executable, '-m', 'distributed.cli.dask_worker', address,
-                               '--nthreads', '1', '--no-nanny', '--no-dashboard'],
-                              stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
-    try:
+    with working(address):
         results = run_jobs(call, [partial(pow, 3, 2), partial(time.sleep, 60)], engine='dask',
                            scheduler=address)
         assert next(results) == (0, 9)
         process.kill()
         with pytest.raises(InputError, match='lost on the way'):
             list(results)
-    finally:
-        worker.kill()
-        worker.wait()
     with pytest.raises(InputError, match=f'{address} cannot be reached'):
         list(run_jobs(abs, [1], engine='dask', scheduler=address))
 
@@ -169,19 +177,13 @@ def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence
 def test_a_run_whose_workers_are_all_gone_ends_with_a_sentence(scheduler, monkeypatch):
     _, address = scheduler
     monkeypatch.setattr('selfcal_ros.pipeline.engines.NO_WORKERS_S', 2.0)
-    worker = subprocess.Popen([sys.executable, '-m', 'distributed.cli.dask_worker', address,
-                               '--nthreads', '1', '--no-nanny', '--no-dashboard'],
-                              stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2])
-    try:
+    with working(address) as worker:
         results = run_jobs(call, [partial(pow, 3, 2), partial(time.sleep, 60)], engine='dask',
                            scheduler=address)
         assert next(results) == (0, 9)
         worker.kill()
         with pytest.raises(InputError, match=f'{address} has had no workers for 2 s'):
             list(results)
-    finally:
-        worker.kill()
-        worker.wait()
 
 
 def tracks_folder(tmp_path, count):
