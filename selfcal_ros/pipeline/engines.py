@@ -172,7 +172,7 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
     """Run on a cluster; jobs whose worker died run again, each alone."""
     try:
         import dask
-        from dask.distributed import as_completed, Client, KilledWorker, LocalCluster
+        from dask.distributed import Client, KilledWorker, LocalCluster
     except ImportError:
         raise ArgumentError('--engine dask needs Dask, which is not installed: pip install '
                             '"selfcal_ros[dask]".') from None
@@ -182,10 +182,10 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         else:
             stack.enter_context(_thread_limits())
             stack.enter_context(dask.config.set(_LOCAL_DASK))
-            # without its web page, so that nothing needs a port; what fails we say ourselves
+            # its web page is empty and at any free port; what fails we say ourselves
             cluster = stack.enter_context(LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None,
-                silence_logs=logging.CRITICAL))
+                n_workers=workers, threads_per_worker=1, dashboard_address='127.0.0.1:0',
+                scheduler_kwargs={'dashboard': False}, silence_logs=logging.CRITICAL))
             client = Client(cluster)
         stack.enter_context(client)
         try:
@@ -196,9 +196,10 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         suspects = []
         futures = client.map(partial(_run_with_one_thread, function), jobs, pure=False, retries=0)
         numbers = {future.key: number for number, future in enumerate(futures)}
+        arriving = _arriving(client, futures, scheduler)
         # each result is let go of as soon as it is here
-        futures = as_completed(futures, with_results=True, raise_errors=False)
-        for key, value in _arriving(client, futures, scheduler):
+        del futures
+        for key, value in arriving:
             if isinstance(value, KilledWorker):
                 # also those that only waited on a worker when another job took it away
                 suspects.append(numbers[key])
@@ -207,8 +208,7 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
         for number in suspects:
             future = client.submit(_run_with_one_thread, function, jobs[number], pure=False,
                                    retries=0)
-            futures = as_completed([future], with_results=True, raise_errors=False)
-            for _, value in _arriving(client, futures, scheduler):
+            for _, value in _arriving(client, [future], scheduler):
                 yield number, None if isinstance(value, KilledWorker) else value
 
 
@@ -230,17 +230,34 @@ def _connected(make_client, scheduler: str):
 
 def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
     """Yield key, and value or exception, of each job that ends, while there is who runs it."""
+    from dask.distributed import as_completed, CancelledError
     name = scheduler or 'of this machine'
+    # not with their results: as_completed forgets a job that had ended, whose worker died before
+    # the result was fetched, and which then fails when it runs again
+    ending = as_completed(futures)
+    ended = deque()
     looked = seen = time.monotonic()
-    while not futures.is_empty():
-        if futures.has_ready():
-            future, value = next(futures)
+    while ended or not ending.is_empty():
+        while ending.has_ready():
+            ended.append(next(ending))
+        if ended:
+            future, here = ended.popleft(), True
+            try:
+                value = future.result(timeout=1.0)
+            except (Exception, CancelledError) as error:
+                value = error
+                # else it was not fetched in time, or went with its worker, and the job runs again
+                here = future.status == 'error' or (future.done()
+                                                    and not isinstance(error, TimeoutError))
             if future.cancelled():
                 raise InputError(f'The Dask scheduler {name} was lost on the way; what was '
                                  'finished before is there.')
-            yield future.key, future.exception() if future.status == 'error' else value
-            continue
-        time.sleep(0.02)
+            if here:
+                yield future.key, value
+                continue
+            ended.append(future)
+        else:
+            time.sleep(0.02)
         now = time.monotonic()
         if now - looked > 1:
             looked = now

@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from operator import call
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 import time
@@ -131,17 +132,21 @@ def test_without_dask_the_sentence_says_how_to_get_it(monkeypatch):
 @pytest.fixture
 def scheduler(tmp_path):
     """Start a scheduler of Dask without workers; returns its process and its address."""
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1', '--port',
-         '0', '--no-dashboard', '--scheduler-file', str(tmp_path / 'scheduler.json')],
-        stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-    for line in process.stderr:
-        if 'Scheduler at:' in line:
-            break
-    yield process, line.split()[-1]
-    process.kill()
-    process.wait()
-    process.stderr.close()
+    said = tmp_path / 'said.txt'
+    with open(said, 'wb') as standard_error:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1',
+             '--port', '0', '--no-dashboard', '--scheduler-file',
+             str(tmp_path / 'scheduler.json')], stderr=standard_error, cwd=tmp_path)
+    try:
+        deadline = time.monotonic() + 60
+        while not (at := re.search(r'Scheduler at:\s+(\S+)\n', said.read_text())):
+            assert process.poll() is None and time.monotonic() < deadline, said.read_text()
+            time.sleep(0.05)
+        yield process, at[1]
+    finally:
+        process.kill()
+        process.wait()
 
 
 @contextmanager
