@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.cross_validation import leave_out_stretches
+from selfcal_ros.calibration.curvature import bend_excess
 from selfcal_ros.calibration.dependence import assess_dependence, Dependence, stretch_excess
 from selfcal_ros.calibration.motion import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.observability import parameter_status
@@ -112,6 +113,7 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
         every = tuple(range(len(fit.state.views)))
         turned = hold_parallel(fit, every, problem.size)[1] > 0
     fit, valley = follow_valley(fit, problem.size, share)
+    valley = valley + bend_excess(fit, problem.size, share * known) / known
     shared = stretch_excess(*leave_out_stretches(fit), fit.covariance[:9, :9], known)
     return Model(fit, facts, exact, shared, valley, turned, share)
 

@@ -66,11 +66,6 @@ class MotionModel:
         return replace(self, parallel=tuple(place[v] for v in self.parallel if v in place))
 
     @property
-    def is_planar(self) -> bool:
-        """Tell whether tilt and height are held at zero."""
-        return self.tilt_sigma_rad == 0 and self.height_sigma == 0
-
-    @property
     def keeps_plane(self) -> bool:
         """Tell whether there is a plane of motion at all, exact or not."""
         return bool(np.isfinite(self.tilt_sigma_rad))

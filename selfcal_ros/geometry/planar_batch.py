@@ -201,32 +201,6 @@ def batch_influence(data: PairMatches, L, V, own, observation=None, count: int |
     return influence, float((by_point ** 2).sum() - absorbed)
 
 
-def batch_covariance(data: PairMatches, L, V, own, observation=None):
-    """
-    Covariance of the common parameters per pixel^2 of image noise, and the expected cost.
-
-    Parameters as of `batch_influence`.
-
-    Returns
-    -------
-    covariance : ndarray, shape (4, 4)
-    expected : float
-
-    """
-    influence, expected = batch_influence(data, L, V, own, observation)
-    return spread(influence), expected
-
-
-def hessian_covariance(data: PairMatches, L, V, own, cost):
-    """Covariance 2 C / (m - p) H^-1 of the common parameters (thesis C.1), shape (4, 4)."""
-    F, common, single = _batch_model(L, V, own)
-    _, gradient, matrix = normal_equations(data, F)
-    A, B, D, _, _ = _arrow(matrix, gradient, common, single)
-    S = A - (B @ np.linalg.solve(_damped(D, 1e-14), np.swapaxes(B, 1, 2))).sum(axis=0)
-    spare = max(data.counts.sum() - 4 - 3 * len(F), 1)
-    return cost.sum() / spare * np.linalg.pinv(S, hermitian=True)
-
-
 def common_frames(data: PairMatches, L, V) -> tuple[np.ndarray, np.ndarray, np.ndarray,
                                                     np.ndarray]:
     """Tell l and v (3,) in pixels, of unit norm, and their derivatives (3, 2) by the globals."""
