@@ -19,13 +19,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks,
-                                           unknowns_of)
+from selfcal_ros.geometry.optimise import (curved_step, DampedFactor, huber_loss, huber_weights,
+                                           PointBlocks, unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
 
 #: Residuals beyond so many sigmas weigh less.
 _HUBER_SIGMAS = 2.5
+#: An iteration that lowers the cost by less than this share is the last one: what the pixels'
+#: distortion leaves makes the cost fall slowly for long.
+_LAST_SHARE = 2e-3
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,14 @@ class _Adjustment:
         self.freedom = (2 * len(views.xy) - int(self.free.sum()) + self.gauges
                         - 3 * self.blocks.point_count)
 
+    def apply(self, cameras, points, step, point_steps):
+        """Move cameras and points; all but the translated cameras are of unit norm."""
+        cameras = cameras + step.reshape(-1, 3, 4)
+        norm = np.linalg.norm(cameras, axis=(1, 2))[:, None, None]
+        points = points + np.einsum('pij,pj->pi', tangent_basis(points), point_steps)
+        return (np.where(self.views.translated[:, None, None], cameras, cameras / norm),
+                points / np.linalg.norm(points, axis=1, keepdims=True))
+
     def residuals(self, cameras, points):
         x = np.einsum('nij,nj->ni', cameras[self.views.view], points[self.views.point])
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -155,7 +166,7 @@ class _Adjustment:
         jac_view[:, :, :] *= self.free.reshape(-1, 12)[view][:, None]
         system = self.blocks.reduce(np.zeros((len(view), 2, 0)), jac_view * root[..., None],
                                     jac_point * root[..., None], residual * root, damping)
-        return system
+        return system, root
 
     def optimise(self, cameras, points, iterations):
         residual = self.residuals(cameras, points)
@@ -165,24 +176,20 @@ class _Adjustment:
         for _ in range(iterations):
             sigma = self.sigma(residual)
             cost = self._cost(residual, sigma)
-            system = self.system(cameras, points, sigma, damping)
+            system, root = self.system(cameras, points, sigma, damping)
             factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             if not factor.usable:
                 damping *= 10
                 continue
-            step = factor.solve(-system.gradient)
-            moved = cameras + step.reshape(-1, 3, 4)
-            shift = np.einsum('pij,pj->pi', tangent_basis(points), system.point_steps(step))
-            new_points = points + shift
-            new_points /= np.linalg.norm(new_points, axis=1, keepdims=True)
-            norm = np.linalg.norm(moved, axis=(1, 2))[:, None, None]
-            moved = np.where(self.views.translated[:, None, None], moved, moved / norm)
+            steps = curved_step(system, factor, lambda *ahead: root * self.residuals(
+                *self.apply(cameras, points, *ahead)))
+            moved, new_points = self.apply(cameras, points, *steps)
             new_residual = self.residuals(moved, new_points)
             new = self._cost(new_residual, sigma)
             if new < cost:
                 cameras, points, residual = moved, new_points, new_residual
                 damping = max(0.1 * damping, 1e-10)
-                if cost - new < 1e-3:
+                if cost - new < _LAST_SHARE * new:
                     break
             else:
                 damping *= 10
@@ -199,7 +206,7 @@ class _Adjustment:
 
     def _covariance(self, cameras, points, sigma):
         """Covariance of the free cameras' left halves, scales and depth unit held."""
-        system = self.system(cameras, points, sigma, 0.0)
+        system, _ = self.system(cameras, points, sigma, 0.0)
         matrix = system.matrix
         weight = float(np.median(system.diagonal[self.free]))
         flat = np.zeros((len(cameras), 12))

@@ -21,6 +21,7 @@ eliminated, facts and planarity as measurements, Huber's loss.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -30,8 +31,8 @@ from selfcal_ros.calibration.evidence import (Evidence, huber_factors,
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            ROTATION, SHARED)
-from selfcal_ros.geometry.optimise import (DampedFactor, huber_loss, huber_weights, PointBlocks,
-                                           ReducedSystem, unknowns_of)
+from selfcal_ros.geometry.optimise import (curved_step, DampedFactor, huber_loss, huber_weights,
+                                           PointBlocks, ReducedSystem, unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -205,7 +206,8 @@ class Bundle:
             factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             new_cost = np.inf
             if factor.usable:
-                step, point_steps = self._curved_step(state, system, root, factor)
+                step, point_steps = curved_step(system, factor, partial(
+                    self._weighted_residuals, state, root))
                 moved = self.apply(state, step, point_steps)
                 new_cost = self.cost(moved)
             decrease = cost - new_cost
@@ -222,6 +224,10 @@ class Bundle:
                 if damping > 1e8:
                     break
         return state
+
+    def _weighted_residuals(self, state, root, step, point_steps):
+        ahead = self.linearise(self.apply(state, step, point_steps), jacobians=False)
+        return root * ahead.residual
 
     def settle_points(self, state: BundleState, iterations: int = 5) -> BundleState:
         """
@@ -252,25 +258,6 @@ class Bundle:
             cost = np.minimum(cost, new_cost)
             line = self.linearise(state)
         return state
-
-    def _curved_step(self, state, system, root, factor):
-        """
-        Levenberg-Marquardt step with geodesic acceleration (Transtrum & Sethna 2012).
-
-        The valley of the cost is long and bent (principal point against axis direction, focal
-        length against angles); the second derivative along the step follows the bend.
-        """
-        step = factor.solve(-system.gradient)
-        points = system.point_steps(step)
-        reach = 0.1
-        ahead = self.linearise(self.apply(state, reach * step, reach * points), jacobians=False)
-        change = (ahead.residual * root - system.residual) / reach
-        second = 2 / reach * (change - system.predict(step, points))
-        gradient, half_b = system.right_hand_side(second)
-        bend = factor.solve(-gradient)
-        if not 2 * factor.length(bend) < 0.75 * factor.length(step):
-            return step, points
-        return step + 0.5 * bend, points + 0.5 * system.point_steps(bend, half_b)
 
     # ------------------------------------------------------------------ evidence
 

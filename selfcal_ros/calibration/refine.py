@@ -28,6 +28,7 @@ from selfcal_ros.calibration.selection import verified
 from selfcal_ros.calibration.start import centres_from_state, points_from_centres
 from selfcal_ros.calibration.state import (BundleState, holding, MotionModel, Prior,
                                            priors_from_facts, rescale)
+from selfcal_ros.calibration.tracks import of_longest
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 
@@ -84,13 +85,7 @@ class Observations:
 
     def longest(self, per_view: int) -> np.ndarray:
         """Mark the observations of the longest tracks, so many in every view, shape (N,)."""
-        length = np.bincount(self.point)[self.point]
-        order = np.lexsort((self.point, -length, self.view))
-        view = self.view[order]
-        rank = np.arange(len(order)) - np.searchsorted(view, view)
-        chosen = np.zeros(len(self.track), dtype=bool)
-        chosen[self.point[order[rank < per_view]]] = True
-        return chosen[self.point]
+        return of_longest(self.view, self.point, per_view)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,30 @@ from selfcal_ros.errors import InputError
 LARGEST_PX = 1e6
 
 
+def of_longest(view: np.ndarray, point: np.ndarray, per_view: int) -> np.ndarray:
+    """
+    Mark the observations of the longest tracks, so many in every view.
+
+    Parameters
+    ----------
+    view, point : ndarray of int, shape (N,)
+        Indices from zero.
+    per_view : int
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+
+    """
+    length = np.bincount(point)[point]
+    order = np.lexsort((point, -length, view))
+    ordered = view[order]
+    rank = np.arange(len(order)) - np.searchsorted(ordered, ordered)
+    chosen = np.zeros(int(point.max(initial=-1)) + 1, dtype=bool)
+    chosen[point[order[rank < per_view]]] = True
+    return chosen[point]
+
+
 @dataclass(frozen=True)
 class Tracks:
     """
@@ -118,6 +142,12 @@ class Tracks:
         """Keep the tracks that have at least so many observations."""
         _, inverse, counts = np.unique(self.track, return_inverse=True, return_counts=True)
         return self.select(counts[inverse] >= views)
+
+    def longest(self, per_view: int) -> Tracks:
+        """Keep the longest tracks, so many in every view; whole, wherever they are seen."""
+        view = np.unique(self.frame, return_inverse=True)[1]
+        point = np.unique(self.track, return_inverse=True)[1]
+        return self.select(of_longest(view, point, per_view))
 
     def matches(self, frame_a: int, frame_b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """

@@ -35,6 +35,9 @@ from selfcal_ros.calibration.translation_groups import (estimate_radial, transla
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 
+#: Tracks per view that the chain uses, the longest ones.
+CHAIN_TRACKS_PER_VIEW = 100
+
 
 def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                          translated=None) -> Calibration | NotCalibrated:
@@ -76,6 +79,7 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     straight = undo_radial(tracks.xy, radial, size)
     usable = np.isfinite(straight).all(axis=1)
     tracks = Tracks(tracks.frame[usable], tracks.track[usable], straight[usable], size)
+    tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
     chain = calibrate_affine(tracks, translated, size, facts)
     if isinstance(chain, Undetermined):
         return NotCalibrated(chain.reason, 'Turn about the axis that is missing.', 'translation',

@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from selfcal_ros.calibration.tracks import Tracks
@@ -49,6 +48,8 @@ TOLERATED_DIAGONALS, TOLERATED_SIGMAS = 1e-4, 0.3
 LEAST_MOTION_SIGMAS = 20.0
 #: Matches beyond so many robust sigmas of general F take no part.
 _OUTLIER_SIGMAS = 4.0
+#: The tests need costs to such a share.
+_TOLERANCE = 1e-5
 #: Residuals below this are rounding.
 _FLOOR_PX = 1e-4
 #: Largest distortion that is looked for: displacement at the image's corner, as a share of the
@@ -184,7 +185,7 @@ def _differ(xy_a, xy_b) -> bool:
 
 def _general(data: PairMatches):
     """Cost of general F of every pair, with gross errors put aside; data with new weights."""
-    F, cost, _, _ = refine_general(data, eight_point(data))
+    F, cost, _, _ = refine_general(data, eight_point(data), tolerance=_TOLERANCE)
     distance = np.abs(pair_residuals(data, F)).max(axis=2)
     inside = np.where(data.weight > 0, distance, np.nan)
     limit = _OUTLIER_SIGMAS * np.maximum(1.4826 * np.nanmedian(inside, axis=1), _FLOOR_PX)
@@ -192,7 +193,7 @@ def _general(data: PairMatches):
     if (weight == data.weight).all():
         return data, cost
     data = PairMatches(data.first, data.second, weight, data.transform)
-    return data, refine_general(data, eight_point(data))[1]
+    return data, refine_general(data, F, tolerance=_TOLERANCE)[1]
 
 
 def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs=None) -> tuple[float, float]:
@@ -217,28 +218,86 @@ def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs=None) -> tuple[
     if not len(pairs):
         return 0.0, 0.0
     few = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), DISTORTION_PAIRS)).astype(int)]
-    data, _ = _general(PairMatches.from_pixels(_samples(tracks, few, DISTORTION_MATCHES)))
-    scale, shift = data.transform[0, 0], data.transform[:2, 2]
-    first, second = (((x[..., :2] - shift) / scale) for x in (data.first, data.second))
-    weight = data.counts - 7.0
-
-    def cost(radial):
-        """Twice the negative logarithm of the likelihood; every pair has its own noise."""
-        part = PairMatches(*(homogeneous(undo_radial(x, radial, size) * scale + shift)
-                             for x in (first, second)), data.weight, data.transform)
-        left = refine_general(part, eight_point(part))[1] / np.maximum(data.counts, 1)
-        return float(np.log(left + _FLOOR_PX**2) @ weight)
-
-    grid = np.linspace(-_MOST_DISTORTION, _MOST_DISTORTION, 9)
-    none = cost((0.0, 0.0))
-    start = grid[int(np.argmin([cost((a, 0.0)) for a in grid]))]
-    step = 0.5 * (grid[1] - grid[0])
-    best = minimize(cost, (start, 0.0), method='Nelder-Mead', options={
-        'initial_simplex': [(start, 0), (start + step, 0), (start, step)], 'maxfev': 40,
-        'xatol': 1e-4, 'fatol': 0.5})
+    fit = _RadialFit(_general(PairMatches.from_pixels(_samples(tracks, few,
+                                                               DISTORTION_MATCHES)))[0], size)
+    none, *grid = (fit.at(np.array([a, 0.0])) for a in (
+        0.0, *np.linspace(-_MOST_DISTORTION, _MOST_DISTORTION, 9)))
+    best = min(grid, key=fit.value)
+    reach = 1.0
+    for _ in range(12):
+        ahead = fit.at(best.radial + reach * fit.step(best), best.F)
+        fall = fit.value(best) - fit.value(ahead)
+        if fall > 0:
+            best = ahead
+        if abs(fall) < 0.5:
+            break
+        reach = 1.0 if fall > 0 else 0.25 * reach
     # two more unknowns must be worth it (BIC)
-    worth = 2 * np.log(max(float(data.counts.sum()), 2.0))
-    return (float(best.x[0]), float(best.x[1])) if none - best.fun > worth else (0.0, 0.0)
+    worth = 2 * np.log(max(float(fit.data.counts.sum()), 2.0))
+    if fit.value(none) - fit.value(best) > worth:
+        return float(best.radial[0]), float(best.radial[1])
+    return 0.0, 0.0
+
+
+@dataclass(frozen=True)
+class _RadialPairs:
+    """The best general F of every pair under some distortion."""
+
+    radial: np.ndarray
+    matches: PairMatches
+    F: np.ndarray
+    cost: np.ndarray
+    hessian: np.ndarray
+    slope: np.ndarray
+
+
+class _RadialFit:
+    """Distortion that pairs share, each with its own F and its own noise."""
+
+    def __init__(self, data: PairMatches, size):
+        self.data, self._size = data, size
+        self._scale, self._shift = data.transform[0, 0], data.transform[:2, 2]
+        self._pixels = [(x[..., :2] - self._shift) / self._scale
+                        for x in (data.first, data.second)]
+        self._freedom = data.counts - 7.0
+
+    def _undone(self, radial) -> PairMatches:
+        return PairMatches(*(homogeneous(undo_radial(x, radial, self._size) * self._scale
+                                         + self._shift) for x in self._pixels),
+                           self.data.weight, self.data.transform)
+
+    def at(self, radial, F=None) -> _RadialPairs:
+        """Find F (n, 3, 3) of every pair, from a start if there is one."""
+        part = self._undone(radial)
+        return _RadialPairs(radial, part, *refine_general(
+            part, eight_point(part) if F is None else F, tolerance=_TOLERANCE))
+
+    def _mean_square(self, pairs: _RadialPairs) -> np.ndarray:
+        return pairs.cost / np.maximum(self.data.counts, 1) + _FLOOR_PX**2
+
+    def value(self, pairs: _RadialPairs) -> float:
+        """Twice the negative logarithm of the likelihood."""
+        return float(np.log(self._mean_square(pairs)) @ self._freedom)
+
+    def step(self, pairs: _RadialPairs) -> np.ndarray:
+        """Gauss-Newton step of the two coefficients, every F following (variable projection)."""
+        residual, slope = pair_residuals(pairs.matches, pairs.F, derivative=True)
+        count = len(residual)
+        by_F = (slope.reshape(count, -1, 9) @ pairs.slope)
+        reach = 1e-4
+        by_radial = np.stack([
+            (pair_residuals(self._undone(pairs.radial + reach * axis), pairs.F) - residual) / reach
+            for axis in np.eye(2)], axis=-1).reshape(count, -1, 2)
+        cross = np.swapaxes(by_F, 1, 2) @ by_radial
+        square = np.swapaxes(by_radial, 1, 2) @ by_radial
+        square -= np.swapaxes(cross, 1, 2) @ np.linalg.solve(
+            pairs.hessian + 1e-12 * np.trace(pairs.hessian, axis1=1, axis2=2)[:, None, None]
+            * np.eye(7), cross)
+        weight = self._freedom / self._mean_square(pairs) / np.maximum(self.data.counts, 1)
+        gradient = np.swapaxes(by_radial, 1, 2) @ residual.reshape(count, -1, 1)
+        H = np.einsum('n,nij->ij', weight, square)
+        return -np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(2),
+                                np.einsum('n,ni->i', weight, gradient[..., 0]))
 
 
 def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, radial=None,
@@ -272,7 +331,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, rad
     samples = [(undo_radial(a, radial, size), undo_radial(b, radial, size))
                for a, b in _samples(tracks, pairs, MOST_MATCHES)]
     data, cost = _general(PairMatches.from_pixels(samples))
-    F, translation_cost, _, _ = refine_translation(data)
+    F, translation_cost, _, _ = refine_translation(data, _TOLERANCE)
     count = (data.weight > 0).sum(axis=1)
     # each of the two distances of a match has variance 2 sigma^2
     noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), _FLOOR_PX)

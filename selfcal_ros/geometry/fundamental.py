@@ -194,7 +194,8 @@ def eight_point(data: PairMatches) -> np.ndarray:
     return F / np.linalg.norm(F, axis=(1, 2), keepdims=True)
 
 
-def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40):
+def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40,
+                 tolerance: float = 1e-8):
     """
     Levenberg-Marquardt on every pair independently, all pairs at once.
 
@@ -208,6 +209,8 @@ def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40):
     step : callable
         (state, change (n, p)) to a new state.
     iterations : int
+    tolerance : float
+        A pair is done when an iteration changes its cost by a smaller share.
 
     Returns
     -------
@@ -244,7 +247,8 @@ def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40):
         for old, values in zip((*state, dF, gradient, matrix, cost),
                                (*trial, new_dF, new[1], new[2], new[0])):
             old[won] = values[better]
-        keep = (~(better & (gain < 1e-8 * cost[rows])) & (damping[rows] < 1e6)
+        # a cost that neither falls nor rises is at its minimum
+        keep = ((np.abs(gain) > tolerance * cost[rows]) & (damping[rows] < 1e6)
                 & (cost[rows] > floor[rows]))
         if not keep.all():
             rows, part = rows[keep], part.subset(keep)
@@ -297,21 +301,21 @@ def _translation_step(state, change):
     return (frame @ small_rotation(turn),)
 
 
-def refine_general(data: PairMatches, F, iterations: int = 40):
+def refine_general(data: PairMatches, F, iterations: int = 40, tolerance: float = 1e-8):
     """Refine F (n, 3, 3) of every pair with 7 degrees of freedom: F, cost (n,), hessian, dF."""
     state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step,
-                                        iterations)
+                                        iterations, tolerance)
     F, dF = _general_model(state)
     return F, cost, hessian, dF
 
 
-def refine_translation(data: PairMatches):
+def refine_translation(data: PairMatches, tolerance: float = 1e-8):
     """Estimate F = [e]x of every pair: linear start, then refinement; as `refine_general`."""
     a, b = data.first, data.second
     moment = np.cross(a, b) * data.weight[..., None]
     epipole = np.linalg.svd(moment, full_matrices=True)[2][:, -1]
     state, cost, hessian = refine_pairs(data, (completed_frame(epipole),), _translation_model,
-                                        _translation_step)
+                                        _translation_step, tolerance=tolerance)
     F, dF = _translation_model(state)
     return F, cost, hessian, dF
 

@@ -347,3 +347,36 @@ class DampedFactor:
     def length(self, step: np.ndarray) -> float:
         """Length of a step (n,) in the scaled unknowns."""
         return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))
+
+
+def curved_step(system: ReducedSystem, factor: DampedFactor, ahead, reach: float = 0.1):
+    """
+    Levenberg-Marquardt step with geodesic acceleration (Transtrum and Sethna 2012).
+
+    Where the valley of the cost is long and bent, the second derivative along the step follows
+    the bend.
+
+    Parameters
+    ----------
+    system : ReducedSystem
+    factor : DampedFactor
+    ahead : callable
+        (step (n,), point_steps (P, 3)) to the weighted residuals (N, m) there.
+    reach : float
+        Share of the step at which the second derivative is taken.
+
+    Returns
+    -------
+    step : ndarray, shape (n,)
+    point_steps : ndarray, shape (P, 3)
+
+    """
+    step = factor.solve(-system.gradient)
+    points = system.point_steps(step)
+    change = (ahead(reach * step, reach * points) - system.residual) / reach
+    second = 2 / reach * (change - system.predict(step, points))
+    gradient, half_b = system.right_hand_side(second)
+    bend = factor.solve(-gradient)
+    if not 2 * factor.length(bend) < 0.75 * factor.length(step):
+        return step, points
+    return step + 0.5 * bend, points + 0.5 * system.point_steps(bend, half_b)
