@@ -248,7 +248,7 @@ def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40,
                                (*trial, new_dF, new[1], new[2], new[0])):
             old[won] = values[better]
         # a cost that neither falls nor rises is at its minimum
-        keep = ((np.abs(gain) > tolerance * cost[rows]) & (damping[rows] < 1e6)
+        keep = (~(np.abs(gain) <= tolerance * cost[rows]) & (damping[rows] < 1e6)
                 & (cost[rows] > floor[rows]))
         if not keep.all():
             rows, part = rows[keep], part.subset(keep)
