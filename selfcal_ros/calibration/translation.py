@@ -28,10 +28,10 @@ import numpy as np
 from selfcal_ros.calibration.affine import calibrate_affine
 from selfcal_ros.calibration.conic_calibration import Undetermined
 from selfcal_ros.calibration.estimate import calibrate_from_motion, GENERAL
+from selfcal_ros.calibration.pair_distortion import estimate_radial, undo_radial
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.translation_groups import (estimate_radial, translation_groups,
-                                                        undo_radial)
+from selfcal_ros.calibration.translation_groups import translation_groups
 from selfcal_ros.calibration.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 

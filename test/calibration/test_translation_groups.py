@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from selfcal_ros.calibration.affine import calibrate_affine
+from selfcal_ros.calibration.pair_distortion import estimate_radial, undo_radial
 from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.translation_groups import (classify_translations, translation_groups,
-                                                        undo_radial)
+from selfcal_ros.calibration.translation_groups import classify_translations, translation_groups
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import grid_sequence, random_rotations
@@ -61,6 +61,15 @@ def test_distortion_that_is_found_undoes_that_of_the_lens():
     b *= np.sum(a * b) / np.sum(b * b)
     # the corners, where no tracks are, and a small change of perspective remain
     assert np.abs(a - b).max() < 8 < 30 < np.abs(straight - pixels).max()
+
+
+def test_points_at_one_distance_from_the_middle_do_no_harm():
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    circle = (np.array(SIZE) - 1) / 2 + 250 * np.column_stack([np.cos(angle), np.sin(angle)])
+    rng = np.random.default_rng(0)
+    xy = np.array([rng.permutation(circle) for _ in range(3)])
+    tracks = Tracks(np.repeat(range(3), 40), np.tile(range(40), 3), xy.reshape(-1, 2), SIZE)
+    assert np.isfinite(estimate_radial(tracks, SIZE)).all()
 
 
 def test_tests_hold_their_level_on_true_translations():
