@@ -123,7 +123,9 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
     for state, noise in starts(problem, proposals()):
         if noise < best_noise:
             best, best_noise = state, noise
-        if best_noise < GOOD_ENOUGH * problem.noise_px and _is_plausible(best, problem.size):
+        # of a plane every start leaves little, also with poses of the plane's mirror image
+        if (problem.flat is None and best_noise < GOOD_ENOUGH * problem.noise_px
+                and _is_plausible(best, problem.size)):
             break
     return best, best_noise
 

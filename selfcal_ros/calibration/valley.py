@@ -76,15 +76,19 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     if not WEAK * limits[weakest] < sigma[weakest] < limits[weakest]:
         return fit, nothing
     along = joint[weakest] / np.sqrt(joint[weakest, weakest])
-    quadratic = np.outer(along[:9], along[:9])
-    excess, scale = nothing, np.outer(limits, limits)
+    sides = []
     for side in (-1, 1):
         found = _walk(fit, weakest, side * along, share)
         if isinstance(found, Fit):
             return follow_valley(found, size, share)
-        # the flatter side counts: sigmas have but one length
-        values, vectors = np.linalg.eigh(np.outer(found, found) / scale - quadratic / scale)
-        excess = excess + scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
+        sides.append(found)
+    # half a normal distribution to each side, of one height at the optimum: its mean square
+    length = np.abs([found[weakest] for found in sides])
+    scale = np.outer(limits, limits)
+    more = (np.einsum('s,si,sj->ij', length / length.sum(), sides, sides)
+            - np.outer(along[:9], along[:9])) / scale
+    values, vectors = np.linalg.eigh(more)
+    excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
     # what is held has no variance, not even that of rounding
     return fit, excess * np.outer(fit.bundle.free[:9], fit.bundle.free[:9])
 

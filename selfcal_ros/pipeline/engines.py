@@ -235,29 +235,28 @@ def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
     # not with their results: as_completed forgets a job that had ended, whose worker died before
     # the result was fetched, and which then fails when it runs again
     ending = as_completed(futures)
-    ended = deque()
+    ended = []
     looked = seen = time.monotonic()
     while ended or not ending.is_empty():
         while ending.has_ready():
             ended.append(next(ending))
-        if ended:
-            future, here = ended.popleft(), True
+        future = next((one for one in ended if one.done()), None)
+        if future is None:
+            time.sleep(0.02)
+        else:
             try:
-                value = future.result(timeout=1.0)
+                value, here = future.result(timeout=NO_WORKERS_S), True
             except (Exception, CancelledError) as error:
-                value = error
-                # else it was not fetched in time, or went with its worker, and the job runs again
-                here = future.status == 'error' or (future.done()
-                                                    and not isinstance(error, TimeoutError))
+                # where it was not fetched in time, or went with its worker, the job runs again
+                value, here = error, future.status == 'error' or (
+                    future.done() and not isinstance(error, TimeoutError))
             if future.cancelled():
                 raise InputError(f'The Dask scheduler {name} was lost on the way; what was '
                                  'finished before is there.')
             if here:
+                ended.remove(future)
                 yield future.key, value
                 continue
-            ended.append(future)
-        else:
-            time.sleep(0.02)
         now = time.monotonic()
         if now - looked > 1:
             looked = now

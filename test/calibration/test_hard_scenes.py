@@ -47,6 +47,15 @@ def test_what_the_images_determine_is_found(name):
     assert away < 4
 
 
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_wall_does_not_take_its_mirror_image(seed):
+    result, away = outcome('wall only', seed)
+
+    assert result, result.reason
+    assert away < 4
+    assert abs(result.camera.K[0, 0] / 520 - 1) < 0.01
+
+
 @pytest.mark.parametrize('name', [
     'forward only', 'sideways only', 'one image twelve times', 'two views',
     'general, about z only', '8 points'])
