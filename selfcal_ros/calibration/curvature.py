@@ -25,6 +25,7 @@ square of the bend follows in closed form.
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from selfcal_ros.calibration.evidence import inverse_information
 from selfcal_ros.calibration.observability import observability_limits
@@ -34,6 +35,9 @@ from selfcal_ros.calibration.state import ASPECT, F
 #: The bend is followed along what is determined worst: the directions whose sigma exceeds this
 #: share of what makes a parameter unobservable. It grows with the square of the way.
 WEAK = 0.1
+#: Whether the truth lies inside an ellipsoid is decided at its surface, where the bend is larger
+#: than on average: the one that holds this share is taken for all.
+SURFACE = 0.8
 
 
 def mean_square_bend(slopes: np.ndarray) -> np.ndarray:
@@ -108,4 +112,6 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
         return nothing
     excess = np.zeros((9, 9))
     excess[np.ix_(free, free)] = root @ mean_square_bend(slopes) @ root.T
-    return excess
+    p = len(free)
+    # of |u|⁴ at the surface to its mean
+    return excess * chi2.ppf(SURFACE, p)**2 / (p * (p + 2))
