@@ -12,3 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """Benchmarks: each command prints a figure beside its bound or its peer, in the same run."""
+
+import os
+
+# before NumPy is loaded, and as the commands and nodes do
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')

@@ -90,9 +90,9 @@ def environment() -> str:
             parts.append(f'{package} {version(package)}')
         except PackageNotFoundError:
             continue
-    threads = os.environ.get('OMP_NUM_THREADS', 'all')
-    parts.append(f'{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}, '
-                 f'OMP_NUM_THREADS {threads}')
+    parts.append(f'{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}')
+    parts += [f'{name} {os.environ.get(name, "all")}'
+              for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')]
     return ', '.join(parts)
 
 

@@ -120,7 +120,8 @@ def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float) -> np.ndarray |
         priors = {**fit.bundle.priors, index: Prior(start.intrinsics[index], 0.0)}
         bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
         moved = bundle.optimise(bundle.settle_points(start), 30, 0.02 * share)
-        rise = bundle.cost(moved) - before
+        # a fact with a sigma counts, also where it is about the parameter that was moved
+        rise = fit.bundle.cost(moved) - before
         if rise < -FALL:
             better = replace(fit, state=fit.bundle.optimise(moved, 50, 0.02))
             if better.cost < before - FALL:
