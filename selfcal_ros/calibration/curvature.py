@@ -31,6 +31,7 @@ from selfcal_ros.calibration.evidence import inverse_information
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.refine import Fit
 from selfcal_ros.calibration.state import ASPECT, F
+from selfcal_ros.calibration.valley import LOST
 
 #: The bend is followed along what is determined worst: the directions whose sigma exceeds this
 #: share of what makes a parameter unobservable. It grows with the square of the way.
@@ -90,7 +91,7 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
     limits[ASPECT] /= fit.state.intrinsics[F]
     limits = limits[free]
     squares, vectors = np.linalg.eigh(joint[np.ix_(free, free)] / np.outer(limits, limits))
-    if not (squares[0] > 0 and WEAK**2 < squares[-1] < 1):
+    if not (squares[0] > 0 and WEAK**2 < squares[-1] < LOST**2):
         return nothing
     # columns: independent changes of the parameters, one sigma each; everything else follows
     root = limits[:, None] * vectors * np.sqrt(squares)

@@ -36,6 +36,11 @@ REACH = 2.0
 #: The parameter determined worst is followed when its sigma exceeds this share of what makes it
 #: unobservable.
 WEAK = 0.02
+#: Beyond so much of that it is unobservable with all tracks and views, too.
+LOST = 1.5
+#: Most cameras have pixels of about this aspect ratio: whether it is as unlikely as the sigma says
+#: is seen from the cost there.
+LIKELY_ASPECT = 1.0
 #: Doublings of the reach before the valley counts as without an end.
 DOUBLINGS = 4
 #: A fall of the cost by more than this is another optimum.
@@ -73,12 +78,13 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     if weakest == ASPECT and not fit.bundle.free[ASPECT]:
         weakest = F
     nothing = np.zeros((9, 9))
-    if not WEAK * limits[weakest] < sigma[weakest] < limits[weakest]:
+    if not WEAK * limits[weakest] < sigma[weakest] < LOST * limits[weakest]:
         return fit, nothing
     along = joint[weakest] / np.sqrt(joint[weakest, weakest])
+    likely = LIKELY_ASPECT - fit.state.intrinsics[ASPECT] if weakest == ASPECT else 0.0
     sides = []
     for side in (-1, 1):
-        found = _walk(fit, weakest, side * along, share)
+        found = _walk(fit, weakest, side * along, share, max(side * likely, 0.0))
         if isinstance(found, Fit):
             return follow_valley(found, size, share)
         sides.append(found)
@@ -93,7 +99,8 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     return fit, excess * np.outer(fit.bundle.free[:9], fit.bundle.free[:9])
 
 
-def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float) -> np.ndarray | Fit:
+def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float, least: float = 0.0,
+          ) -> np.ndarray | Fit:
     """
     Move one parameter, let the rest follow, and compare the rise of the cost with a quadratic.
 
@@ -105,6 +112,8 @@ def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float) -> np.ndarray |
     sigma : ndarray, shape (n,)
         Change of all unknowns but the points where it moves by one sigma, to first order.
     share : float
+    least : float
+        Way of the parameter that is gone in any case.
 
     Returns
     -------
@@ -128,10 +137,11 @@ def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float) -> np.ndarray |
                 return better
         # of one sigma: the quadratic rises with the square of the way
         sigmas = np.sqrt(2 * max(rise, 1e-6) / share)
-        if sigmas > 0.7 * REACH:
+        way = moved.intrinsics - fit.state.intrinsics
+        if sigmas > 0.7 * REACH and abs(way[index]) >= least:
             break
         # as far again, the way the valley went
-        step[:9] = moved.intrinsics - fit.state.intrinsics
+        step[:9] = way
         step[SHARED:] = (moved.views - fit.state.views).ravel()
         state = moved
-    return (moved.intrinsics - fit.state.intrinsics) / sigmas
+    return way / sigmas

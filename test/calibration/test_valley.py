@@ -38,3 +38,14 @@ def test_no_valley_leads_beyond_what_facts_with_sigmas_state(seed):
                   aspect_ratio=np.sqrt(ratio @ result.covariance[:2, :2] @ ratio))
     for name, sigma in stated.items():
         assert 0 < sigmas[name] < 1.1 * sigma, name
+
+
+@pytest.mark.parametrize('seed', [170, 351, 767])
+def test_pixels_twice_as_wide_as_high_are_no_accident_that_is_believed(seed):
+    """Three views and zero skew: fy of 560 ± 72 was found, where 900 is right and costs little."""
+    tracks = sequence_si(np.random.default_rng([seed, 1000, 3]), 1.0, 3).tracks
+
+    result = calibrate(tracks, motion='planar', facts=CameraFacts(skew=0.0, distortion='none'))
+
+    assert not result
+    assert 'fy' in result.reason
