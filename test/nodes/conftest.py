@@ -13,14 +13,13 @@
 # limitations under the License.
 """A ROS graph for one test: domain of its own, log in a temporary folder, waits with a timeout."""
 
-import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import queue
+import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 
@@ -37,15 +36,14 @@ if find_spec('rclpy') is None:
 def domain_id():
     """Reserve a domain among all tests of this machine; ids up to 101 are safe everywhere."""
     for number in range(1, 102):
-        lock = open(Path(tempfile.gettempdir(), f'selfcal_ros_domain_{number}.lock'), 'a')
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            lock.close()
-            continue
-        yield number
-        lock.close()
-        return
+        # a name in the same network name space as DDS, of all users, gone with the process
+        with socket.socket(socket.AF_UNIX) as lock:
+            try:
+                lock.bind(f'\0selfcal_ros_domain_{number}')
+            except OSError:
+                continue
+            yield number
+            return
     pytest.fail('all ROS domains are taken by other tests')
 
 
