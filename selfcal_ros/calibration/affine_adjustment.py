@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.optimise import (curved_step, DampedFactor, huber_loss, huber_weights,
-                                           PointBlocks, unknowns_of)
+from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor
+from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks, unknowns_of
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
 

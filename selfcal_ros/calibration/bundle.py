@@ -31,8 +31,9 @@ from selfcal_ros.calibration.evidence import (Evidence, huber_factors,
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            ROTATION, SHARED)
-from selfcal_ros.geometry.optimise import (curved_step, DampedFactor, huber_loss, huber_weights,
-                                           PointBlocks, ReducedSystem, unknowns_of)
+from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor, Damping
+from selfcal_ros.geometry.optimise import (huber_loss, huber_weights, PointBlocks, ReducedSystem,
+                                           unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -199,11 +200,11 @@ class Bundle:
 
         """
         cost = self.cost(state)
-        damping, growth = 1e-4, 2.0
+        damping = Damping()
         unknowns = self.unknowns()
         for _ in range(iterations):
-            system, root = self.weighted_equations(state, damping)
-            factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
+            system, root = self.weighted_equations(state, damping.factor)
+            factor = DampedFactor(system.matrix, system.diagonal, damping.factor, unknowns)
             new_cost = np.inf
             if factor.usable:
                 step, point_steps = curved_step(system, factor, partial(
@@ -211,17 +212,14 @@ class Bundle:
                 moved = self.apply(state, step, point_steps)
                 new_cost = self.cost(moved)
             decrease = cost - new_cost
-            if abs(decrease) < tolerance and damping < 1e-2:
+            if abs(decrease) < tolerance and damping.small:
                 return moved if decrease > 0 else state
             if decrease > 0:
-                # trust the model as far as it held (Nielsen 1999)
-                expected = -0.5 * float(system.gradient @ step)
-                gain = min(decrease / max(expected, 1e-300), 1.0)
-                damping *= max(0.1, 1 - (2 * gain - 1)**3)
-                state, cost, damping, growth = moved, new_cost, max(damping, 1e-10), 2.0
+                damping.succeeded(decrease, -0.5 * float(system.gradient @ step))
+                state, cost = moved, new_cost
             else:
-                damping, growth = max(damping, 1e-8) * growth, growth * 2
-                if damping > 1e8:
+                damping.failed()
+                if damping.hopeless:
                     break
         return state
 

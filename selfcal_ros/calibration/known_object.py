@@ -31,7 +31,7 @@ from selfcal_ros.calibration.object_start import (linear_view, LinearView, start
                                                   supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.state import (CX, CY, K1, K2, P1, P2,
+from selfcal_ros.calibration.state import (CX, CY, holding, K1, K2, P1, P2,
                                            parameter_covariance, Prior,
                                            priors_from_facts)
 from selfcal_ros.calibration.tracks import Tracks
@@ -248,7 +248,7 @@ def _fit(views: _Views, size, facts: CameraFacts):
             unknowns = int(bundle.free.sum()) + POSE * bundle.views
             return (f'Too few points: {2 * len(views.view)} coordinates were measured, and there '
                     f'are {unknowns} unknowns.')
-        fit = _robust_fit(views, _held(state, bundle.priors), chosen)
+        fit = _robust_fit(views, holding(state, bundle.priors), chosen)
         if fit is None:
             continue
         judgement = _judge(*fit, chosen, size)
@@ -272,7 +272,7 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
     for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
-        state = bundle.optimise(_held(start_state(K, few.linear), priors), 25, 1e-2)
+        state = bundle.optimise(holding(start_state(K, few.linear), priors), 25, 1e-2)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -280,15 +280,6 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
         if number and least < len(few.view):
             break
     return best
-
-
-def _held(state: ObjectState, priors) -> ObjectState:
-    """Put held parameters at the values that hold them."""
-    intrinsics = state.intrinsics.copy()
-    for index, prior in priors.items():
-        if prior.sigma == 0:
-            intrinsics[index] = prior.value
-    return replace(state, intrinsics=intrinsics)
 
 
 def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):

@@ -29,6 +29,7 @@ from selfcal_ros.calibration.evidence import Evidence, huber_factors, HUBER_SIGM
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH
 from selfcal_ros.calibration.state import ASPECT, F, Prior
+from selfcal_ros.geometry.levenberg_marquardt import Damping
 from selfcal_ros.geometry.optimise import huber_loss, huber_weights
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -218,22 +219,20 @@ class ObjectBundle:
 
         """
         cost, equations = self.cost(state), self.equations(state)
-        damping, growth = 1e-4, 2.0
+        damping = Damping(least=1e-12)
         for _ in range(iterations):
-            moved, expected = self._step(state, equations, damping)
+            moved, expected = self._step(state, equations, damping.factor)
             new_cost = np.inf if moved is None else self.cost(moved)
             decrease = cost - new_cost
-            if abs(decrease) < tolerance and damping < 1e-2:
+            if abs(decrease) < tolerance and damping.small:
                 return moved if decrease > 0 else state
             if decrease > 0:
-                # trust the model as far as it held (Nielsen 1999)
-                gain = min(decrease / max(expected, 1e-300), 1.0)
-                damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), 1e-12)
-                state, cost, growth = moved, new_cost, 2.0
+                damping.succeeded(decrease, expected)
+                state, cost = moved, new_cost
                 equations = self.equations(state)
             else:
-                damping, growth = max(damping, 1e-8) * growth, growth * 2
-                if damping > 1e8:
+                damping.failed()
+                if damping.hopeless:
                     break
         return state
 

@@ -145,8 +145,8 @@ def priors_from_facts(facts: CameraFacts) -> dict[int, Prior]:
     return priors
 
 
-def holding(state: BundleState, priors: dict[int, Prior]) -> BundleState:
-    """Put held parameters at the values that hold them."""
+def holding(state, priors: dict[int, Prior]):
+    """Put held parameters of a state, of points or of objects, at the values that hold them."""
     intrinsics = state.intrinsics.copy()
     for index, prior in priors.items():
         if prior.sigma == 0:

@@ -31,8 +31,8 @@ from selfcal_ros.calibration.edge_bundle import EdgeBundle
 from selfcal_ros.calibration.object_bundle import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.state import ASPECT, CX, CY, F, parameter_covariance, Prior
-from selfcal_ros.calibration.state import priors_from_facts
+from selfcal_ros.calibration.state import (ASPECT, CX, CY, F, holding, parameter_covariance,
+                                           Prior, priors_from_facts)
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.version import __version__
@@ -250,19 +250,10 @@ def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
     return ObjectState(np.array([fx, fy / fx, *rest]), views.cam_from_object.copy())
 
 
-def _held(state: ObjectState, priors) -> ObjectState:
-    """Put held parameters at the values that hold them."""
-    intrinsics = state.intrinsics.copy()
-    for index, prior in priors.items():
-        if prior.sigma == 0:
-            intrinsics[index] = prior.value
-    return replace(state, intrinsics=intrinsics)
-
-
 def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
     """Adjust, estimate the noise, leave out outliers; returns views, bundle and state, or None."""
     priors = priors_from_facts(facts)
-    state = _held(state, priors)
+    state = holding(state, priors)
     # at first the poses settle, and the principal point may not run away with them
     longer = max(views.image_size)
     held = {CX: Prior((views.image_size[0] - 1) / 2, 0.05 * longer),

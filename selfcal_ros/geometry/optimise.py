@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Least squares over many points: Schur complement, Levenberg-Marquardt, robust loss.
+Least squares over many points: Schur complement, robust loss, what is held.
 
 The unknowns are a few that every observation shares (g: calibration, axis), a few for each
 view (v), and three for each point (p). Points are eliminated first; the system that remains has
@@ -24,7 +24,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, LinAlgError
 from scipy.sparse import csr_array, csr_matrix
 
 #: Points are reduced in groups that share a window of views, so that the cost grows with the
@@ -302,81 +301,3 @@ def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None) -> csr_array
     rows = np.flatnonzero(free[column])
     kept, column = np.unique(column[rows], return_inverse=True)
     return csr_array((np.ones(len(rows)), (rows, column)), (len(free), len(kept)))
-
-
-class DampedFactor:
-    """
-    Cholesky factor of the damped normal equations of the unknowns.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-    diagonal : ndarray, shape (n,)
-        Scales the parameters (pixels, radians, lengths) to one unit.
-    damping : float
-        Levenberg-Marquardt factor.
-    unknowns : csr_array, shape (n, k)
-        Of `unknowns_of`.
-
-    Attributes
-    ----------
-    usable : bool
-        False where the damped matrix is not positive definite.
-
-    """
-
-    def __init__(self, matrix, diagonal, damping, unknowns):
-        self._unknowns = E = unknowns
-        self._members = E.sum(axis=0)
-        scale = np.maximum(E.T @ diagonal, 1e-300)
-        # an unknown that nothing measures must not blow up the scaled matrix
-        self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
-        H = (E.T @ (E.T @ matrix).T) / np.outer(self._root, self._root)
-        H[np.diag_indices_from(H)] += damping
-        try:
-            self._factor = cho_factor(H)
-        except (LinAlgError, ValueError):
-            self._factor = None
-        self.usable = self._factor is not None
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for a step of all parameters; the held ones do not move. Shapes (n,)."""
-        right = (self._unknowns.T @ right) / self._root
-        return self._unknowns @ (cho_solve(self._factor, right) / self._root)
-
-    def length(self, step: np.ndarray) -> float:
-        """Length of a step (n,) in the scaled unknowns."""
-        return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))
-
-
-def curved_step(system: ReducedSystem, factor: DampedFactor, ahead, reach: float = 0.1):
-    """
-    Levenberg-Marquardt step with geodesic acceleration (Transtrum and Sethna 2012).
-
-    Where the valley of the cost is long and bent, the second derivative along the step follows
-    the bend.
-
-    Parameters
-    ----------
-    system : ReducedSystem
-    factor : DampedFactor
-    ahead : callable
-        (step (n,), point_steps (P, 3)) to the weighted residuals (N, m) there.
-    reach : float
-        Share of the step at which the second derivative is taken.
-
-    Returns
-    -------
-    step : ndarray, shape (n,)
-    point_steps : ndarray, shape (P, 3)
-
-    """
-    step = factor.solve(-system.gradient)
-    points = system.point_steps(step)
-    change = (ahead(reach * step, reach * points) - system.residual) / reach
-    second = 2 / reach * (change - system.predict(step, points))
-    gradient, half_b = system.right_hand_side(second)
-    bend = factor.solve(-gradient)
-    if not 2 * factor.length(bend) < 0.75 * factor.length(step):
-        return step, points
-    return step + 0.5 * bend, points + 0.5 * system.point_steps(bend, half_b)
