@@ -31,7 +31,7 @@ from selfcal_ros.calibration.evidence import (Evidence, huber_factors,
 from selfcal_ros.calibration.reprojection import Linearisation, linearise
 from selfcal_ros.calibration.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW, Prior,
                                            ROTATION, SHARED)
-from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor, Damping
+from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor, minimise
 from selfcal_ros.geometry.optimise import (huber_loss, huber_weights, PointBlocks, ReducedSystem,
                                            unknowns_of)
 from selfcal_ros.geometry.projective import tangent_basis
@@ -199,29 +199,19 @@ class Bundle:
         BundleState
 
         """
-        cost = self.cost(state)
-        damping = Damping()
         unknowns = self.unknowns()
-        for _ in range(iterations):
-            system, root = self.weighted_equations(state, damping.factor)
-            factor = DampedFactor(system.matrix, system.diagonal, damping.factor, unknowns)
-            new_cost = np.inf
-            if factor.usable:
-                step, point_steps = curved_step(system, factor, partial(
-                    self._weighted_residuals, state, root))
-                moved = self.apply(state, step, point_steps)
-                new_cost = self.cost(moved)
-            decrease = cost - new_cost
-            if abs(decrease) < tolerance and damping.small:
-                return moved if decrease > 0 else state
-            if decrease > 0:
-                damping.succeeded(decrease, -0.5 * float(system.gradient @ step))
-                state, cost = moved, new_cost
-            else:
-                damping.failed()
-                if damping.hopeless:
-                    break
-        return state
+
+        def attempt(state, damping):
+            system, root = self.weighted_equations(state, damping)
+            factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
+            if not factor.usable:
+                return None, 0.0
+            step, point_steps = curved_step(system, factor, partial(
+                self._weighted_residuals, state, root))
+            return (self.apply(state, step, point_steps),
+                    -0.5 * float(system.gradient @ step))
+
+        return minimise(state, self.cost, attempt, iterations, tolerance)
 
     def _weighted_residuals(self, state, root, step, point_steps):
         ahead = self.linearise(self.apply(state, step, point_steps), jacobians=False)

@@ -29,7 +29,7 @@ from selfcal_ros.calibration.evidence import Evidence, huber_factors, HUBER_SIGM
 from selfcal_ros.calibration.pixel_model import PixelModel
 from selfcal_ros.calibration.reprojection import MINIMUM_DEPTH
 from selfcal_ros.calibration.state import ASPECT, F, Prior
-from selfcal_ros.geometry.levenberg_marquardt import Damping
+from selfcal_ros.geometry.levenberg_marquardt import minimise
 from selfcal_ros.geometry.optimise import huber_loss, huber_weights
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -218,26 +218,11 @@ class ObjectBundle:
         ObjectState
 
         """
-        cost, equations = self.cost(state), self.equations(state)
-        damping = Damping(least=1e-12)
-        for _ in range(iterations):
-            moved, expected = self._step(state, equations, damping.factor)
-            new_cost = np.inf if moved is None else self.cost(moved)
-            decrease = cost - new_cost
-            if abs(decrease) < tolerance and damping.small:
-                return moved if decrease > 0 else state
-            if decrease > 0:
-                damping.succeeded(decrease, expected)
-                state, cost = moved, new_cost
-                equations = self.equations(state)
-            else:
-                damping.failed()
-                if damping.hopeless:
-                    break
-        return state
+        return minimise(state, self.cost, self._attempt, iterations, tolerance, least=1e-12)
 
-    def _step(self, state, equations: Equations, damping: float):
+    def _attempt(self, state: ObjectState, damping: float):
         """Return the state after one damped step, None where there is none, and the gain."""
+        equations = self.equations(state)
         try:
             matrix, gradient, pose, carry = equations.eliminate(damping)
             index = np.flatnonzero(self.free)

@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Levenberg-Marquardt: the damped step, its bend, and how far the linear model is trusted."""
+"""Levenberg-Marquardt: the descent, the damped step and its bend."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
@@ -21,41 +23,54 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError
 from selfcal_ros.geometry.optimise import ReducedSystem
 
 
-class Damping:
-    """
-    How far Levenberg-Marquardt trusts its linear model (Nielsen 1999).
+#: A step that changes nothing means a minimum where the damping is below the first, and nothing
+#: helps any more where it is above the second.
+_SMALL, _HOPELESS = 1e-2, 1e8
 
-    Attributes
+
+def minimise(state, cost_of: Callable, attempt: Callable, iterations: int, tolerance: float,
+             least: float = 1e-10):
+    """
+    Minimise a cost by Levenberg-Marquardt.
+
+    Parameters
     ----------
-    factor : float
-        Of the diagonal, to be added to it.
+    state
+        Where to start.
+    cost_of : callable
+        state to its cost, infinite where it is impossible.
+    attempt : callable
+        (state, damping) to a state one damped step further, None where there is none, and the
+        decrease of the cost by the linear model.
+    iterations : int
+    tolerance : float
+        Stop when an iteration lowers the cost by less than this.
     least : float
+        Smallest damping.
+
+    Returns
+    -------
+    state
 
     """
-
-    def __init__(self, factor: float = 1e-4, least: float = 1e-10):
-        self.factor, self._least, self._growth = factor, least, 2.0
-
-    @property
-    def small(self) -> bool:
-        """Whether a step that changes nothing means a minimum, and not a short step."""
-        return self.factor < 1e-2
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether no step is short enough."""
-        return self.factor > 1e8
-
-    def succeeded(self, decrease: float, expected: float) -> None:
-        """Trust the model as far as it held: the cost fell, and should have fallen."""
-        gain = min(decrease / max(expected, 1e-300), 1.0)
-        self.factor = max(self.factor * max(0.1, 1 - (2 * gain - 1)**3), self._least)
-        self._growth = 2.0
-
-    def failed(self) -> None:
-        """Trust it less, and ever less when that does not help."""
-        self.factor = max(self.factor, 1e-8) * self._growth
-        self._growth *= 2
+    cost = cost_of(state)
+    damping, growth = 1e-4, 2.0
+    for _ in range(iterations):
+        moved, expected = attempt(state, damping)
+        new_cost = np.inf if moved is None else cost_of(moved)
+        decrease = cost - new_cost
+        if abs(decrease) < tolerance and damping < _SMALL:
+            return moved if decrease > 0 else state
+        if decrease > 0:
+            # trust the model as far as it held (Nielsen 1999)
+            gain = min(decrease / max(expected, 1e-300), 1.0)
+            damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), least)
+            state, cost, growth = moved, new_cost, 2.0
+        else:
+            damping, growth = max(damping, 1e-8) * growth, growth * 2
+            if damping > _HOPELESS:
+                break
+    return state
 
 
 class DampedFactor:
