@@ -88,11 +88,9 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
         if isinstance(found, Fit):
             return follow_valley(found, size, share)
         sides.append(found)
-    # half a normal distribution to each side, of one height at the optimum: its mean square
-    length = np.abs([found[weakest] for found in sides])
+    # truths and estimates lie to either side equally often: the mean square of both ways
     scale = np.outer(limits, limits)
-    more = (np.einsum('s,si,sj->ij', length / length.sum(), sides, sides)
-            - np.outer(along[:9], along[:9])) / scale
+    more = (np.einsum('si,sj->ij', sides, sides) / 2 - np.outer(along[:9], along[:9])) / scale
     values, vectors = np.linalg.eigh(more)
     excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
     # what is held has no variance, not even that of rounding
