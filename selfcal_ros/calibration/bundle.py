@@ -201,8 +201,8 @@ class Bundle:
         """
         unknowns = self.unknowns()
 
-        def attempt(state, damping):
-            system, root = self.weighted_equations(state, damping)
+        def attempt(state, line, damping):
+            system, root = self.weighted_equations(state, damping, line=line)
             factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
             if not factor.usable:
                 return None, 0.0
@@ -211,7 +211,7 @@ class Bundle:
             return (self.apply(state, step, point_steps),
                     -0.5 * float(system.gradient @ step))
 
-        return minimise(state, self.cost, attempt, iterations, tolerance)
+        return minimise(state, self.cost, self.linearise, attempt, iterations, tolerance)
 
     def _weighted_residuals(self, state, root, step, point_steps):
         ahead = self.linearise(self.apply(state, step, point_steps), jacobians=False)

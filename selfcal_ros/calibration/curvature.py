@@ -28,10 +28,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from selfcal_ros.calibration.evidence import inverse_information
-from selfcal_ros.calibration.observability import observability_limits
+from selfcal_ros.calibration.observability import LOST, observability_limits
 from selfcal_ros.calibration.refine import Fit
 from selfcal_ros.calibration.state import ASPECT, F
-from selfcal_ros.calibration.valley import LOST
 
 #: The bend is followed along what is determined worst: the directions whose sigma exceeds this
 #: share of what makes a parameter unobservable. It grows with the square of the way.

@@ -32,8 +32,7 @@ from selfcal_ros.calibration.object_start import (linear_view, LinearView, start
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.state import (CX, CY, holding, K1, K2, P1, P2,
-                                           parameter_covariance, Prior,
-                                           priors_from_facts)
+                                           parameter_covariance, Prior, priors_from_facts)
 from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES

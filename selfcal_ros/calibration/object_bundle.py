@@ -218,11 +218,11 @@ class ObjectBundle:
         ObjectState
 
         """
-        return minimise(state, self.cost, self._attempt, iterations, tolerance, least=1e-12)
+        return minimise(state, self.cost, self.equations, self._attempt, iterations, tolerance,
+                        least=1e-12)
 
-    def _attempt(self, state: ObjectState, damping: float):
+    def _attempt(self, state: ObjectState, equations: Equations, damping: float):
         """Return the state after one damped step, None where there is none, and the gain."""
-        equations = self.equations(state)
         try:
             matrix, gradient, pose, carry = equations.eliminate(damping)
             index = np.flatnonzero(self.free)

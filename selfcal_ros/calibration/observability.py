@@ -28,6 +28,8 @@ FOCAL_SHARE = 0.15
 PRINCIPAL_POINT_SHARE = 0.10
 SKEW_SHARE = 0.10
 DISTORTION_SHARE = 0.15
+#: What exceeds these by such a factor on a share of the tracks does so with all of them, too.
+LOST = 1.5
 
 
 def held_facts(facts: CameraFacts) -> dict[str, str]:

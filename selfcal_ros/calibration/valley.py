@@ -27,7 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.observability import observability_limits
+from selfcal_ros.calibration.observability import LOST, observability_limits
 from selfcal_ros.calibration.refine import bundle_of, Fit
 from selfcal_ros.calibration.state import ASPECT, F, parameter_covariance, Prior, SHARED
 
@@ -36,8 +36,6 @@ REACH = 2.0
 #: The parameter determined worst is followed when its sigma exceeds this share of what makes it
 #: unobservable.
 WEAK = 0.02
-#: Beyond so much of that it is unobservable with all tracks and views, too.
-LOST = 1.5
 #: Most cameras have pixels of about this aspect ratio: whether it is as unlikely as the sigma says
 #: is seen from the cost there.
 LIKELY_ASPECT = 1.0

@@ -28,8 +28,8 @@ from selfcal_ros.geometry.optimise import ReducedSystem
 _SMALL, _HOPELESS = 1e-2, 1e8
 
 
-def minimise(state, cost_of: Callable, attempt: Callable, iterations: int, tolerance: float,
-             least: float = 1e-10):
+def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, iterations: int,
+             tolerance: float, least: float = 1e-10):
     """
     Minimise a cost by Levenberg-Marquardt.
 
@@ -39,9 +39,11 @@ def minimise(state, cost_of: Callable, attempt: Callable, iterations: int, toler
         Where to start.
     cost_of : callable
         state to its cost, infinite where it is impossible.
+    linearise : callable
+        state to what every attempt from it shares; called once for each state that is reached.
     attempt : callable
-        (state, damping) to a state one damped step further, None where there is none, and the
-        decrease of the cost by the linear model.
+        (state, what it shares, damping) to a state one damped step further, None where there is
+        none, and the decrease of the cost by the linear model.
     iterations : int
     tolerance : float
         Stop when an iteration lowers the cost by less than this.
@@ -53,10 +55,11 @@ def minimise(state, cost_of: Callable, attempt: Callable, iterations: int, toler
     state
 
     """
-    cost = cost_of(state)
+    cost, line = cost_of(state), None
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        moved, expected = attempt(state, damping)
+        line = linearise(state) if line is None else line
+        moved, expected = attempt(state, line, damping)
         new_cost = np.inf if moved is None else cost_of(moved)
         decrease = cost - new_cost
         if abs(decrease) < tolerance and damping < _SMALL:
@@ -65,7 +68,7 @@ def minimise(state, cost_of: Callable, attempt: Callable, iterations: int, toler
             # trust the model as far as it held (Nielsen 1999)
             gain = min(decrease / max(expected, 1e-300), 1.0)
             damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), least)
-            state, cost, growth = moved, new_cost, 2.0
+            state, cost, line, growth = moved, new_cost, None, 2.0
         else:
             damping, growth = max(damping, 1e-8) * growth, growth * 2
             if damping > _HOPELESS:
