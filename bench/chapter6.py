@@ -27,12 +27,11 @@ from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import CameraFacts
-from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
-from selfcal_ros.calibration.pair_means import agreed_pairs
+from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
+from selfcal_ros.calibration.planar.pair_means import agreed_pairs
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.planar_pairs import pair_lines
-from selfcal_ros.geometry.projective import (completed_frame, euclidean_covariance, unit,
-                                             unit_slope)
+from selfcal_ros.geometry.projective import completed_frame, euclidean_covariance, unit, unit_slope
 from selfcal_ros.synthetic.scenes import sequence_si
 
 SHARES = np.array([0.60, 0.80, 0.90, 0.95])

@@ -25,10 +25,10 @@ from itertools import product
 
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
+                                                  priors_from_facts)
 from selfcal_ros.calibration.observability import observability_limits
-from selfcal_ros.calibration.state import (BundleState, MotionModel, parameter_covariance,
-                                           priors_from_facts)
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES, NOISE_PX

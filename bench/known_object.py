@@ -21,14 +21,15 @@ from bench.inputs import data_folder, grey_frames, image_files, truth_of
 from bench.tables import percent, Report
 import cv2
 import numpy as np
-from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
 from selfcal_ros.features.targets import Chessboard
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.resection import decompose, resect, resect_linear
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
+from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.tracks import Tracks
 
 #: The thesis's grid: 16 squares on each of two planes, 512 x 512 pixels, αu 649, ζ 1.5.
 GRID = TsaiGrid(4, 4, 0.04, 0.03, 0.03)

@@ -23,17 +23,17 @@ tracks and keyframes as they do there.
 
 from __future__ import annotations
 
-from bench.monitored_drive import (ideal_places, measurement_errors, MeasuredDrive, recalibrated,
+from bench.monitored_drive import (ideal_places, MeasuredDrive, measurement_errors, recalibrated,
                                    window_of)
 import numpy as np
 from scipy.stats import chi2
-from selfcal_ros.calibration.camera_change import CHANGES
-from selfcal_ros.calibration.evidence import (Evidence, huber_factors, HUBER_SIGMAS,
-                                              inverse_information)
-from selfcal_ros.calibration.monitor import ChangeMonitor
-from selfcal_ros.calibration.refine import OUTLIER_SIGMAS
-from selfcal_ros.calibration.window_score import (adjusted, shared_within_tracks, WindowScore,
-                                                  without_camera)
+from selfcal_ros.calibration.bundle.information import (Evidence, huber_factors, HUBER_SIGMAS,
+                                                        inverse_information)
+from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS
+from selfcal_ros.calibration.monitoring.camera_change import CHANGES
+from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
+from selfcal_ros.calibration.monitoring.window_score import (adjusted, shared_within_tracks,
+                                                             WindowScore, without_camera)
 from selfcal_ros.geometry.optimise import huber_weights
 
 #: Noise with which the linearised windows are set up, pixels: none to speak of.

@@ -19,16 +19,16 @@ from functools import partial
 import time
 
 from bench.linear_windows import corrected_chance, linear_hours
-from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_drive,
-                                   MeasuredDrive, recalibrated, window_of)
+from bench.monitored_drive import (displaced, end_to_end, keyframes, measure_drive, MeasuredDrive,
+                                   recalibrated, window_of)
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import Camera
-from selfcal_ros.calibration.camera_change import MonitorSettings
-from selfcal_ros.calibration.monitor import ChangeMonitor
-from selfcal_ros.calibration.window_score import window_score, WindowScore
+from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
+from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
+from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 
 RUNS, PERIOD_S = 100, 1.0
 #: Keyframes before a change, within which it is to be noticed, and that a slow drift takes.

@@ -20,7 +20,7 @@ from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
-from selfcal_ros.calibration.fixed_points import fixed_points
+from selfcal_ros.calibration.planar.fixed_points import fixed_points
 from selfcal_ros.geometry.projective import euclidean_covariance
 from selfcal_ros.synthetic.scenes import sequence_si
 

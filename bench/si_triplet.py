@@ -24,7 +24,7 @@ from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.fixed_points import calibrate_estimate, fixed_points
+from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si
 

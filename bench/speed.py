@@ -28,8 +28,9 @@ from bench.inputs import process_environment
 from bench.tables import percent, Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration import conclusion, model_choice
-from selfcal_ros.calibration.bundle import Bundle
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.estimators import (acceptance as conclusion,
+                                                model_selection as model_choice)
 from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
 from selfcal_ros.synthetic.special_scenes import drive
 

@@ -34,8 +34,8 @@ from msg_adapters.stamps import stamp_ns
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.values.tracks import Tracks
 
 _POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('id', '<u4'), ('image_width', '<u2'),
                    ('image_height', '<u2')])

@@ -21,13 +21,15 @@ from typing import TYPE_CHECKING
 from selfcal_ros.version import __version__
 
 if TYPE_CHECKING:
-    from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
-    from selfcal_ros.calibration.measurement import ray_angles
+    from selfcal_ros.calibration.calibrate import calibrate
+    from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
     from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated
-    from selfcal_ros.calibration.solve import calibrate
-    from selfcal_ros.calibration.structure_measurement import length_ratio, structure_angle
-    from selfcal_ros.calibration.tracks import Tracks
+    from selfcal_ros.calibration.structure.angular_measurement import ray_angles
+    from selfcal_ros.calibration.structure.structure_measurement import (length_ratio,
+                                                                         structure_angle)
     from selfcal_ros.geometry.camera import Camera, CameraFacts
+    from selfcal_ros.values.known_object import KnownObject
+    from selfcal_ros.values.tracks import Tracks
 
 __all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'Measured', 'NotCalibrated',
            'Tracks', '__version__', 'calibrate', 'calibrate_known_object', 'length_ratio',
@@ -37,15 +39,15 @@ _HOMES = {
     'Calibration': 'calibration.result',
     'Camera': 'geometry.camera',
     'CameraFacts': 'geometry.camera',
-    'KnownObject': 'calibration.known_object',
+    'KnownObject': 'values.known_object',
     'Measured': 'calibration.result',
     'NotCalibrated': 'calibration.result',
-    'Tracks': 'calibration.tracks',
-    'calibrate': 'calibration.solve',
-    'calibrate_known_object': 'calibration.known_object',
-    'length_ratio': 'calibration.structure_measurement',
-    'ray_angles': 'calibration.measurement',
-    'structure_angle': 'calibration.structure_measurement',
+    'Tracks': 'values.tracks',
+    'calibrate': 'calibration.calibrate',
+    'calibrate_known_object': 'calibration.known_object.point_calibration',
+    'length_ratio': 'calibration.structure.structure_measurement',
+    'ray_angles': 'calibration.structure.angular_measurement',
+    'structure_angle': 'calibration.structure.structure_measurement',
 }
 
 

@@ -16,14 +16,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
-
-if TYPE_CHECKING:
-    from selfcal_ros.calibration.refine import Fit
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
@@ -74,7 +70,7 @@ class Reconstruction:
     cam_from_world: np.ndarray
     tracks: np.ndarray
     points: np.ndarray
-    fit: Fit | None = field(default=None, repr=False, compare=False)
+    fit: object | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)

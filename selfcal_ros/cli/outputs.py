@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.structure import metric_structure
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -29,6 +28,7 @@ from selfcal_ros.report.files import check_writable
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
 from selfcal_ros.report.result_json import result_to_json
+from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)

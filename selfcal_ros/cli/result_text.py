@@ -15,8 +15,8 @@
 
 from __future__ import annotations
 
-from selfcal_ros.calibration.measurement import measurement_sentences
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')

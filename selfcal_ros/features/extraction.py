@@ -22,12 +22,12 @@ import os
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
 _MOST_IMAGES = 60

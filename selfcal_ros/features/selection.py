@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
-                                           sampson_distance, straighten)
+from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental, sampson_distance,
+                                           straighten)
+from selfcal_ros.values.tracks import Tracks
 
 
 class KeyframeSelector:

@@ -32,9 +32,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from selfcal_ros.calibration.known_object import KnownObject
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.tsai_grid import TsaiGrid
+from selfcal_ros.values.known_object import KnownObject
 
 _SHAPES = ('chessboard:COLSxROWS:SQUARE_M, charuco:COLSxROWS:SQUARE_M:MARKER_M, '
            'tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M or a points.csv (columns point,X,Y,Z)')

@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.calibration.known_object import KnownObject
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.resection import resect_linear
+from selfcal_ros.values.known_object import KnownObject
 
 #: Edge points of one side of a square, and the part of it near the corners that is left out.
 EDGE_POINTS, CORNER_SHARE = 16, 0.15

@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 from msg_adapters.diagnostics import WARN
 
-from selfcal_ros.calibration.camera_change import CHANGE_NAMES, MonitorSettings
+from selfcal_ros.calibration.monitoring.camera_change import CHANGE_NAMES, MonitorSettings
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
 from selfcal_ros.pipeline.monitoring import Monitoring, ScoreRequest

@@ -26,7 +26,7 @@ from nav_msgs.msg import Path
 import numpy as np
 from rclpy.serialization import serialize_message
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure import metric_structure
+from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.pipeline.calibration_session import EstimateRequest
 from sensor_msgs.msg import PointCloud2

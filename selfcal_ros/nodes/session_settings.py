@@ -13,7 +13,7 @@
 # limitations under the License.
 """Parameters of a calibrator as settings of a session and of its monitor."""
 
-from selfcal_ros.calibration.camera_change import MonitorSettings
+from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.pipeline.calibration_session import SessionSettings

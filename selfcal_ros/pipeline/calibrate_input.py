@@ -83,13 +83,13 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
               'image_size': settings.image_size, 'progress': progress}
     # OpenCV and SciPy load here, not where the command line starts
     if settings.known_object:
-        from selfcal_ros.calibration.known_object import calibrate_known_object
+        from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
         from selfcal_ros.features.targets import parse_target
         from selfcal_ros.pipeline.object_session import read_object_views
         target = parse_target(settings.known_object)
         reading = read_object_views(path, target, **shared)
         return calibrate_known_object(reading.tracks, target.known, facts=settings.facts), reading
-    from selfcal_ros.calibration.solve import calibrate
+    from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
     reading = read_tracks(path, mode=settings.mode, **shared)
     return calibrate(reading.tracks, motion=settings.motion, facts=settings.facts,

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.features.selection import KeyframeSelector
 from selfcal_ros.pipeline.estimate_request import EstimateRequest, Keyframe, SessionSettings
+from selfcal_ros.values.tracks import Tracks
 
 #: A stamp this much before the newest one is a jump, not a message that was overtaken.
 BACKWARD_JUMP_NS = 200_000_000

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.tracked_object import EdgeViews
+from selfcal_ros.calibration.known_object.edge_calibration import EdgeViews
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.visibility import VisibleModel

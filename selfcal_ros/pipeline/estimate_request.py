@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.selection import drop_static, verify
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)

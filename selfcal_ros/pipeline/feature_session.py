@@ -18,9 +18,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)

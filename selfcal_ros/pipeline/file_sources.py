@@ -23,9 +23,9 @@ import cv2
 
 from msg_adapters.image import ImageDecoder
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.values.tracks import Tracks
 
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.pgm', '.ppm')
 VIDEO_SUFFIXES = ('.mp4', '.avi', '.mkv', '.mov', '.m4v', '.webm', '.mpg', '.mpeg', '.ogv',

@@ -29,7 +29,7 @@ import time
 
 import numpy as np
 
-from selfcal_ros.calibration.joint import combine, JointCalibration
+from selfcal_ros.calibration.estimators.joint import combine, JointCalibration
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder

@@ -20,14 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.camera_change import CameraChange, MonitorSettings
-from selfcal_ros.calibration.monitor import ChangeMonitor
+from selfcal_ros.calibration.monitoring.camera_change import CameraChange, MonitorSettings
+from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
+from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.window_score import window_score, WindowScore
 from selfcal_ros.features.selection import drop_static
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.calibration_session import Keyframe
+from selfcal_ros.values.tracks import Tracks
 
 #: Windows that wait for their turn; where the machine is slower than the camera, the rest go.
 MOST_WAITING = 40

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.feature_session import Reading
 from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
     from selfcal_ros.features.targets import Target

@@ -27,10 +27,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.known_object.edge_calibration import (adjust_to_edges,
+                                                                   calibrate_from_edges, EdgeViews)
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracked_object import (adjust_to_edges, calibrate_from_edges,
-                                                    EdgeViews)
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
@@ -41,6 +40,7 @@ from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
 #: Focal lengths to begin with, over the longer side of the image.

@@ -20,13 +20,13 @@ Every figure is drawn by an object of its own, without a display and without the
 from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
 from selfcal_ros.report.observed import observed
 from selfcal_ros.report.path_figure import path_figure
 from selfcal_ros.report.residual_figures import coverage_figure, residual_figure
 from selfcal_ros.report.style import Drawing
 from selfcal_ros.report.uncertainty_figures import projection_figure, sigma_figure
+from selfcal_ros.values.tracks import Tracks
 
 __all__ = ['draw_figures', 'Drawing']
 

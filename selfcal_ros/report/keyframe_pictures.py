@@ -27,10 +27,10 @@ import cv2
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import InputError
 from selfcal_ros.report.observed import Observed, observed
 from selfcal_ros.report.ply import point_colours
+from selfcal_ros.values.tracks import Tracks
 
 #: Pictures in a page, and the length of their longer side.
 PICTURES, LONGER_SIDE_PX = 4, 720

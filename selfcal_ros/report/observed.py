@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.values.tracks import Tracks
 
 #: Observations farther than so many sigmas from the prediction were rejected.
 OUTLIER_SIGMAS = 4.0

@@ -26,7 +26,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.wireframe import across_axes
+from selfcal_ros.values.wireframe import across_axes
 
 #: bgr, from a palette that colour-blind people can tell apart.
 FOUND = (115, 158, 0)

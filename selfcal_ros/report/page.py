@@ -30,14 +30,14 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from selfcal_ros.calibration.measurement import measurement_sentences
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.first_look import distortion, grade, matrix, px_text, quality
 from selfcal_ros.report.wording import facts_lines, parameter_rows, verdict
+from selfcal_ros.values.tracks import Tracks
 
 
 def write_page(path, result: Calibration | NotCalibrated, text: str, source: str = '',

@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.tracks import Tracks
 
 _KINDS = {'f4': 'float', 'u1': 'uchar'}
 

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from selfcal_ros.calibration.measurement import central_angle, fields_of_view
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, StructureSample
+from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.files import atomic_write
 

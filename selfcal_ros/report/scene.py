@@ -22,8 +22,8 @@ import json
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure import metric_structure
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.structure.metric_structure import metric_structure
+from selfcal_ros.values.tracks import Tracks
 
 #: More points than this make the page large and not clearer.
 MOST_POINTS = 6000

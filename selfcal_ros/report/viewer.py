@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure import metric_structure
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.files import check_writable
+from selfcal_ros.values.tracks import Tracks
 
 #: Length of the drawn cameras, in steps between views.
 _FRUSTUM = 0.5

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.measurement import fields_of_view
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 
 #: What each parameter is.

@@ -30,9 +30,9 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import fundamental
+from selfcal_ros.geometry.polygon import newell_normal
 from selfcal_ros.geometry.triangulation import metric_points, translated_points
-from selfcal_ros.rorapid.polygon import newell_normal
-from selfcal_ros.rorapid.wireframe import Conic, Polygon, WireframeModel
+from selfcal_ros.values.wireframe import Conic, Polygon, WireframeModel
 
 #: Worse than this share of the distance, a depth is of no use for a model.
 WORST_DEPTH = 0.2

@@ -32,8 +32,8 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.wireframe import Conic, Cylinder, FACE_LIMIT, LIMIT, Polygon
-from selfcal_ros.rorapid.wireframe import WireframeModel
+from selfcal_ros.values.wireframe import (Conic, Cylinder, FACE_LIMIT, LIMIT, Polygon,
+                                          WireframeModel)
 
 #: No model file may be longer, and no model consist of more files.
 LARGEST_FILE_BYTES = 8_000_000

@@ -20,7 +20,7 @@ from pathlib import Path
 from selfcal_ros.errors import InputError
 from selfcal_ros.rorapid.cao_file import read_cao
 from selfcal_ros.rorapid.model_file import read_model_yaml, write_model_yaml
-from selfcal_ros.rorapid.wireframe import Conic, Cylinder, Polygon, WireframeModel
+from selfcal_ros.values.wireframe import Conic, Cylinder, Polygon, WireframeModel
 
 __all__ = ['Conic', 'Cylinder', 'Polygon', 'WireframeModel', 'read_model', 'write_model']
 

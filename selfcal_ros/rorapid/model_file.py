@@ -47,7 +47,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.rorapid.cao_file import read_text
-from selfcal_ros.rorapid.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
+from selfcal_ros.values.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
 import yaml
 
 #: A YAML file takes long to parse; no sensible model is longer.

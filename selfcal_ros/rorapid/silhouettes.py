@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.wireframe import across_axes
+from selfcal_ros.values.wireframe import across_axes
 
 #: Chords shorter than this share of the object's diameter hide nothing.
 _TOUCHING = 1e-6

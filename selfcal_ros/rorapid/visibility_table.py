@@ -29,7 +29,7 @@ from scipy.spatial import ConvexHull
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.visibility import VisibleModel
-from selfcal_ros.rorapid.wireframe import WireframeModel
+from selfcal_ros.values.wireframe import WireframeModel
 
 _HIDDEN, _VISIBLE, _UNSURE = 0, 1, 2
 _LARGEST = 4_000_000

@@ -26,12 +26,12 @@ from functools import partial
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import (mount_from_axis, observe, pitched_mount, planar_poses,
                                           PointSequence)
 from selfcal_ros.synthetic.special_scenes import with_outliers
+from selfcal_ros.values.tracks import Tracks
 
 #: The camera of the scenes, unless they say otherwise.
 CAMERA = Camera([[520, 0, 328], [0, 520, 235], [0, 0, 1]], [-0.05, 0.01, 0, 0], 640, 480)

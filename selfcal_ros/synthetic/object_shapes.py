@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from selfcal_ros.rorapid.wireframe import Conic, Cylinder, Polygon, WireframeModel
 from selfcal_ros.synthetic.render import PYRAMID_LEVELS, Surface
 from selfcal_ros.synthetic.worlds import Style, texture
+from selfcal_ros.values.wireframe import Conic, Cylinder, Polygon, WireframeModel
 
 #: Facets of a round part; its outline is true to 0.05 % of the radius.
 FACETS = 72

@@ -27,12 +27,12 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
-from selfcal_ros.rorapid.wireframe import WireframeModel
 from selfcal_ros.synthetic.object_shapes import cube, SHAPES, SolidObject, spool, step_block
 from selfcal_ros.synthetic.paths import look_at
 from selfcal_ros.synthetic.recordings import default_camera, FIRST_STAMP_NS, Recording
 from selfcal_ros.synthetic.render import quantise, Renderer, Scene
 from selfcal_ros.synthetic.worlds import rectangle, Style
+from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['cube', 'MOTIONS', 'object_poses', 'ObjectRecording', 'SHAPES', 'SolidObject', 'spool',
            'step_block', 'tracked_object']

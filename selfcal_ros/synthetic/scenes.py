@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.values.tracks import Tracks
 
 #: Vanishing point of the rotation axis of sequence SI, pixels (thesis table 6.11).
 SI_VANISHING_POINT = (-571.8, -11876.0)

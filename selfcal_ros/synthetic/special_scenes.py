@@ -19,11 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.synthetic.scenes import (double_tsai_grid, mount_from_axis, observe,
                                           pitched_mount, planar_poses, planar_sequence,
                                           PointSequence, sequence_si, si_axis, SI_POSITIONS)
+from selfcal_ros.values.tracks import Tracks
 
 
 def level_horizon(rng, noise_px: float = 0.1, pitch_deg: float = 20.0,

@@ -22,8 +22,8 @@ from bench.monitored_drive import keyframes, MeasuredDrive, window_of
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.monitor import ChangeMonitor
-from selfcal_ros.calibration.window_score import window_score
+from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
+from selfcal_ros.calibration.monitoring.window_score import window_score
 from selfcal_ros.synthetic.special_scenes import drive
 
 

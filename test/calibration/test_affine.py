@@ -15,14 +15,15 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.affine import affine_structure, calibrate_affine, translated_pair
-from selfcal_ros.calibration.conic_calibration import Undetermined
-from selfcal_ros.calibration.diac import constraint_rows, linear_conic, unit_determinant
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
+                                                               translated_pair)
+from selfcal_ros.calibration.affine.diac import constraint_rows, linear_conic, unit_determinant
+from selfcal_ros.calibration.affine.infinite_homography_calibration import Undetermined
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, grid_camera, grid_neighbours,
                                                grid_points, grid_sequence, random_rotations)
+from selfcal_ros.values.tracks import Tracks
 
 SIZE = (512, 512)
 ZERO_SKEW = CameraFacts(skew=0.0)

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 from selfcal_ros import CameraFacts
-from selfcal_ros.calibration.bundle import Bundle
-from selfcal_ros.calibration.state import (BundleState, MotionModel, parameter_covariance,
-                                           priors_from_facts, SHARED)
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
+                                                  priors_from_facts, SHARED)
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.synthetic.scenes import sequence_si

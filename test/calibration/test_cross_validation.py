@@ -19,14 +19,14 @@ import numpy as np
 import pytest
 
 from selfcal_ros import CameraFacts
-from selfcal_ros.calibration.cross_validation import leave_out_stretches, STRETCHES
-from selfcal_ros.calibration.evidence import inverse_information
-from selfcal_ros.calibration.model_choice import choose_model, first_fit
-from selfcal_ros.calibration.problem import observations_of, Problem
-from selfcal_ros.calibration.refine import bundle_of, refit, with_all_points
-from selfcal_ros.calibration.search import best_start
-from selfcal_ros.calibration.state import MotionModel
-from selfcal_ros.calibration.view_graph import build_view_graph
+from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, refit, with_all_points
+from selfcal_ros.calibration.bundle.state import MotionModel
+from selfcal_ros.calibration.estimators.model_selection import choose_model, first_fit
+from selfcal_ros.calibration.initialisation.multi_start import best_start
+from selfcal_ros.calibration.initialisation.problem import observations_of, Problem
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
+from selfcal_ros.calibration.uncertainty.group_jackknife import leave_out_stretches, STRETCHES
 from selfcal_ros.geometry.optimise import unknowns_of
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
 

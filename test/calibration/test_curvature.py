@@ -16,8 +16,8 @@
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration import model_choice
-from selfcal_ros.calibration.curvature import mean_square_bend
+from selfcal_ros.calibration.estimators import model_selection as model_choice
+from selfcal_ros.calibration.uncertainty.second_order import mean_square_bend
 from selfcal_ros.synthetic.scenes import sequence_si
 
 FACTS = CameraFacts(aspect_ratio=1.0, distortion='radial2')

@@ -16,7 +16,7 @@
 import numpy as np
 
 from selfcal_ros import calibrate, CameraFacts, Tracks
-from selfcal_ros.calibration.dependence import stretch_excess
+from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_excess
 from selfcal_ros.synthetic.scenes import sequence_si
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')

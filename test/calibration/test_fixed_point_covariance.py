@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from selfcal_ros.calibration import circular, fixed_points, pair_means, pencil
+from selfcal_ros.calibration.planar import (circular, conic_pencil as pencil, fixed_points,
+                                            pair_means)
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry import fundamental, planar_batch, planar_pairs, projective
 from selfcal_ros.geometry.camera import CameraFacts

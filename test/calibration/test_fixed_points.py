@@ -15,10 +15,11 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration import circular, pencil, triplets, upgrade
-from selfcal_ros.calibration.fixed_points import (calibrate_estimate,
-                                                  calibrate_from_fixed_points, fixed_points)
+from selfcal_ros.calibration.planar import circular, conic_pencil as pencil, triplets
+from selfcal_ros.calibration.planar.fixed_points import (calibrate_estimate,
+                                                         calibrate_from_fixed_points, fixed_points)
 from selfcal_ros.calibration.result import FixedPoints
+from selfcal_ros.calibration.structure import upgrade
 from selfcal_ros.geometry import projective, tensor_cameras, trifocal
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes

@@ -15,7 +15,7 @@
 
 import numpy as np
 
-from selfcal_ros.calibration.flat_scene import separate
+from selfcal_ros.calibration.initialisation.planar_scene import separate
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.joint import combine
+from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts

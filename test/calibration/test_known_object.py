@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.known_object import calibrate_known_object, KnownObject
-from selfcal_ros.calibration.object_bundle import ObjectBundle, ObjectState
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.known_object.object_bundle import ObjectBundle, ObjectState
+from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.tracks import Tracks
 
 SIZE = (640, 480)
 CAMERA = Camera([[610, 0, 330], [0, 640, 225], [0, 0, 1]], [-0.2, 0.08, 0.001, -0.002], *SIZE)

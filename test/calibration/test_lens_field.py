@@ -16,7 +16,7 @@
 import numpy as np
 
 from selfcal_ros import calibrate, CameraFacts, Tracks
-from selfcal_ros.calibration.lens_field import displacement_modes
+from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.synthetic import special_scenes
 from selfcal_ros.synthetic.scenes import pitched_mount, planar_sequence

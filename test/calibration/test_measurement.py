@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from selfcal_ros import calibrate, CameraFacts, NotCalibrated, ray_angles
-from selfcal_ros.calibration.measurement import (angles_between, central_angle, fields_of_view,
-                                                 measurement_sentences)
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.angular_measurement import (angles_between, central_angle,
+                                                                   fields_of_view,
+                                                                   measurement_sentences)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.result_json import result_to_dict

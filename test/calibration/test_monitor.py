@@ -19,15 +19,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.camera_change import MonitorSettings
-from selfcal_ros.calibration.monitor import ChangeMonitor
+from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
+from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
+from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.window_score import window_score, WindowScore
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.values.tracks import Tracks
 
 NOISE_PX = 0.1
 VIEWS = 105

@@ -15,8 +15,9 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.kruppa import calibrate_kruppa, kruppa_residuals
-from selfcal_ros.calibration.repeated_structure import calibrate_repeated, tracks_from_objects
+from selfcal_ros.calibration.affine.kruppa import calibrate_kruppa, kruppa_residuals
+from selfcal_ros.calibration.affine.repeated_structure import (calibrate_repeated,
+                                                               tracks_from_objects)
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.fundamental import fundamental

@@ -15,7 +15,8 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.rotating import calibrate_rotating, rotation_homographies
+from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.homography import homography
 from selfcal_ros.geometry.projective import transform_points

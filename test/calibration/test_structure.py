@@ -21,8 +21,9 @@ from scipy.optimize import least_squares
 
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.result import Reconstruction
-from selfcal_ros.calibration.structure import (distance_error, metric_structure, pattern_error,
-                                               plane_angle, to_affine, to_metric)
+from selfcal_ros.calibration.structure.metric_structure import (distance_error, metric_structure,
+                                                                pattern_error, plane_angle,
+                                                                to_affine, to_metric)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.synthetic.special_scenes import drive
 

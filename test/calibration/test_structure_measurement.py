@@ -21,12 +21,12 @@ import pytest
 
 from selfcal_ros import (calibrate, CameraFacts, length_ratio, Measured, NotCalibrated,
                          structure_angle)
-from selfcal_ros.calibration.measurement import measurement_sentences
-from selfcal_ros.calibration.refine import bundle_of, Fit, Observations
-from selfcal_ros.calibration.state import (BundleState, intrinsic_covariance, MotionModel,
-                                           parameter_covariance, Prior, priors_from_facts)
-from selfcal_ros.calibration.structure_measurement import (corner_angle, distance_ratio,
-                                                           regression)
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit, Observations
+from selfcal_ros.calibration.bundle.state import (BundleState, intrinsic_covariance, MotionModel,
+                                                  parameter_covariance, Prior, priors_from_facts)
+from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
+from selfcal_ros.calibration.structure.structure_measurement import (corner_angle, distance_ratio,
+                                                                     regression)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.result_json import result_to_dict
 from selfcal_ros.synthetic.scenes import sequence_si

@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.edge_bundle import EdgeBundle
-from selfcal_ros.calibration.object_bundle import ObjectState
-from selfcal_ros.calibration.tracked_object import calibrate_from_edges, EdgeViews
+from selfcal_ros.calibration.known_object.edge_bundle import EdgeBundle
+from selfcal_ros.calibration.known_object.edge_calibration import calibrate_from_edges, EdgeViews
+from selfcal_ros.calibration.known_object.object_bundle import ObjectState
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix

@@ -17,14 +17,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.affine import calibrate_affine
-from selfcal_ros.calibration.pair_distortion import estimate_radial, undo_radial
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.translation_groups import classify_translations, translation_groups
+from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
+from selfcal_ros.calibration.affine.pair_distortion import estimate_radial, undo_radial
+from selfcal_ros.calibration.affine.translation_groups import (classify_translations,
+                                                               translation_groups)
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import grid_sequence, random_rotations
 from selfcal_ros.synthetic.scenes import observe
+from selfcal_ros.values.tracks import Tracks
 
 SIZE = (1280, 720)
 

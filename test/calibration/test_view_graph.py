@@ -15,11 +15,11 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.selection import verified
-from selfcal_ros.calibration.tracks import Tracks
-from selfcal_ros.calibration.view_graph import build_view_graph, truncated_sigma
+from selfcal_ros.calibration.bundle.inliers import verified
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, truncated_sigma
 from selfcal_ros.synthetic import scenes, special_scenes
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
+from selfcal_ros.values.tracks import Tracks
 
 
 #: Points of sequence SI in general position on its two grids.

@@ -17,7 +17,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.cli import main as command
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.geometry.camera import Camera
@@ -25,6 +24,7 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
+from selfcal_ros.values.tracks import Tracks
 
 CAMERA = Camera([[640, 0, 320], [0, 640, 240], [0, 0, 1]], [-0.1, 0, 0, 0], 640, 480)
 GRID = TsaiGrid(3, 3, 0.04, 0.03, 0.03)

@@ -16,8 +16,8 @@
 from feature_scenes import drive, Room, transfer_errors
 import numpy as np
 import pytest
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.features.klt import corners, followed_share, KltTracker
+from selfcal_ros.values.tracks import Tracks
 
 
 @pytest.fixture(scope='module')

@@ -16,8 +16,8 @@
 from feature_scenes import drive, HEIGHT, Room, WIDTH
 import numpy as np
 import pytest
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.values.tracks import Tracks
 
 
 @pytest.fixture(scope='module')

@@ -16,14 +16,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.calibration.known_object import calibrate_known_object
-from selfcal_ros.calibration.tracks import Tracks
+from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.targets import Chessboard, parse_target, PointList, read_points
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
+from selfcal_ros.values.tracks import Tracks
 
 GRID = TsaiGrid(4, 4, 0.04, 0.03, 0.03)
 K = [[649, 0, 256], [0, 973, 256], [0, 0, 1]]

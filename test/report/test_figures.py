@@ -19,13 +19,13 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.figures import draw_figures
 from selfcal_ros.report.observed import observed
 from selfcal_ros.report.pair_geometry import pair_geometry, single_pairs
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.residual_figures import cells, coverage_figure
+from selfcal_ros.values.tracks import Tracks
 
 
 def test_epipoles_lie_on_the_horizon_and_screw_axes_pass_through_v(calibration, sequence):

@@ -17,7 +17,7 @@ import json
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.joint import combine
+from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary

@@ -23,7 +23,7 @@ from selfcal_ros.report.overlay import (draw_overlay, FOUND, HIDDEN, MISSING, Ov
                                         project_tracked, REJECTED, wireframe_segments)
 from selfcal_ros.report.poses_csv import PosesTable, read_poses
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.wireframe import Conic, Cylinder, WireframeModel
+from selfcal_ros.values.wireframe import Conic, Cylinder, WireframeModel
 
 CAMERA = Camera([[300, 0, 160], [0, 300, 120], [0, 0, 1]], (-0.1, 0.02, 0, 0), 320, 240)
 

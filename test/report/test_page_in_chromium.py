@@ -27,7 +27,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.calibration.joint import combine
+from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary

@@ -16,10 +16,10 @@
 import numpy as np
 import pytest
 
-from selfcal_ros.calibration.tracks import Tracks
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.ply import point_colours, write_ply
+from selfcal_ros.values.tracks import Tracks
 
 POINTS = np.array([[0, 1, 2], [3.5, -4, 5], [1e6, 0, -1]])
 COLOURS = np.array([[255, 0, 10], [1, 2, 3], [0, 0, 0]], np.uint8)

@@ -22,7 +22,7 @@ from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise, sums_of
 from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.projection import Projection
 from selfcal_ros.rorapid.visibility import VisibleModel
-from selfcal_ros.rorapid.wireframe import Conic, WireframeModel
+from selfcal_ros.values.wireframe import Conic, WireframeModel
 
 FAR = np.full(60, np.inf)
 

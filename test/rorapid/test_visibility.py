@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.polygon import triangulate
 from selfcal_ros.rorapid.model import Conic, Cylinder, Polygon, WireframeModel
-from selfcal_ros.rorapid.polygon import triangulate
 from selfcal_ros.rorapid.visibility import VisibleModel
 from selfcal_ros.rorapid.visibility_table import VisibilityTable
 from selfcal_ros.synthetic.object_shapes import cube, spool, step_block

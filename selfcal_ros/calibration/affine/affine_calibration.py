@@ -1,0 +1,331 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Calibration from affine structure: translated views, then rotated ones (thesis chapter 4).
+
+Two translated views give the points up to an affine map (algorithm 4.1), resection against them
+gives every further camera, and the left halves of the cameras are the infinite homographies
+(algorithm 4.2). An adjustment of the affine cameras and points in between, which needs no
+calibration, makes the homographies as good as the images allow and gives their covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
+from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
+from selfcal_ros.calibration.affine.infinite_homography_calibration import (
+    camera_from_homographies, ConicCalibration, Undetermined)
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
+from selfcal_ros.geometry.projective import homogeneous
+from selfcal_ros.geometry.resection import resect
+from selfcal_ros.geometry.triangulation import (correct_to_epipolar_line, metric_points,
+                                                translated_points, triangulate)
+from selfcal_ros.values.tracks import Tracks
+
+#: A pair or a view needs at least so many points.
+LEAST_MATCHES = 8
+#: Matches further from the pair's lines than so many robust sigmas take no part.
+_OUTLIER_SIGMAS = 4.0
+_HUBER_SIGMAS = 2.5
+#: Points are off a common plane if it leaves so many times the noise.
+_PLANE_RATIO = 3.0
+#: Displacements that vary by less than this are one displacement.
+_LEAST_PARALLAX_PX = 1e-4
+
+
+@dataclass(frozen=True)
+class AffineReconstruction:
+    """
+    Cameras and points up to one affine map of space.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+        The reference first, whose camera is [I | 0].
+    translated : ndarray of bool, shape (V,)
+        Views that are translated against the reference, [I | e].
+    cameras : ndarray, shape (V, 3, 4)
+        Pixels.
+    tracks : ndarray of int, shape (P,)
+    points : ndarray, shape (P, 4)
+        Homogeneous, (x, y, 1, inverse depth) times any factor.
+    homographies : InfiniteHomographies
+        Of the views that are not translated, in the order of `frames`.
+    sigma_px : float
+        Robust standard deviation of an image coordinate.
+
+    """
+
+    frames: np.ndarray
+    translated: np.ndarray
+    cameras: np.ndarray
+    tracks: np.ndarray
+    points: np.ndarray
+    homographies: InfiniteHomographies
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class AffineCalibration:
+    """
+    A camera from affine structure.
+
+    Attributes
+    ----------
+    conic : ConicCalibration
+        K, its covariance, the closed form.
+    structure : AffineReconstruction
+
+    """
+
+    conic: ConicCalibration
+    structure: AffineReconstruction
+
+    @property
+    def K(self) -> np.ndarray:
+        """Calibration matrix, pixels, shape (3, 3)."""
+        return self.conic.K
+
+    def metric(self, K=None) -> np.ndarray:
+        """Euclidean points (P, 3) in the reference's frame, up to scale (2.16)."""
+        return metric_points(self.K if K is None else K, self.structure.points)
+
+
+def translated_pair(tracks: Tracks, frames):
+    """
+    Choose the two of several translated views that tell most of depth.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Undistorted pixels.
+    frames : sequence of int
+        Views related by pure translation.
+
+    Returns
+    -------
+    (int, int, ndarray (3,)) or NoEstimate
+        The frames and the epipole, pixels, which both share.
+
+    """
+    frames = [int(f) for f in frames]
+    pairs = [(a, b) for k, a in enumerate(frames) for b in frames[k + 1:]]
+    matches = [tracks.matches(a, b)[1:] for a, b in pairs]
+    usable = [k for k, (a, b) in enumerate(matches) if len(a) >= LEAST_MATCHES
+              and (b - a).std(axis=0).max() > _LEAST_PARALLAX_PX]
+    if not usable:
+        most = max((len(a) for a, _ in matches), default=0)
+        if most >= LEAST_MATCHES:
+            return NoEstimate('The translated views do not differ; there is no parallax.',
+                              'no_parallax')
+        return NoEstimate('No two translated views share enough points: at least '
+                          f'{LEAST_MATCHES} are needed, there are {most}.', 'too_few')
+    # the most parallax that many points show
+    worth = [np.sqrt(len(matches[k][0])) * np.median(
+        np.linalg.norm(matches[k][1] - matches[k][0], axis=1)) for k in usable]
+    best = usable[int(np.argmax(worth))]
+    a, b = matches[best]
+    for _ in range(3):
+        data = PairMatches.from_pixels([(a, b)])
+        F = data.pixels_F(refine_translation(data)[0])[0]
+        epipole = np.array([F[2, 1], F[0, 2], F[1, 0]])
+        moved = np.abs(correct_to_epipolar_line(epipole, a, b)[2][:, 0])
+        near = moved <= _OUTLIER_SIGMAS * max(1.4826 * np.median(moved), 1e-9)
+        if near.all() or near.sum() < LEAST_MATCHES:
+            break
+        a, b = a[near], b[near]
+    return (*pairs[best], epipole)
+
+
+def affine_structure(tracks: Tracks, translated, refine: bool = True):
+    """
+    Affine cameras and points of all views (algorithms 4.1, 4.2).
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Undistorted pixels; gross errors are weighed down, but should be few.
+    translated : sequence of int
+        Frames that are related by pure translation, two or more.
+    refine : bool
+        Adjust cameras and points together. False: the thesis's chain alone.
+
+    Returns
+    -------
+    AffineReconstruction or NoEstimate
+
+    """
+    pair = translated_pair(tracks, translated)
+    if isinstance(pair, NoEstimate):
+        return pair
+    first, second, epipole = pair
+    tracks = tracks.with_at_least(2)
+    names, track = np.unique(tracks.track, return_inverse=True)
+    group = {int(f) for f in translated}
+    track_ids, xy_a, xy_b = tracks.matches(first, second)
+    row = np.searchsorted(names, track_ids)
+    points = np.full((len(names), 4), np.nan)
+    points[row] = translated_points(epipole, xy_a, xy_b)
+    # inverse depths of the order of one
+    size = np.median(np.abs(points[row, 3]))
+    flat = _plane_ratio(points[row], epipole, xy_a, xy_b)
+    if not (size > 0 and flat > _PLANE_RATIO):
+        return NoEstimate(f'One plane explains translated frames {first} and {second} to within '
+                          f'{flat:.1f} times the noise: the points lie on a plane or far away, '
+                          'and leave the cameras open.', 'no_parallax')
+    points[row, 3] /= size
+    epipole = epipole * size
+    standing, failure = [first, second], None
+    cameras = [np.eye(3, 4), np.column_stack([np.eye(3), epipole])]
+    waiting = [int(f) for f in tracks.frames if f not in standing]
+    while waiting:
+        known = np.isfinite(points).all(axis=1)
+        seen = [int(np.sum(known[track[tracks.frame == f]])) for f in waiting]
+        k = int(np.argmax(seen))
+        if seen[k] < LEAST_MATCHES:
+            break
+        frame = waiting.pop(k)
+        rows = np.flatnonzero((tracks.frame == frame) & known[track])
+        if frame in group:
+            camera = _translated_camera(points[track[rows]], tracks.xy[rows])
+        else:
+            found = resect(points[track[rows]], tracks.xy[rows], huber_sigmas=_HUBER_SIGMAS)
+            camera = found.P if found else None
+            failure = failure if found else found
+        if camera is None:
+            continue
+        standing.append(frame)
+        cameras.append(camera)
+        if refine and not known.all():
+            _add_points(points, tracks, track, standing, np.array(cameras))
+    if failure is not None and group.issuperset(standing):
+        return failure
+    frames = np.array(standing)
+    known = np.isfinite(points).all(axis=1)
+    mask = np.isin(tracks.frame, frames) & known[track]
+    mask &= np.bincount(track[mask], minlength=len(names))[track] >= 2
+    kept = tracks.select(mask)
+    ids, point = np.unique(kept.track, return_inverse=True)
+    order = np.argsort(frames)
+    view = order[np.searchsorted(frames[order], kept.frame)]
+    free = ~np.isin(frames, list(group))
+    views = AffineViews(np.array(cameras), points[np.searchsorted(names, ids)], ~free,
+                        view, point, kept.xy)
+    adjusted = adjust(views, iterations=25 if refine else 0)
+    H, slope = unit_determinant(adjusted.cameras[free][:, :, :3])
+    n = len(H)
+    covariance = np.einsum('iab,ibjc,jdc->iajd', slope,
+                           adjusted.covariance.reshape(n, 9, n, 9), slope, optimize=True)
+    return AffineReconstruction(frames, ~free, adjusted.cameras, ids, adjusted.points,
+                                InfiniteHomographies(H, covariance.reshape(9 * n, 9 * n)),
+                                adjusted.sigma_px)
+
+
+def _plane_ratio(points, epipole, xy_a, xy_b) -> float:
+    """What the best plane leaves of the displacements, in units of their noise; robust."""
+    moved = correct_to_epipolar_line(epipole, xy_a, xy_b)[2]
+    noise = 1.4826 * np.median(np.abs(moved[:, 0] - moved[:, 1])) + 1e-9
+    reach = np.linalg.norm(epipole[:2] - epipole[2] * xy_b, axis=1)
+    weight = reach.copy()
+    # the inverse depths of a plane are linear in x and y
+    for _ in range(5):
+        A = points[:, :3] * weight[:, None]
+        plane = np.linalg.lstsq(A / np.abs(A).max(axis=0), points[:, 3] * weight, rcond=None)[0]
+        left = np.abs(points[:, 3] - points[:, :3] / np.abs(A).max(axis=0) @ plane) * reach
+        spread = 3 * np.median(left) + 1e-300
+        weight = reach / np.sqrt(1 + (left / spread)**2)
+    # a share of the points off the plane is enough: the upper quartile, as of a normal spread
+    return float(np.percentile(left, 75) / 1.1503 / noise)
+
+
+def _translated_camera(points, xy) -> np.ndarray | None:
+    """Camera [I | e] of a further translated view, by least squares, gross errors weighed."""
+    x = homogeneous(xy)
+    ahead = points[:, :3]
+    scale = np.abs(xy).max()
+    e, weight = np.zeros(3), np.ones(len(x))
+    for _ in range(6):
+        # x' ~ X + r e: two equations linear in e, divided by the depth of the last round
+        depth = ahead[:, 2] + points[:, 3] * e[2]
+        depth = np.where(np.abs(depth) > 1e-9, depth, 1e-9)
+        rows = np.zeros((len(x), 2, 3))
+        rows[:, 0, 0] = rows[:, 1, 1] = points[:, 3]
+        rows[:, :, 2] = -points[:, 3:] * xy * 1.0
+        right = ahead[:, 2:] * xy - ahead[:, :2]
+        factor = (np.sqrt(weight) / np.abs(depth))[:, None]
+        A = (rows * factor[..., None]).reshape(-1, 3) * [1, 1, 1 / scale]
+        e = np.linalg.lstsq(A, (right * factor).ravel(), rcond=None)[0] * [1, 1, 1 / scale]
+        image = ahead + points[:, 3:] * e
+        depth = np.where(np.abs(image[:, 2:]) > 1e-9, image[:, 2:], 1e-9)
+        distance = np.linalg.norm(image[:, :2] / depth - xy, axis=1)
+        limit = _HUBER_SIGMAS * max(np.median(distance) / 1.1774, 1e-9)
+        weight = np.minimum(1.0, limit / np.maximum(distance, 1e-300))
+    return np.column_stack([np.eye(3), e]) if np.isfinite(e).all() else None
+
+
+def _add_points(points, tracks, track, standing, cameras) -> None:
+    """Triangulate tracks that standing views see at least twice and that are not placed yet."""
+    fresh = ~np.isfinite(points).all(axis=1)
+    frames = np.array(standing)
+    mask = np.isin(tracks.frame, frames) & fresh[track]
+    mask &= np.bincount(track[mask], minlength=len(points))[track] >= 2
+    if not mask.any():
+        return
+    rows, index = np.unique(track[mask], return_inverse=True)
+    order = np.argsort(frames)
+    view = order[np.searchsorted(frames[order], tracks.frame[mask])]
+    points[rows] = triangulate(cameras, view, index, tracks.xy[mask])
+
+
+def calibrate_affine(tracks: Tracks, translated, size: tuple[int, int],
+                     facts: CameraFacts | None = None, refine: bool = True):
+    """
+    Calibrate from views of which some are related by pure translation (chapter 4).
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Undistorted pixels.
+    translated : sequence of int
+        Frames that are related by pure translation, two or more.
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts, optional
+        Needed where all rotations share one axis: zero skew (4.9) or the aspect ratio.
+    refine : bool
+        Adjust the affine structure before the conic is found.
+
+    Returns
+    -------
+    AffineCalibration or NoEstimate
+        `Undetermined` where the rotations leave parameters open.
+
+    """
+    facts = CameraFacts() if facts is None else facts
+    if len(tracks.frames) < 3:
+        return Undetermined('Two views do not calibrate a camera; at least one more is needed, '
+                            'rotated against the translated ones.', 'too_few',
+                            dict.fromkeys(('fx', 'fy', 'cx', 'cy', 'skew', 'aspect_ratio'),
+                                          'unobservable'), ('everything',))
+    structure = affine_structure(tracks, translated, refine)
+    if isinstance(structure, NoEstimate):
+        return structure
+    conic = camera_from_homographies(structure.homographies, size, facts)
+    return AffineCalibration(conic, structure) if conic else conic

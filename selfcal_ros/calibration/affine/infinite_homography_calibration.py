@@ -1,0 +1,368 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Infinite homographies → K, with its covariance, or what the rotations leave open.
+
+The closed forms of `diac` start a small least-squares problem in K alone that asks
+R = K^-1 H K of all views to be rotations; the null space of its normal matrix names the
+parameters that the views do not determine (thesis 4.1.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.affine.diac import (camera_from_dual_conic, InfiniteHomographies,
+                                                 linear_conic, ROUNDING)
+from selfcal_ros.calibration.observability import FOCAL_SHARE, parameter_status
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.rotation import rotation_vector
+
+#: Rotations that leave this axis by less (degrees) are called rotations about it.
+_NEAR_AXIS_DEG = 15.0
+#: Rotations must exceed their noise by so much (in variance) to tell anything.
+_IDENTITY_SLACK = 1.5
+#: Rotations below this are too small to tell their axis.
+_LEAST_TURN_DEG = 1.0
+#: Focal lengths from which the least squares start, too (image sizes).
+_SUPPOSED = (0.7, 1.3, 2.6)
+_LOG_F, _LOG_ASPECT, _CX, _CY, _SKEW = range(5)
+
+
+@dataclass(frozen=True)
+class ConicCalibration:
+    """
+    A camera from infinite homographies.
+
+    Attributes
+    ----------
+    K : ndarray, shape (3, 3)
+        Pixels, after the least squares over all views.
+    covariance : ndarray, shape (5, 5)
+        Of fx, fy, cx, cy, skew, pixels.
+    linear_K : ndarray, shape (3, 3), or None
+        The closed form alone; None where its conic is not definite.
+    closed_form : str
+        'linear', or the fact that picked the member of the family: 'zero skew' (4.9),
+        'aspect ratio', 'principal point'; 'search' where no closed form gave a camera.
+    rotations : ndarray, shape (n, 3)
+        Rotation vector of each view against the reference, radians.
+    misfit : float
+        Root mean square of the constraints in sigmas of the homographies.
+
+    """
+
+    K: np.ndarray
+    covariance: np.ndarray
+    linear_K: np.ndarray | None
+    closed_form: str
+    rotations: np.ndarray
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Undetermined(NoEstimate):
+    """
+    The views leave parameters open; false in a condition.
+
+    Attributes
+    ----------
+    status : dict
+        Of fx, fy, cx, cy, skew and aspect_ratio: 'estimated' (the views do determine it),
+        'held' or 'unobservable'. There is no number with it.
+    open_directions : tuple of str
+        Combinations of parameters that the views do not determine.
+
+    """
+
+    status: dict | None = None
+    open_directions: tuple = ()
+
+
+class _Constraints:
+    """R = K^-1 H K be rotations: residuals, weights and derivatives in (log f, log ζ, ...)."""
+
+    def __init__(self, H, covariance):
+        self.H = H
+        self.covariance = covariance + ROUNDING**2 * np.eye(len(covariance))
+
+    @staticmethod
+    def K(theta):
+        f = np.exp(theta[_LOG_F])
+        return np.array([[f, theta[_SKEW], theta[_CX]],
+                         [0, f * np.exp(theta[_LOG_ASPECT]), theta[_CY]], [0, 0, 1]])
+
+    @staticmethod
+    def select(S):
+        """Five numbers of R R^T - I: its trace is zero to first order, as det R = 1."""
+        return np.stack([S[..., 0, 0] - S[..., 1, 1],
+                         (S[..., 0, 0] + S[..., 1, 1] - 2 * S[..., 2, 2]) / np.sqrt(3),
+                         2 * S[..., 0, 1], 2 * S[..., 0, 2], 2 * S[..., 1, 2]], axis=-1)
+
+    def residuals(self, theta):
+        """R R^T - I of all views, shape (5 n,)."""
+        K = self.K(theta)
+        R = np.linalg.inv(K) @ self.H @ K
+        return self.select(R @ np.swapaxes(R, 1, 2)).ravel()
+
+    def evaluate(self, theta):
+        """Residuals (5 n,), slopes (5 n, 5) and the inverse of their covariance (5 n, 5 n)."""
+        K = self.K(theta)
+        inverse = np.linalg.inv(K)
+        R = inverse @ self.H @ K
+        Rt = np.swapaxes(R, 1, 2)
+        r = self.select(R @ Rt)
+        dK = np.zeros((5, 3, 3))
+        dK[_LOG_F, 0, 0], dK[_LOG_F, 1, 1] = K[0, 0], K[1, 1]
+        dK[_LOG_ASPECT, 1, 1] = K[1, 1]
+        dK[_CX, 0, 2] = dK[_CY, 1, 2] = dK[_SKEW, 0, 1] = 1
+        E = inverse @ dK
+        half = (R[:, None] @ E - E @ R[:, None]) @ Rt[:, None]
+        slope = self.select(half + np.swapaxes(half, 2, 3))
+        unit = np.einsum('ia,bj->abij', inverse, K).reshape(9, 3, 3)
+        half = unit @ Rt[:, None]
+        by_entry = self.select(half + np.swapaxes(half, 2, 3))          # (n, 9, 5)
+        n = len(r)
+        spread = np.einsum('iac,iajb,jbd->icjd', by_entry,
+                           self.covariance.reshape(n, 9, n, 9), by_entry, optimize=True)
+        spread = spread.reshape(5 * n, 5 * n)
+        # scaled to a unit diagonal; what is known least must not make it singular
+        root = np.sqrt(np.diag(spread))
+        unit = spread / np.outer(root, root) + 1e-12 * np.eye(5 * n)
+        weight = np.linalg.inv(unit) / np.outer(root, root)
+        return r.ravel(), np.swapaxes(slope, 1, 2).reshape(-1, 5), weight
+
+
+def _solve(constraints, theta, free, facts_terms, iterations=30):
+    """Gauss-Newton with damping, weights renewed in each step; theta, cost, information."""
+    # a very wide prior holds what nothing else does
+    wide = np.array([3.0, 1.0, 1.0, 1.0, 1.0])
+    targets, sigmas = facts_terms
+    index = np.flatnonzero(free)
+
+    def total(t, W):
+        r = constraints.residuals(t)
+        fact = (t - targets) / sigmas
+        return (r @ W @ r + np.sum(fact[np.isfinite(sigmas)]**2)
+                + np.sum((t / wide)[free]**2))
+
+    damping = 1e-3
+    for _ in range(iterations):
+        r, J, W = constraints.evaluate(theta)
+        cost = total(theta, W)
+        JW = J.T @ W
+        H, g = JW @ J, JW @ r
+        H[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0) + 1 / wide**2
+        g += np.where(np.isfinite(sigmas), (theta - targets) / sigmas**2, 0)
+        g += theta / wide**2
+        A, b = H[np.ix_(index, index)], g[index]
+        moved = False
+        while damping < 1e8:
+            step = np.zeros(5)
+            step[index] = -np.linalg.solve(A + damping * np.diag(np.diag(A)), b)
+            step *= min(1.0, 0.7 / max(np.abs(step[:2]).max(), 1e-300))
+            trial = theta + step
+            if np.abs(trial[:2]).max() < 4.5 and np.abs(trial[2:]).max() < 50:
+                new = total(trial, W)
+                if new < cost:
+                    theta, moved, damping = trial, True, max(0.1 * damping, 1e-12)
+                    break
+            damping *= 10
+        if not moved or cost - new < 1e-9 * (1 + cost):
+            break
+    r, J, W = constraints.evaluate(theta)
+    fact = ((theta - targets) / sigmas)[np.isfinite(sigmas)]
+    misfit = float(r @ W @ r + fact @ fact)
+    # small residuals with a wide covariance come from K that blow the weights up, too
+    log_weight = float(np.linalg.slogdet(W)[1])
+    information = J.T @ W @ J
+    information[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0)
+    return theta, misfit - log_weight, misfit, information
+
+
+def _theta(K):
+    return np.array([np.log(K[0, 0]), np.log(K[1, 1] / K[0, 0]), K[0, 2], K[1, 2], K[0, 1]])
+
+
+def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int, int],
+                             facts: CameraFacts | None = None):
+    """
+    Calibrate a fixed camera from infinite homographies (algorithm 4.2, last steps).
+
+    Parameters
+    ----------
+    homographies : InfiniteHomographies
+        Of undistorted pixels.
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts, optional
+        Aspect ratio, skew, principal point; those with sigma 0 are held.
+
+    Returns
+    -------
+    ConicCalibration or Undetermined
+        Undetermined names what the rotations leave open, and which rotation would help.
+
+    """
+    facts = CameraFacts() if facts is None else facts
+    facts = replace(facts, distortion='none')
+    if not len(homographies.H):
+        return _nothing(facts, 'No view is rotated against another; pure translation says '
+                        'nothing of the camera.')
+    scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
+    T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
+                  [0, 0, 1]])
+    inverse = np.linalg.inv(T)
+    carry = np.kron(np.eye(len(homographies.H)), np.kron(T, inverse.T))
+    H = T @ homographies.H @ inverse
+    constraints = _Constraints(H, carry @ homographies.covariance @ carry.T)
+    if _is_identity(H, constraints.covariance):
+        return _nothing(facts, 'No view is rotated against another by more than the noise; pure '
+                        'translation says nothing of the camera.')
+    noise = float(np.sqrt(np.trace(constraints.covariance) / len(carry)))
+    scaled = _scaled_facts(facts, scale, middle)
+    candidates, family = linear_conic(H, noise, scaled)
+    free, start, terms = _fact_terms(scaled)
+    starts, linear = [], None
+    for name, conic in candidates:
+        K = camera_from_dual_conic(conic)
+        if isinstance(K, NoEstimate):
+            continue
+        if linear is None:
+            linear = inverse @ K
+        starts.append((name, np.where(free, _theta(K), start)))
+    for focal in _SUPPOSED:
+        supposed = start.copy()
+        supposed[_LOG_F] = np.log(focal)
+        starts.append(('search', supposed))
+    solved = [(name, *_solve(constraints, theta, free, terms)) for name, theta in starts
+              if np.abs(theta[:2]).max() < 4]
+    # of equals the closed form
+    best = min(cost for _, _, cost, _, _ in solved)
+    name, theta, _, misfit, information = next(s for s in solved if s[2] <= best + 1e-3)
+    K = inverse @ constraints.K(theta)
+    freedom = max(5 * len(H) - int(free.sum()), 1)
+    covariance, log_aspect_sigma, open_directions = _judge(
+        information, free, K, scale, max(misfit / freedom, 1.0))
+    camera = Camera(np.triu(K), width=size[0], height=size[1])
+    nine = np.zeros((9, 9))
+    nine[:5, :5] = covariance
+    status = {k: v for k, v in parameter_status(camera, nine, facts).items()
+              if k in ('fx', 'fy', 'cx', 'cy', 'skew')}
+    status['aspect_ratio'] = ('held' if not free[_LOG_ASPECT] else 'estimated'
+                              if log_aspect_sigma < FOCAL_SHARE else 'unobservable')
+    near = constraints.K(theta)
+    U, _, Vt = np.linalg.svd(np.linalg.inv(near) @ H @ near)
+    rotations = rotation_vector(U @ Vt)
+    if 'unobservable' in status.values():
+        return Undetermined(_explain(status, rotations, family, facts), 'ill_conditioned',
+                            status, open_directions)
+    return ConicCalibration(camera.K, covariance, None if linear is None else np.triu(linear),
+                            name, rotations, float(np.sqrt(misfit / freedom)))
+
+
+def _is_identity(H, covariance) -> bool:
+    """Tell whether homographies differ from no rotation by no more than their noise."""
+    offset = (H - np.eye(3)).ravel()
+    statistic = offset @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ offset
+    # eight degrees of freedom each; the noise level itself is known to some 10 percent only
+    return bool(statistic < _IDENTITY_SLACK * chi2.ppf(0.999, 8 * len(H)))
+
+
+def _nothing(facts, reason):
+    camera = Camera(np.eye(3), width=1, height=1)
+    status = parameter_status(camera, np.diag(np.full(9, 1e12)), facts)
+    status = {k: status[k] for k in ('fx', 'fy', 'cx', 'cy', 'skew')}
+    held = facts.aspect_ratio is not None and facts.aspect_ratio_sigma == 0
+    status['aspect_ratio'] = 'held' if held else 'unobservable'
+    return Undetermined(reason, 'no_rotation', status, ('everything',))
+
+
+def _scaled_facts(facts, scale, middle):
+    point = facts.principal_point
+    return replace(
+        facts, skew=None if facts.skew is None else facts.skew / scale,
+        skew_sigma_px=facts.skew_sigma_px / scale,
+        principal_point=None if point is None else tuple((np.array(point) - middle) / scale),
+        principal_point_sigma_px=facts.principal_point_sigma_px / scale)
+
+
+def _fact_terms(facts):
+    """Free parameters, where the held ones stand, and facts with a spread as measurements."""
+    free, start = np.ones(5, bool), np.zeros(5)
+    targets, sigmas = np.zeros(5), np.full(5, np.inf)
+    known = []
+    if facts.aspect_ratio is not None:
+        known.append((_LOG_ASPECT, np.log(facts.aspect_ratio),
+                      facts.aspect_ratio_sigma / facts.aspect_ratio))
+    if facts.skew is not None:
+        known.append((_SKEW, facts.skew, facts.skew_sigma_px))
+    if facts.principal_point is not None:
+        known += [(_CX + k, facts.principal_point[k], facts.principal_point_sigma_px)
+                  for k in (0, 1)]
+    for k, value, sigma in known:
+        start[k] = targets[k] = value
+        if sigma > 0:
+            sigmas[k] = sigma
+        else:
+            free[k] = False
+    return free, start, (targets, sigmas)
+
+
+def _judge(information, free, K, scale, inflation):
+    """Covariance of fx, fy, cx, cy, skew (px), sigma of log ζ, names of open directions."""
+    index = np.flatnonzero(free)
+    values, vectors = np.linalg.eigh(information[np.ix_(index, index)])
+    values = np.maximum(values, 1e-16 * max(values[-1], 1e-300))
+    small = np.zeros((5, 5))
+    small[np.ix_(index, index)] = inflation * (vectors / values) @ vectors.T
+    names = np.array(['focal length', 'aspect ratio', 'cx', 'cy', 'skew'])[index]
+    directions = []
+    for value, vector in zip(values, vectors.T):
+        if np.sqrt(inflation / value) > FOCAL_SHARE:
+            share = np.abs(vector) / np.abs(vector).max()
+            directions.append(' with '.join(names[np.argsort(-share)][np.sort(-share) < -0.2]))
+    J = np.zeros((5, 5))
+    J[0, _LOG_F], J[1, _LOG_F], J[1, _LOG_ASPECT] = K[0, 0], K[1, 1], K[1, 1]
+    J[2, _CX] = J[3, _CY] = J[4, _SKEW] = scale
+    return J @ small @ J.T, float(np.sqrt(small[1, 1])), tuple(directions)
+
+
+def _explain(status, rotations, family, facts) -> str:
+    """Say what is open and which rotation would help."""
+    missing = [name for name, state in status.items() if state == 'unobservable']
+    _, spread, axes = np.linalg.svd(rotations, full_matrices=True)
+    largest = np.degrees(np.linalg.norm(rotations, axis=1).max())
+    along = np.degrees(np.arccos(np.clip(np.abs(axes[0]), 0, 1)))
+    nearest = int(np.argmin(along))
+    about = (f'the camera\'s {"xyz"[nearest]} axis' if along[nearest] < _NEAR_AXIS_DEG
+             else 'one axis')
+    sentence = f'The rotations leave {", ".join(missing).replace("_", " ")} open'
+    turned = largest > _LEAST_TURN_DEG
+    if turned and (family or len(spread) < 2 or spread[1] < 0.2 * spread[0]):
+        near = along[nearest] < _NEAR_AXIS_DEG
+        wanted = {0: 'the y axis', 1: 'the x axis', 2: 'the x axis and about the y axis'}
+        sentence += (f': they are all about {about} (up to {largest:.2g} degrees); add views that '
+                     f'are turned about {wanted[nearest] if near else "an axis across that one"}')
+        if facts.aspect_ratio is None and not (near and nearest == 2):
+            # about x or y the skew takes no part
+            sentence += (', or state the aspect ratio' if near or facts.skew is not None
+                         else ', or state the skew or the aspect ratio')
+    else:
+        sentence += f': they reach {largest:.2g} degrees only; turn the camera further'
+    return sentence + '.'

@@ -1,0 +1,249 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Affine structure from four general views by the modulus constraint (thesis 4.1.2).
+
+With a fixed camera the homography of the plane at infinity is conjugate to a rotation, so that
+its eigenvalues have one modulus: each pair of views gives one equation in the three unknowns of
+that plane (4.7), four views six, of which three would do. A projective reconstruction comes
+first; supposed focal lengths propose planes, as the equations have many roots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
+from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
+from selfcal_ros.calibration.affine.infinite_homography_calibration import (
+    camera_from_homographies, ConicCalibration)
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.fundamental import fundamental
+from selfcal_ros.geometry.projective import completed_frame, cross_matrix, unit
+from selfcal_ros.geometry.resection import resect
+from selfcal_ros.geometry.triangulation import triangulate
+from selfcal_ros.values.tracks import Tracks
+
+#: Views that the constraint needs, and points that each must share with the others.
+LEAST_VIEWS, LEAST_POINTS = 4, 10
+#: Focal lengths that propose planes at infinity, in longer image sides.
+_FOCAL_SWEEP = (0.65, 1.0, 1.5, 2.2, 3.2)
+#: Roots that differ by less, relative to their size, are one.
+_SAME_ROOT = 1e-3
+#: Largest modulus residual (root mean square) of a root, before noise is looked at.
+_MOST_RESIDUAL = 0.05
+
+
+@dataclass(frozen=True)
+class ModulusCalibration:
+    """
+    A camera from the plane at infinity of general views.
+
+    Attributes
+    ----------
+    conic : ConicCalibration
+    frames : ndarray of int, shape (V,)
+        The reference first.
+    plane : ndarray, shape (3,)
+        a of the homographies M - m a^T, in pixels of the reference.
+    homographies : InfiniteHomographies
+        From the reference to the other frames; without covariance.
+    residual : float
+        Root mean square of the modulus constraints, tr H - tr H^-1 for det H = 1.
+
+    """
+
+    conic: ConicCalibration
+    frames: np.ndarray
+    plane: np.ndarray
+    homographies: InfiniteHomographies
+    residual: float
+
+    @property
+    def K(self) -> np.ndarray:
+        """Calibration matrix, pixels, shape (3, 3)."""
+        return self.conic.K
+
+
+def modulus_residuals(cameras, plane) -> np.ndarray:
+    """
+    Violation of the modulus constraint by all pairs of views.
+
+    For det H = 1 equal moduli of the eigenvalues, f3 f1³ = f2³ (4.7), mean tr H = tr H^-1.
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (V, 3, 4)
+        Projective; the first is [I | 0].
+    plane : ndarray, shape (..., 3)
+
+    Returns
+    -------
+    ndarray, shape (..., V (V - 1) / 2)
+
+    """
+    plane = np.asarray(plane, float)
+    H = cameras[:, :, :3] - cameras[:, :, 3:] * plane[..., None, None, :]
+    a, b = np.triu_indices(len(cameras), 1)
+    determinant = np.linalg.det(H)
+    H = H / np.cbrt(np.where(determinant == 0, 1e-300, determinant))[..., None, None]
+    inverse = np.linalg.inv(H)
+    there = np.einsum('...ij,...ji->...', H[..., b, :, :], inverse[..., a, :, :])
+    back = np.einsum('...ij,...ji->...', H[..., a, :, :], inverse[..., b, :, :])
+    return there - back
+
+
+def projective_structure(tracks: Tracks, size: tuple[int, int]):
+    """
+    Projective cameras and points of a few views that share points.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Undistorted pixels; gross errors should be few.
+    size : (int, int)
+        Width and height, pixels.
+
+    Returns
+    -------
+    (frames (V,), cameras (V, 3, 4), sigma_px) or NoEstimate
+        Cameras in pixels, the first [I | 0].
+
+    """
+    tracks = tracks.with_at_least(2)
+    frames = tracks.frames
+    a, b = np.triu_indices(len(frames), 1)
+    shared = [tracks.matches(frames[i], frames[j]) for i, j in zip(a, b)]
+    # the pair with many points and a wide baseline
+    worth = [np.sqrt(len(m[0])) * np.median(np.linalg.norm(m[2] - m[1], axis=1))
+             if len(m[0]) >= LEAST_POINTS else 0.0 for m in shared]
+    if not len(worth) or max(worth) == 0:
+        return NoEstimate(f'No two views share {LEAST_POINTS} points.', 'too_few')
+    k = int(np.argmax(worth))
+    _, xy_a, xy_b = shared[k]
+    pair = fundamental(xy_a, xy_b)
+    if isinstance(pair, NoEstimate):
+        return pair
+    epipole = np.linalg.svd(pair.F.T)[2][-1]
+    scale = float(max(size))
+    standing = [int(frames[a[k]]), int(frames[b[k]])]
+    second = np.column_stack([cross_matrix(epipole) @ pair.F, epipole])
+    # of the order of a homography of pixels
+    cameras = [np.eye(3, 4), second / np.linalg.norm(second) * scale]
+    names, track = np.unique(tracks.track, return_inverse=True)
+    points = np.full((len(names), 4), np.nan)
+    for frame in [None, *(int(f) for f in frames if int(f) not in standing)]:
+        if frame is not None:
+            known = np.isfinite(points).all(axis=1)
+            seen = np.flatnonzero((tracks.frame == frame) & known[track])
+            if len(seen) < LEAST_POINTS:
+                continue
+            found = resect(points[track[seen]], tracks.xy[seen], huber_sigmas=2.5)
+            if isinstance(found, NoEstimate):
+                return found
+            standing.append(frame)
+            cameras.append(found.P)
+        order = np.argsort(standing)
+        mask = np.isin(tracks.frame, standing)
+        mask &= np.bincount(track[mask], minlength=len(names))[track] >= 2
+        rows, index = np.unique(track[mask], return_inverse=True)
+        view = order[np.searchsorted(np.array(standing)[order], tracks.frame[mask])]
+        points[rows] = triangulate(np.array(cameras), view, index, tracks.xy[mask])
+    first = np.arange(len(standing)) == 0
+    adjusted = adjust(AffineViews(np.array(cameras), points[rows], first, view, index,
+                                  tracks.xy[mask]))
+    return np.array(standing), adjusted.cameras, adjusted.sigma_px
+
+
+def _proposed_planes(cameras, aspect) -> np.ndarray:
+    """Planes at infinity that supposed cameras imply, for each view against the first, (n, 3)."""
+    planes = []
+    for focal in _FOCAL_SWEEP:
+        K = np.diag([focal, focal * aspect, 1.0])
+        inverse = np.linalg.inv(K)
+        for camera in cameras[1:]:
+            # K^-1 M K - (K^-1 m)(K^T a)^T is a scaled rotation: two of its rows are given
+            m = inverse @ camera[:, 3]
+            turn = completed_frame(unit(m)).T
+            rows = turn @ inverse @ camera[:, :3] @ K
+            size = np.sqrt(np.linalg.norm(rows[1]) * np.linalg.norm(rows[2]))
+            for scale in (size, -size):
+                q = (rows[0] - np.cross(rows[1], rows[2]) / scale) / np.linalg.norm(m)
+                planes.append(inverse.T @ q)
+    return np.array(planes)
+
+
+def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None):
+    """
+    Calibrate from four or more general views, none of them translated (4.1.2).
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Undistorted pixels; gross errors should be few.
+    size : (int, int)
+        Width and height, pixels.
+    facts : CameraFacts, optional
+
+    Returns
+    -------
+    ModulusCalibration or NoEstimate
+
+    """
+    facts = CameraFacts() if facts is None else facts
+    if len(tracks.frames) < LEAST_VIEWS:
+        return NoEstimate(f'The modulus constraint needs {LEAST_VIEWS} views; there are '
+                          f'{len(tracks.frames)}.', 'too_few')
+    structure = projective_structure(tracks, size)
+    if isinstance(structure, NoEstimate):
+        return structure
+    frames, cameras, _ = structure
+    if len(frames) < LEAST_VIEWS:
+        return NoEstimate(f'Only {len(frames)} views share {LEAST_POINTS} points; the modulus '
+                          f'constraint needs {LEAST_VIEWS}.', 'too_few')
+    # coordinates of the order of one
+    scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
+    T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
+                  [0, 0, 1]])
+    frame = np.eye(4)
+    frame[:3, :3] = np.linalg.inv(T)
+    scaled = T @ cameras @ frame
+    determinants = np.cbrt(np.linalg.det(scaled[:, :, :3]))
+    scaled[1:] /= np.where(np.abs(determinants[1:]) > 1e-6, determinants[1:], 1.0)[:, None, None]
+    best, roots, last = None, [], None
+    for start in _proposed_planes(scaled, facts.aspect_ratio or 1.0):
+        root = least_squares(lambda a: modulus_residuals(scaled, a), start, method='lm',
+                             max_nfev=80, x_scale='jac')
+        plane, residual = root.x, float(np.sqrt(np.mean(root.fun**2)))
+        if not residual < _MOST_RESIDUAL or any(
+                np.linalg.norm(plane - r) < _SAME_ROOT * (1 + np.linalg.norm(r)) for r in roots):
+            continue
+        roots.append(plane)
+        pixels = T.T @ plane
+        H = unit_determinant(cameras[1:, :, :3] - cameras[1:, :, 3:] * pixels)[0]
+        n = len(H)
+        homographies = InfiniteHomographies(H, np.zeros((9 * n, 9 * n)))
+        conic = camera_from_homographies(homographies, size, facts)
+        if isinstance(conic, NoEstimate):
+            last = conic
+        elif best is None or conic.misfit < best.conic.misfit:
+            best = ModulusCalibration(conic, frames, pixels, homographies, residual)
+    if best is None:
+        return last or NoEstimate('No plane at infinity satisfies the modulus constraint.',
+                                  'ill_conditioned')
+    return best

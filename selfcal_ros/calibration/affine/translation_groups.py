@@ -1,0 +1,212 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Which views are related by pure translation, from the images alone.
+
+For every pair of views F = [e]x (2 degrees of freedom) is tested against general F (7) by a
+likelihood ratio with the pair's own noise. Radial distortion, which no F explains, would count
+against the poorer model: two coefficients, the same for all pairs, are estimated before.
+Translation is an equivalence: views fall into groups in which the pairs agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, estimate_radial,
+                                                            general_geometry, LEAST_MATCHES,
+                                                            LEAST_RESIDUAL_PX, pairs_with_matches,
+                                                            sampled_matches, undo_radial)
+from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
+from selfcal_ros.values.tracks import Tracks
+
+#: So many matches of a pair, evenly chosen, take part.
+MOST_MATCHES = 150
+#: A true translation is rejected as often as this.
+SIGNIFICANCE = 0.01
+#: What a robot calls a translation turns the camera by a little, and no lens is quite as its
+#: model: F = [e]x may leave so much more than general F (root mean square, in diagonals of the
+#: image, and in noise sigmas), however many matches there are.
+TOLERATED_DIAGONALS, TOLERATED_SIGMAS = 1e-4, 0.3
+#: A pair that moves the points by less than so many sigmas is no baseline.
+LEAST_MOTION_SIGMAS = 20.0
+
+
+@dataclass(frozen=True)
+class PairTests:
+    """
+    Translation against general motion for n pairs of views.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (n, 2)
+    statistic : ndarray, shape (n,)
+        F statistic with 5 degrees of freedom; about 1 for a pure translation.
+    limit : ndarray, shape (n,)
+        Largest statistic of a translation.
+    noise_px : ndarray, shape (n,)
+        Standard deviation of an image coordinate by general F.
+    motion_px : ndarray, shape (n,)
+        Median displacement of the points.
+    epipole : ndarray, shape (n, 3)
+        Of F = [e]x, unit norm, undistorted pixels.
+
+    """
+
+    frames: np.ndarray
+    statistic: np.ndarray
+    limit: np.ndarray
+    noise_px: np.ndarray
+    motion_px: np.ndarray
+    epipole: np.ndarray
+
+    @property
+    def translated(self) -> np.ndarray:
+        """Pairs that a translation explains as well as any motion, shape (n,)."""
+        return self.statistic <= self.limit
+
+    @property
+    def baseline(self) -> np.ndarray:
+        """Translated pairs whose points have moved enough to tell of depth, shape (n,)."""
+        return self.translated & (self.motion_px > LEAST_MOTION_SIGMAS * self.noise_px)
+
+
+@dataclass(frozen=True)
+class TranslationGroups:
+    """
+    Groups of views of one orientation.
+
+    Attributes
+    ----------
+    groups : tuple of tuple of int
+        Frames of each group of two or more views with a baseline among them, the best first
+        (most translated pairs).
+    radial : (float, float)
+        Distortion that the tests were made with, see `undo_radial`.
+    tests : PairTests
+
+    """
+
+    groups: tuple
+    radial: tuple[float, float]
+    tests: PairTests
+
+    def explain(self) -> str:
+        """Say in one sentence what was found."""
+        tests = self.tests
+        if not len(tests.frames):
+            return f'No two views share {LEAST_MATCHES} points.'
+        if not self.groups:
+            best = int(np.argmin(tests.statistic / tests.limit))
+            a, b = tests.frames[best]
+            return (f'No two views are related by pure translation: of {len(tests.frames)} pairs '
+                    f'frames {a} and {b} come nearest, where F = [e]x is rejected with '
+                    f'{tests.statistic[best]:.3g} against {tests.limit[best]:.3g}.')
+        sizes = ', '.join(str(len(group)) for group in self.groups)
+        return (f'{len(self.groups)} group{"s" if len(self.groups) > 1 else ""} of translated '
+                f'views ({sizes} of {len(np.unique(tests.frames))} views).')
+
+
+def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, radial=None,
+                          ) -> tuple[PairTests, tuple[float, float]]:
+    """
+    Test pairs of views for pure translation.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Pixels, undistorted or mildly distorted; gross errors should be few.
+    size : (int, int)
+        Width and height, pixels.
+    pairs : array_like of int, shape (n, 2), optional
+        Frames; all with enough matches by default.
+    radial : (float, float), optional
+        Distortion, see `undo_radial`; estimated by default, zeros where the pixels are
+        undistorted.
+
+    Returns
+    -------
+    PairTests
+    radial : (float, float)
+
+    """
+    pairs = pairs_with_matches(tracks) if pairs is None else np.asarray(pairs).reshape(-1, 2)
+    if not len(pairs):
+        none = np.zeros(0)
+        return PairTests(pairs, none, none, none, none, np.zeros((0, 3))), (0.0, 0.0)
+    radial = estimate_radial(tracks, size, pairs) if radial is None else radial
+    samples = [(undo_radial(a, radial, size), undo_radial(b, radial, size))
+               for a, b in sampled_matches(tracks, pairs, MOST_MATCHES)]
+    data, cost = general_geometry(PairMatches.from_pixels(samples))
+    F, translation_cost, _, _ = refine_translation(data, COST_TOLERANCE)
+    count = (data.weight > 0).sum(axis=1)
+    # each of the two distances of a match has variance 2 sigma^2
+    noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), LEAST_RESIDUAL_PX)
+    statistic = np.maximum(translation_cost - cost, 0) / 5 / (4 * noise**2)
+    limit = f_distribution.ppf(1 - SIGNIFICANCE, 5, np.maximum(count - 7, 1))
+    tolerated = np.maximum(TOLERATED_DIAGONALS * np.hypot(*size) / noise, TOLERATED_SIGMAS)
+    limit = limit + tolerated**2 * count / 5
+    F = data.pixels_F(F)
+    motion = np.array([np.median(np.linalg.norm(b - a, axis=1)) for a, b in samples])
+    epipole = np.stack([F[:, 2, 1], F[:, 0, 2], F[:, 1, 0]], axis=1)
+    epipole /= np.linalg.norm(epipole, axis=1, keepdims=True)
+    return PairTests(pairs, statistic, limit, noise, motion, epipole), radial
+
+
+def translation_groups(tracks: Tracks, size: tuple[int, int],
+                       radial=None) -> TranslationGroups:
+    """
+    Find the groups of views that are related by pure translation.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Pixels, undistorted or mildly distorted; gross errors should be few (those of a view
+        graph are).
+    size : (int, int)
+        Width and height, pixels.
+    radial : (float, float), optional
+        Distortion, see `undo_radial`; estimated by default.
+
+    Returns
+    -------
+    TranslationGroups
+        Without groups where no pair is a translation.
+
+    """
+    tests, radial = classify_translations(tracks, size, radial=radial)
+    frames = np.unique(tests.frames)
+    size_of = len(frames)
+    ratio = np.full((size_of, size_of), np.nan)
+    a, b = np.searchsorted(frames, tests.frames).T
+    ratio[a, b] = ratio[b, a] = tests.statistic / tests.limit
+    member = np.arange(size_of)
+    # the surest pairs join first; two groups join where most pairs between them agree
+    for k in np.argsort(ratio[a, b]):
+        if not ratio[a[k], b[k]] <= 1:
+            break
+        left, right = member == member[a[k]], member == member[b[k]]
+        if member[a[k]] != member[b[k]] and np.nanmedian(ratio[np.ix_(left, right)]) <= 1:
+            member[right] = member[a[k]]
+    found = []
+    for label in np.unique(member):
+        inside = member == label
+        own = tests.translated & inside[a] & inside[b]
+        if (own & tests.baseline).any():
+            found.append((int(own.sum()), tuple(int(f) for f in frames[inside])))
+    found.sort(key=lambda entry: (-entry[0], entry[1]))
+    return TranslationGroups(tuple(group for _, group in found), radial, tests)

@@ -1,0 +1,120 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The one entry: tracks and facts in, a calibration or the reason for its absence out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
+                                                                   MOTION_MODELS)
+from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.estimators.translation import calibrate_translated
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
+from selfcal_ros.values.tracks import Tracks
+from selfcal_ros.version import __version__
+
+#: With fewer views a small translation hides in the noise, yet moves the calibration by several
+#: sigmas: that the camera only rotates must then be said.
+ROTATION_LEAST_VIEWS = 5
+#: Below this ratio of homographies' misfit to that of epipolar geometry (which lens distortion
+#: raises, too) it is tried whether rotation alone explains the images.
+DOUBTFUL_PARALLAX = 10.0
+#: Rotation alone is taken where it leaves no more than so many times the noise: depths that
+#: rest on so little would lead the calibration astray.
+ROTATION_NOISE = 1.2
+METHODS = (*MOTION_MODELS, 'translation', 'rotation')
+
+
+def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
+              rng: np.random.Generator | None = None, start: Camera | None = None,
+              translation_frames=None) -> Calibration | NotCalibrated:
+    """
+    Calibrate a camera from tracks of scene points.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    motion : {'auto', 'planar', 'general', 'translation', 'rotation'}
+        How the camera moved; 'auto' tries a plane first, and a camera that only rotates where
+        the images show no parallax. 'translation': some views are related by pure translation.
+    facts : CameraFacts, optional
+        What is known of the camera; nothing by default.
+    rng : numpy.random.Generator, optional
+        For RANSAC; a fixed seed by default, so that the same tracks give the same result.
+    start : Camera, optional
+        A calibration to try first, for example that of a while ago. The result does not depend
+        on it, the time does.
+    translation_frames : sequence of int, optional
+        With motion 'translation', the frames that are related by pure translation; found from
+        the images by default.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    Raises
+    ------
+    ArgumentError
+        If `motion` is unknown.
+
+    """
+    if motion not in METHODS:
+        raise ArgumentError(f'Motion {motion!r} is unknown; choose one of {", ".join(METHODS)}.')
+    facts = CameraFacts() if facts is None else facts
+    rng = np.random.default_rng(0) if rng is None else rng
+    size = tracks.image_size or _size_from(tracks)
+    graph = build_view_graph(tracks, rng)
+    if isinstance(graph, str):
+        return NotCalibrated(graph, 'Check that the images overlap and show texture.',
+                             frames=tuple(int(f) for f in tracks.frames), facts=facts,
+                             software=__version__)
+    if motion == 'rotation':
+        result = calibrate_rotating(graph.tracks, size, facts)
+    elif motion == 'translation':
+        result = calibrate_translated(graph, size, facts, translation_frames)
+    else:
+        result = calibrate_from_motion(graph, size, facts, [start] if start else [],
+                                       MOTION_MODELS[motion])
+        if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_LEAST_VIEWS:
+            result = _with_little_parallax(graph, size, facts, motion, result)
+    return replace(result, software=f'selfcal_ros {__version__}')
+
+
+def _with_little_parallax(graph: ViewGraph, size, facts: CameraFacts, motion: str,
+                          moving) -> Calibration | NotCalibrated:
+    """Try whether the camera only rotates, or the scene is one plane."""
+    rotating = calibrate_rotating(graph.tracks, size, facts)
+    if rotating:
+        simpler = not moving or (rotating.noise_sigma_px
+                                 <= ROTATION_NOISE * moving.noise_sigma_px)
+        return rotating if motion == 'auto' and simpler else moving
+    if not moving and graph.parallax < PARALLAX_RATIO:
+        plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
+        return plane or moving
+    return moving
+
+
+def _size_from(tracks: Tracks) -> tuple[int, int]:
+    """Suppose an image just large enough for the tracks, where its size is not stated."""
+    if not len(tracks):
+        return (1, 1)
+    width, height = np.ceil(tracks.xy.max(axis=0) + 1).astype(int)
+    return (max(int(width), 1), max(int(height), 1))

@@ -1,0 +1,235 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+One estimate from many: calibrations of one camera, weighted by their information.
+
+Each calibration i says N(x_i, C_i) of the same parameters x. Facts with a spread are in every one
+of them, though they are only known once; so the information of the facts is taken out of each,
+and put back once:
+
+    D_i = C_i⁻¹ - P,   (Σ D_i + P) x = Σ (C_i⁻¹ x_i - P x_P) + P x_P.
+
+The sum of the squared deviations, each in its own D_i, is chi-square distributed if the camera
+stayed the same and the covariances are right: that is tested, as is each calibration against all
+others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.state import parameter_covariance, priors_from_facts
+from selfcal_ros.calibration.observability import parameter_status
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
+
+#: A p-value below this is no accident.
+SURE = 0.001
+#: Scatter beyond the covariances by less than this widens sigma and is no disagreement: first
+#: order covariances are not truer than that.
+NEARLY = 1.25
+#: At most this share of the calibrations may be left out as contradicting the rest.
+MOST_LEFT_OUT = 0.25
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """
+    The joint estimate, and whether its parts agree.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        Without reconstruction; its covariance is widened by `scatter` where that exceeds 1.
+    used : ndarray of bool, shape (N,)
+        Which calibrations are in it.
+    deviation : ndarray, shape (N,)
+        Distance of each calibration from all others that are used, in sigmas: the root of
+        chi-square over its degrees of freedom. NaN for a single one.
+    chi2 : float
+    freedom : int
+    p_value : float
+        Of the calibrations that are used; 1 for a single one.
+    scatter : float
+        Root of chi-square over its degrees of freedom.
+
+    """
+
+    calibration: Calibration
+    used: np.ndarray
+    deviation: np.ndarray
+    chi2: float
+    freedom: int
+    p_value: float
+
+    @property
+    def scatter(self) -> float:
+        """How many times larger the spread is than the covariances say."""
+        return float(np.sqrt(self.chi2 / self.freedom)) if self.freedom else 1.0
+
+    @property
+    def agree(self) -> bool:
+        """Tell whether all calibrations, those left out too, are of one camera."""
+        return bool(self.used.all() and (self.p_value >= SURE or self.scatter < NEARLY))
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Information of one calibration without the facts: D and D y."""
+
+    D: np.ndarray
+    b: np.ndarray
+
+    def deviation(self, x: np.ndarray) -> float:
+        """Chi-square of the data alone at x."""
+        d = np.linalg.pinv(self.D, hermitian=True) @ self.b - x
+        return float(d @ self.D @ d)
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the data determine."""
+        return int(np.linalg.matrix_rank(self.D, hermitian=True))
+
+
+def combine(calibrations: list[Calibration]) -> JointCalibration:
+    """
+    Combine calibrations of one camera.
+
+    Parameters
+    ----------
+    calibrations : list of Calibration
+        From different data, of one image size, under the same facts, distortion model included.
+
+    Returns
+    -------
+    JointCalibration
+
+    Raises
+    ------
+    InputError
+        If there is none, or sizes or facts differ.
+
+    """
+    if not calibrations:
+        raise InputError('There is no calibration to combine.')
+    first = calibrations[0]
+    if any(one.facts != first.facts or (one.camera.width, one.camera.height)
+           != (first.camera.width, first.camera.height) for one in calibrations):
+        raise InputError('Calibrations of different image sizes or facts cannot be combined.')
+    priors = priors_from_facts(first.facts)
+    free = np.array([k for k in range(9) if k not in priors or priors[k].sigma > 0])
+    # in units in which every parameter has a size of about one
+    unit = np.array([first.camera.K[0, 0], 1, *[first.camera.K[0, 0]] * 3, 1, 1, 1, 1])[free]
+    value, weight = np.zeros(len(free)), np.zeros(len(free))
+    for place, k in enumerate(free):
+        if k in priors:
+            value[place] = priors[k].value / unit[place]
+            weight[place] = (unit[place] / priors[k].sigma)**2
+    P = np.diag(weight)
+    shares = [_share(one, free, unit, P, value) for one in calibrations]
+    used = np.ones(len(shares), bool)
+    while True:
+        x, information, total, freedom = _solve(shares, used, P, value)
+        deviation, doubt = _against_others(shares, used, P, value)
+        scatter = np.sqrt(total / freedom) if freedom else 1.0
+        worst = int(np.argmin(np.where(used, doubt, np.inf)))
+        alone = used.sum() <= 2 or (~used).sum() + 1 > MOST_LEFT_OUT * len(used)
+        if scatter < NEARLY or alone or doubt[worst] * len(used) > SURE:
+            break
+        used[worst] = False
+    inner = np.zeros((9, 9))
+    covariance = np.linalg.inv(information) * max(scatter, 1.0)**2
+    inner[np.ix_(free, free)] = covariance * np.outer(unit, unit)
+    intrinsics = _intrinsics(first)
+    intrinsics[free] = x * unit
+    f, aspect, *rest = intrinsics
+    camera = Camera.from_parameters([f, aspect * f, *rest], first.camera.width,
+                                    first.camera.height)
+    found = _calibration([one for one, use in zip(calibrations, used) if use], camera,
+                         parameter_covariance(inner, intrinsics))
+    p_value = float(chi2.sf(total, freedom)) if freedom else 1.0
+    return JointCalibration(found, used, deviation, total, freedom, p_value)
+
+
+def _intrinsics(one: Calibration) -> np.ndarray:
+    """Return focal length, aspect ratio and the rest, shape (9,)."""
+    values = one.camera.parameters
+    return np.array([values[0], values[1] / values[0], *values[2:]])
+
+
+def _share(one: Calibration, free, unit, P, value) -> _Share:
+    """Take the facts out of a calibration."""
+    fx, fy = one.camera.parameters[:2]
+    J = np.eye(9)
+    J[1, :2] = -fy / fx**2, 1 / fx
+    C = (J @ np.asarray(one.covariance, float) @ J.T)[np.ix_(free, free)] / np.outer(unit, unit)
+    x = _intrinsics(one)[free] / unit
+    information = np.linalg.pinv((C + C.T) / 2, hermitian=True, rcond=1e-14)
+    # rounding, and covariances that were widened, leave directions less than the facts alone
+    values, vectors = np.linalg.eigh(information - P)
+    kept = vectors[:, values > 1e-9 * max(values.max(), 0.0)]
+    project = kept @ kept.T
+    D = project @ (information - P) @ project
+    return _Share(D, D @ x + project @ P @ (x - value))
+
+
+def _solve(shares, used, P, value):
+    """Return the joint estimate, its information, chi-square and degrees of freedom."""
+    chosen = [share for share, use in zip(shares, used) if use]
+    information = sum((share.D for share in chosen), P)
+    x = np.linalg.solve(information, sum((share.b for share in chosen), P @ value))
+    facts = float((value - x) @ P @ (value - x))
+    total = sum(share.deviation(x) for share in chosen) + facts
+    freedom = sum(share.rank for share in chosen) + int(np.count_nonzero(np.diag(P))) - len(x)
+    return x, information, total, max(freedom, 0)
+
+
+def _against_others(shares, used, P, value):
+    """Test each calibration against those of the others that are used."""
+    deviation, doubt = np.full(len(shares), np.nan), np.ones(len(shares))
+    information = sum((share.D for share, use in zip(shares, used) if use), P)
+    b = sum((share.b for share, use in zip(shares, used) if use), P @ value)
+    for k, share in enumerate(shares):
+        if used.sum() - used[k] < 1:
+            continue
+        rest, right = (information - share.D, b - share.b) if used[k] else (information, b)
+        spread = np.linalg.pinv(share.D, hermitian=True) + np.linalg.pinv(rest, hermitian=True)
+        d = (np.linalg.pinv(share.D, hermitian=True) @ share.b
+             - np.linalg.pinv(rest, hermitian=True) @ right)
+        total, freedom = float(d @ np.linalg.solve(spread, d)), max(share.rank, 1)
+        deviation[k] = np.sqrt(total / freedom)
+        doubt[k] = chi2.sf(total, freedom)
+    return deviation, doubt
+
+
+def _calibration(used: list[Calibration], camera: Camera, covariance: np.ndarray) -> Calibration:
+    """Describe the joint estimate as a calibration."""
+    observations = sum(one.observation_count for one in used)
+    square = sum(one.observation_count * one.reprojection_rms_px**2 for one in used)
+    noise = sum(one.observation_count * one.noise_sigma_px**2 for one in used)
+    motions = {one.motion for one in used}
+    return replace(
+        used[0], camera=camera, covariance=covariance,
+        status=parameter_status(camera, covariance, used[0].facts),
+        motion=motions.pop() if len(motions) == 1 else 'unknown',
+        frames=tuple(range(sum(len(one.frames) for one in used))),
+        reprojection_rms_px=float(np.sqrt(square / max(observations, 1))),
+        noise_sigma_px=float(np.sqrt(noise / max(observations, 1))),
+        observation_count=observations, outlier_count=sum(one.outlier_count for one in used),
+        reconstruction=None, fixed_points=None, residuals=None, notes=(),
+        measured=None)

@@ -1,0 +1,191 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Motion → K: closed-form starts, one maximum-likelihood estimate, and its evidence.
+
+The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes
+one calibration; a sweep over the focal length proposes others. Each proposal is a start for the
+same bundle adjustment on a small share of the tracks, the best one is finished on all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, flatten,
+                                                       NEARLY_PLANAR, with_all_points)
+from selfcal_ros.calibration.bundle.state import (aligned, BundleState, holding, MotionModel,
+                                                  priors_from_facts)
+from selfcal_ros.calibration.estimators.acceptance import conclude, MINIMUM_FREEDOM, unchecked
+from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
+                                                                hold_parallel, Model)
+from selfcal_ros.calibration.estimators.motion_class import (MOST_TILT_RAD, not_planar,
+                                                             out_of_plane_rad)
+from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
+from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
+from selfcal_ros.calibration.initialisation.problem import observations_of, Problem
+from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.observability import held_facts
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
+
+#: Motion that leaves the plane freely.
+GENERAL = MotionModel(np.inf, np.inf)
+#: Kinds of motion to try, by name.
+MOTION_MODELS = {
+    'planar': (NEARLY_PLANAR,),
+    'general': (GENERAL,),
+    'auto': (NEARLY_PLANAR, GENERAL),
+}
+#: A start explains the images when it leaves less than so many times the noise of the epipolar
+#: geometry (which has more freedom, and absorbs distortion).
+EXPLAINED = 4.0
+#: Views that are said to be parallel and turn by less than this, but measurably, are those of a
+#: robot that does not repeat its orientation exactly.
+MOST_TURN_RAD = np.radians(1.0)
+#: Tracks per view on which the distortion model and the planarity are decided.
+MODEL_TRACKS_PER_VIEW = 100
+
+
+def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
+                          proposals: list[Camera], motions: tuple[MotionModel, ...],
+                          flat: bool = False) -> Calibration | NotCalibrated:
+    """
+    Calibrate from planar or general motion.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts
+    proposals : list of Camera
+        Calibrations to start from; the sweep over the focal length follows.
+    motions : tuple of MotionModel
+        Kinds of motion to try, the most constrained first; the first that explains the images
+        is taken.
+    flat : bool
+        Suppose that the scene is one plane, where without it the images would be refused for
+        want of parallax.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    """
+    frames = tuple(int(f) for f in graph.frames)
+
+    def refuse(reason, advice='', motion='unknown', status=None):
+        return NotCalibrated(reason, advice, motion, frames, facts, status or {})
+
+    observations = observations_of(graph.tracks, graph.frames)
+    if len(graph.frames) < 3:
+        return refuse(f'Only {len(graph.frames)} images share points; self-calibration needs at '
+                      'least three.', 'Record a longer sequence with turns.',
+                      status={name: 'held' if name in held_facts(facts) else 'unobservable'
+                              for name in PARAMETER_NAMES})
+    plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
+    if graph.parallax < PARALLAX_RATIO and plane is None:
+        return refuse('One homography explains every pair of images to within the noise '
+                      f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
+                      'lie on one plane.',
+                      'Self-calibration from motion needs a camera that also moves, before a '
+                      'scene with depth; or say --motion rotation, if it only rotated.',
+                      'rotation')
+    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
+                      flat=plane)
+    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 1.0)
+    if bundle.degrees_of_freedom < MINIMUM_FREEDOM:
+        return refuse(*unchecked(bundle))
+    for motion in motions:
+        result = _attempt(replace(problem, motion=motion), graph, proposals)
+        if result or result.motion != 'general':
+            break
+    return result
+
+
+def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
+             ) -> Calibration | NotCalibrated:
+    """Calibrate under one kind of motion."""
+    def refuse(reason, advice='', motion='unknown'):
+        return NotCalibrated(reason, advice, motion, tuple(int(f) for f in graph.frames),
+                             problem.facts)
+
+    window = problem.window()
+    # the starts do not suppose what the images may contradict
+    parallel = window.motion.parallel
+    window = replace(window, motion=replace(window.motion, parallel=()))
+    start, noise_px = best_start(window, proposals)
+    if not noise_px < EXPLAINED * problem.noise_px:
+        left = f'the best leaves {noise_px:.2g} px' if np.isfinite(noise_px) else 'no start stands'
+        return refuse(f'No camera and no such motion explain the tracks: {left}, where pairs of '
+                      f'images agree to {problem.noise_px:.2g} px.',
+                      'The scene must stand still, and most of what is seen must belong to it.',
+                      'general' if problem.motion.keeps_plane else 'unknown')
+    # far out of the plane, against a prior that pulls there: no need to go on
+    if problem.motion.keeps_plane and out_of_plane_rad(start) > 2 * MOST_TILT_RAD:
+        return refuse(*not_planar(out_of_plane_rad(start)), 'general')
+    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
+    state = with_all_points(start, medium)
+    if state is None:
+        return refuse('The distortion of the best start cannot be undone over the whole image.')
+    fit = first_fit(window, medium, state)
+    if problem.motion.keeps_plane and out_of_plane_rad(fit.state) > MOST_TILT_RAD:
+        return refuse(*not_planar(out_of_plane_rad(fit.state)), 'general')
+    notes = ()
+    if len(parallel) > 1:
+        fit, turned = hold_parallel(fit, parallel, window.size)
+        if turned > MOST_TURN_RAD:
+            return refuse('The frames that were said to be related by translation turned by '
+                          f'{np.degrees(turned):.2g} degrees.', 'Name those that kept their '
+                          'orientation, or leave it to the images to find them.', 'general')
+        if turned:
+            notes = ('The frames that were said to be related by translation turned by up to '
+                     f'{np.degrees(turned):.2g} degrees, which was estimated too.',)
+    model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
+    # what the window's motion was found to be, and of all views which are parallel
+    motion = model.fit.bundle.motion
+    if motion.parallel:
+        motion = problem.motion
+    problem = replace(problem, facts=model.facts, motion=motion)
+    state = extended(problem, model)
+    if state is None:
+        return refuse(f'The distortion found ({model.facts.distortion}) cannot be undone over '
+                      'the whole image.', 'State a simpler distortion model.')
+    fit = fit_robustly(problem.observations, state, motion, priors_from_facts(model.facts),
+                       model.fit.bundle.sigma_px)
+    result = conclude(fit, model, problem, graph)
+    return replace(result, notes=(*notes, *result.notes)) if result else result
+
+
+def extended(problem: Problem, model: Model) -> BundleState | None:
+    """Start for all views and tracks from what was found on a share of them."""
+    found = model.fit.state
+    if len(found.views) == problem.views:
+        return with_all_points(found, problem.observations)
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
+                       10 * problem.noise_px)
+    starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
+              for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
+    starts = [state if state is None or not model.exact else flatten(state) for state in starts]
+    costs = [np.inf if state is None else bundle.cost(state) for state in starts]
+    if not np.isfinite(min(costs)):
+        return None
+    state = aligned(holding(starts[int(np.argmin(costs))], bundle.priors), bundle.motion)
+    state = bundle.optimise(state, 15, 1.0)
+    return with_all_points(state, problem.observations)

@@ -1,0 +1,170 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tells which motion it was: none, rotation, translation, planar, circular or general."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.centres import centres_from_state
+from selfcal_ros.calibration.bundle.state import BundleState
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.rotation import rotation_vector
+
+#: With less rotation than this in all it is tested whether there is any (radians): without, a
+#: small sigma would be an accident of a wrong optimum.
+DOUBTFUL_ROTATION_RAD = np.radians(6.0)
+#: What helps then.
+TURN = ('Turn the camera by 20 degrees or more: on a vehicle in curves to the left and to the '
+        'right, on an arm about two axes.')
+#: A motion that leaves the plane by more than this is not planar (radians, root mean square).
+MOST_TILT_RAD = np.radians(5.0)
+#: A path is circular when the axis keeps its place in the camera to this share of its distance.
+CIRCULAR_SHARE = 0.01
+#: The horizon counts as level when it is within this angle of the image's x axis (radians).
+LEVEL_RAD = np.radians(5.0)
+
+
+@dataclass(frozen=True)
+class PathDescription:
+    """
+    The motion of an optimum in words.
+
+    Attributes
+    ----------
+    motion : str
+    rotation_rad : float
+        Largest angle between two views.
+    tilt_rms_rad : float
+        Out-of-plane rotation, root mean square.
+    refusal, advice : str
+        Why no calibration can come from such motion, and what would help; empty if it can.
+    notes : tuple of str
+    roll_rad : float
+        Angle of the horizon against the image's x axis.
+
+    """
+
+    motion: str
+    rotation_rad: float
+    tilt_rms_rad: float
+    refusal: str
+    advice: str
+    notes: tuple
+    roll_rad: float
+
+    def explain(self, missing: list, camera: Camera, facts: CameraFacts) -> tuple[str, str]:
+        """Say why the parameters in `missing` cannot be determined, and what would help."""
+        if self.refusal:
+            return self.refusal, self.advice
+        names = ', '.join(missing)
+        turned = np.degrees(self.rotation_rad)
+        if self.rotation_rad < DOUBTFUL_ROTATION_RAD / 3:
+            return (f'The camera did not rotate enough ({turned:.1f} degrees in all) to determine '
+                    f'{names}.', TURN)
+        if facts.aspect_ratio is None and facts.principal_point is None:
+            if facts.skew is None:
+                return (f'Planar motion alone leaves one parameter of the camera open ({names} '
+                        'unobservable).',
+                        'State one fact: the aspect ratio (square pixels: 1), the skew or the '
+                        'principal point.')
+            if abs(self.roll_rad) < LEVEL_RAD:
+                return (f'The horizon is level to {np.degrees(abs(self.roll_rad)):.1f} degrees, '
+                        f'where zero skew alone cannot determine the camera ({names} '
+                        'unobservable; thesis 5.2.3).',
+                        'State the aspect ratio (square pixels: 1) or the principal point, or '
+                        'mount the camera with a roll of 20 degrees or more.')
+        return (f'The images do not determine {names}: the camera turned by {turned:.0f} degrees '
+                f'in all ({self.motion} motion).',
+                'Turn more, left and right, near structure at several distances; or state the '
+                'principal point or a simpler distortion model as a fact.')
+
+
+def out_of_plane_rad(state: BundleState) -> float:
+    """Root mean square angle of the views out of the plane of motion."""
+    return float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
+
+
+def not_planar(tilt_rad: float) -> tuple[str, str]:
+    """Reason and advice for views that are tilted so far out of the plane."""
+    return (f'The motion is not planar: views are tilted out of the plane by '
+            f'{np.degrees(tilt_rad):.0f} degrees (root mean square).',
+            'Use a stretch of the recording on even ground, or say that the motion is general.')
+
+
+def largest_turn_rad(state: BundleState, keeps_plane: bool) -> float:
+    """Largest angle between a view and the first."""
+    R = state.rotations()
+    turn = float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
+    # in a plane the way round may exceed half a turn
+    return max(turn, float(np.ptp(state.views[:, 0]))) if keeps_plane else turn
+
+
+def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
+                  turned: bool = True) -> PathDescription:
+    """
+    Classify the motion of an optimum of the bundle adjustment.
+
+    Parameters
+    ----------
+    state : BundleState
+    exact : bool
+        Whether the motion is exactly planar as far as the data can tell.
+    keeps_plane : bool
+        False: the motion was estimated without a plane.
+    turned : bool
+        Whether the images show a rotation at all.
+
+    Returns
+    -------
+    PathDescription
+
+    """
+    rotation = largest_turn_rad(state, keeps_plane)
+    tilt = out_of_plane_rad(state)
+    axis = state.mount[:, 2]
+    # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
+    roll = float(np.arctan2(axis[0], abs(axis[1])))
+    notes = []
+    motion, refusal, advice = ('planar' if keeps_plane else 'general'), '', ''
+    if not turned:
+        motion = 'translation'
+        refusal = 'The camera did not rotate measurably; self-calibration needs rotation.'
+        advice = TURN
+    elif keeps_plane and tilt > MOST_TILT_RAD:
+        motion = 'general'
+        refusal, advice = not_planar(tilt)
+    elif keeps_plane and _is_circular(state):
+        motion = 'circular'
+        notes.append('The camera circles one axis; the calibration rests on square pixels.')
+    if motion in ('planar', 'circular') and not exact:
+        notes.append(f'The motion is not exactly planar: {np.degrees(tilt):.2f} degrees out of '
+                     'the plane (root mean square), which was estimated too.')
+    return PathDescription(motion, rotation, tilt, refusal, advice, tuple(notes), roll)
+
+
+def _is_circular(state: BundleState) -> bool:
+    """Test whether one world axis keeps its place in all cameras: R_i c + p_i = constant."""
+    R = state.rotations()[:, :2, :2]
+    p = state.views[:, 1:3]
+    views = len(p)
+    matrix = np.concatenate([R, np.broadcast_to(-np.eye(2), (views, 2, 2))], axis=2)
+    solution, *_ = np.linalg.lstsq(matrix.reshape(-1, 4), -p.ravel(), rcond=None)
+    error = (matrix.reshape(-1, 4) @ solution + p.ravel()).reshape(-1, 2)
+    radius = np.linalg.norm(solution[2:])
+    span = np.ptp(centres_from_state(state)[:, :2], axis=0).max()
+    return bool(np.sqrt(np.mean(np.sum(error**2, axis=1)))
+                < CIRCULAR_SHARE * min(radius, 5 * span))

@@ -1,0 +1,266 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A camera that only rotates, such as a pan-tilt head (thesis 3.1.4).
+
+Image homographies are infinite homographies, so that omega* = H omega* H^T starts the camera in
+closed form. The last word is a bundle adjustment over rotations, camera, lens distortion and the
+directions of the points, with its covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.affine.infinite_homography_calibration import (
+    camera_from_homographies, Undetermined)
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.robust_fit import Observations, OUTLIER_SIGMAS
+from selfcal_ros.calibration.bundle.state import (BundleState, F, holding, MotionModel,
+                                                  parameter_covariance, PER_VIEW,
+                                                  priors_from_facts, SHARED, SKEW)
+from selfcal_ros.calibration.initialisation.rotation_homographies import (LEAST_MATCHES,
+                                                                          rotation_homographies)
+from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.projective import homogeneous
+from selfcal_ros.geometry.rotation import swing_twist
+from selfcal_ros.values.tracks import Tracks
+
+#: The camera only rotated if that leaves no more than so many times the noise of the epipolar
+#: geometry, which has more freedom.
+ROTATION_RATIO = 2.0
+#: Fewer observations to spare than this cannot check themselves.
+LEAST_FREEDOM = 12
+#: Noise below this is rounding, which tells nothing apart.
+LEAST_NOISE_PX = 1e-3
+#: A focal length beyond so many image sides is a camera at infinity.
+MOST_FOCAL_SHARE = 30.0
+#: A skew beyond this share of the focal length is no camera's.
+MOST_SKEW_SHARE = 0.2
+#: Focal lengths to start from where the closed form gives none, in longer image sides.
+_FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
+#: Distortion models that are tried where none is stated, the richest first.
+_LENSES = ('radial2', 'radial1', 'none')
+_GENERAL = MotionModel(np.inf, np.inf)
+
+
+class RotatingBundle(Bundle):
+    """
+    Bundle adjustment of views from one place; points are directions.
+
+    Parameters
+    ----------
+    view, point, xy, priors, sigma_px
+        As for `Bundle`.
+
+    """
+
+    def __init__(self, view, point, xy, *, priors, sigma_px: float):
+        super().__init__(view, point, xy, motion=_GENERAL, priors=priors, sigma_px=sigma_px)
+        self.free[9:SHARED] = False
+        self.free[SHARED:].reshape(-1, PER_VIEW)[:, [1, 2, 5]] = False
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Observations less unknowns; a direction has two."""
+        facts = sum(0 < p.sigma < np.inf for p in self.priors.values())
+        unknowns = int(self.free.sum()) + 2 * self.blocks.point_count
+        return 2 * len(self.view) + facts - unknowns
+
+    def with_sigma(self, sigma_px: float) -> RotatingBundle:
+        """Return the same adjustment for another noise level."""
+        return RotatingBundle(self.view, self.point, self.xy, priors=self.priors,
+                              sigma_px=sigma_px)
+
+
+def epipolar_noise(tracks: Tracks, frames) -> float:
+    """Median noise of a coordinate by general F between the first of frames and the others."""
+    pairs = [tracks.matches(int(frames[0]), int(f))[1:] for f in frames[1:]]
+    pairs = [pair for pair in pairs if len(pair[0]) >= LEAST_MATCHES]
+    if not pairs:
+        return np.nan
+    data = PairMatches.from_pixels(pairs)
+    F, cost, _, _ = refine_general(data, eight_point(data))
+    return float(np.median(np.sqrt(cost / (4 * np.maximum(data.counts - 7, 1)))))
+
+
+def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
+                       ) -> Calibration | NotCalibrated:
+    """
+    Calibrate a camera that only rotates.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Pixels, distorted or not; gross errors should be few.
+    size : (int, int)
+        Width and height, pixels.
+    facts : CameraFacts, optional
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+        Not calibrated where the views show parallax, or where their rotations leave a
+        parameter open; the reason says which rotation would help.
+
+    """
+    facts = CameraFacts() if facts is None else facts
+    tracks = tracks.with_at_least(2)
+    every = tuple(int(f) for f in tracks.frames)
+
+    def refuse(reason, advice='', motion='rotation', status=None):
+        return NotCalibrated(reason, advice, motion, every, facts, status or {})
+
+    if len(every) < 2:
+        return refuse('Fewer than two images share points.', motion='unknown')
+    frames, homographies, sigma_px = rotation_homographies(tracks)
+    if len(frames) < 2:
+        return refuse(f'No two images share {LEAST_MATCHES} points that a homography maps.',
+                      motion='unknown')
+    conic = camera_from_homographies(homographies, size, facts)
+    if isinstance(conic, Undetermined) and conic.kind == 'no_rotation':
+        return refuse('The camera did not turn, nor did it move.', 'Turn it, about two axes.',
+                      'none', {k: v for k, v in conic.status.items() if k != 'aspect_ratio'})
+    kept = tracks.in_frames(frames).with_at_least(2)
+    names, point = np.unique(kept.track, return_inverse=True)
+    order = np.argsort(frames)
+    view = order[np.searchsorted(frames[order], kept.frame)]
+    rows = np.lexsort((view, point))
+    observed = Observations(view[rows], point[rows], kept.xy[rows], names)
+    priors = priors_from_facts(facts)
+    best = None
+    for K in _starting_cameras(conic, size, facts):
+        state = _start(K, homographies.H, observed)
+        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
+                                sigma_px=max(sigma_px, 0.02))
+        if bundle.degrees_of_freedom < LEAST_FREEDOM:
+            return refuse(f'{len(names)} points in {len(frames)} images leave '
+                          f'{bundle.degrees_of_freedom} degrees of freedom; the estimate could '
+                          'not be checked.', 'More points or more images are needed.')
+        state = bundle.optimise(holding(state, priors), 30, 0.1)
+        cost = bundle.cost(state)
+        if best is None or cost < best[0]:
+            best = cost, state
+        if bundle.noise_sigma(state) < 1.3 * sigma_px:
+            break
+    facts, state = _richest_lens(best[1], observed, facts, size)
+    return _conclude(state, observed, priors_from_facts(facts), facts, frames, size, conic,
+                     refuse, epipolar_noise(tracks, frames))
+
+
+def _richest_lens(state, observed, facts, size):
+    """Choose the richest lens with which the images determine the camera, if none is stated."""
+    for name in _LENSES if facts.distortion == 'auto' else (facts.distortion,):
+        stated = replace(facts, distortion=name)
+        priors = priors_from_facts(stated)
+        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
+                                sigma_px=1.0)
+        state = holding(state, priors)
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(state), LEAST_NOISE_PX))
+        found = bundle.optimise(state, 30, 0.1)
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(found), LEAST_NOISE_PX))
+        covariance = parameter_covariance(bundle.covariance(found), found.intrinsics)
+        if found.intrinsics[F] > 0 and 'unobservable' not in parameter_status(
+                found.camera(*size), covariance, stated).values():
+            break
+    return stated, found
+
+
+def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise_px):
+    """Drop gross errors, estimate the noise, and judge the optimum."""
+    total = len(observed.view)
+    bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
+                            sigma_px=max(noise_px, 0.02))
+    for _ in range(3):
+        sigma = max(bundle.noise_sigma(state), 1e-6)
+        near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
+        if not near.all():
+            smaller, points = observed.select(near)
+            if len(np.unique(smaller.view)) < len(frames):
+                break
+            observed, state = smaller, replace(state, points=state.points[points])
+        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
+                                sigma_px=sigma)
+        state = bundle.optimise(state, 30, 0.01)
+        if near.all():
+            break
+    bundle = bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX))
+    if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
+        return refuse(f'A camera that only rotates leaves {bundle.sigma_px:.2g} px where the '
+                      f'epipolar geometry leaves {noise_px:.2g} px: the camera also moved.',
+                      motion='unknown')
+    focal, skew = state.intrinsics[F], state.intrinsics[SKEW]
+    if not 1 / MOST_FOCAL_SHARE < focal / max(size) < MOST_FOCAL_SHARE \
+            or abs(skew) > MOST_SKEW_SHARE * focal:
+        return refuse(f'Only a focal length of {focal:.3g} px with a skew of {skew:.3g} px '
+                      'explains the images, which is no camera.')
+    camera = state.camera(*size)
+    dependence = assess_dependence(bundle.evidence(state), observed.point, observed.xy, size)
+    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    held = held_facts(facts)
+    for name in held:
+        k = PARAMETER_NAMES.index(name)
+        covariance[k] = covariance[:, k] = 0
+    status = parameter_status(camera, covariance, facts)
+    missing = [k for k in ('fx', 'fy', 'cx', 'cy', 'skew') if status[k] == 'unobservable']
+    if missing:
+        reason = (conic.reason if isinstance(conic, Undetermined) else
+                  f'The rotations do not determine {", ".join(missing)}; turn the camera further '
+                  'and about more than one axis.')
+        return refuse(reason, status=status)
+    residuals = bundle.residuals(state)
+    return Calibration(
+        camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',
+        facts=facts, frames=tuple(int(f) for f in frames),
+        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
+        outlier_count=total - len(observed.view),
+        reconstruction=Reconstruction(frames, state.cam_from_world(), observed.track,
+                                      state.points),
+        residuals=residuals)
+
+
+def _starting_cameras(conic, size, facts):
+    """Closed form first, then supposed focal lengths with the principal point in the middle."""
+    if not isinstance(conic, NoEstimate):
+        yield conic.K
+    u, v = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    for share in _FOCAL_SWEEP:
+        f = share * max(size)
+        yield np.array([[f, facts.skew or 0.0, u], [0, f * (facts.aspect_ratio or 1.0), v],
+                        [0, 0, 1]])
+
+
+def _start(K, H, observed) -> BundleState:
+    """Rotations nearest to K^-1 H K, and mean directions of the points."""
+    camera = Camera(K)
+    U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
+    R = np.concatenate([np.eye(3)[None], U @ Vt])
+    values = np.zeros((len(R), PER_VIEW))
+    values[:, 0], values[:, 3:5] = swing_twist(R)
+    rays = homogeneous(camera.normalised(observed.xy))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    world = np.einsum('nji,nj->ni', R[observed.view], rays)
+    total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)
+    points = np.column_stack([total / np.linalg.norm(total, axis=1, keepdims=True),
+                              np.zeros(len(total))])
+    f, fy, *rest = camera.parameters
+    return BundleState(np.array([f, fy / f, *rest]), np.eye(3), values, points)

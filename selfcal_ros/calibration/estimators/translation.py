@@ -1,0 +1,92 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Views that are related by pure translation → K: the affine chain, then the bundle adjustment.
+
+Chapter 4 of the thesis proposes the calibration, from the images alone or with the translated
+views named by the user; the bundle adjustment for general motion, which also estimates the
+distortion that the chain neglects, has the last word.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
+from selfcal_ros.calibration.affine.infinite_homography_calibration import Undetermined
+from selfcal_ros.calibration.affine.pair_distortion import estimate_radial, undo_radial
+from selfcal_ros.calibration.affine.translation_groups import translation_groups
+from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion, GENERAL
+from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.values.tracks import Tracks
+
+#: Tracks per view that the chain uses, the longest ones.
+CHAIN_TRACKS_PER_VIEW = 100
+
+
+def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
+                         translated=None) -> Calibration | NotCalibrated:
+    """
+    Calibrate from views of which some are related by pure translation.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    size : (int, int)
+        Width and height of the image, pixels.
+    facts : CameraFacts
+    translated : sequence of int, optional
+        Frames that are related by pure translation; found from the images when not given.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+
+    """
+    frames = tuple(int(f) for f in graph.frames)
+    stated = translated is not None
+    if not stated:
+        found = translation_groups(graph.tracks, size)
+        if not found.groups:
+            return NotCalibrated(found.explain(), 'Move without turning between two or more '
+                                 'images, then turn about two axes; or say --motion general.',
+                                 'general', frames, facts)
+        translated, radial, said = found.groups[0], found.radial, found.explain()
+    else:
+        translated = tuple(int(f) for f in translated if f in frames)
+        if len(translated) < 2:
+            return NotCalibrated('Fewer than two of the frames that were said to be translated '
+                                 'share points with the rest.', 'Name at least two frames that '
+                                 'see the same scene.', 'unknown', frames, facts)
+        radial = estimate_radial(graph.tracks, size)
+        said = f'Frames {", ".join(map(str, translated))} were said to be translated.'
+    tracks = graph.tracks
+    straight = undo_radial(tracks.xy, radial, size)
+    usable = np.isfinite(straight).all(axis=1)
+    tracks = Tracks(tracks.frame[usable], tracks.track[usable], straight[usable], size)
+    tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
+    chain = calibrate_affine(tracks, translated, size, facts)
+    if isinstance(chain, Undetermined):
+        return NotCalibrated(chain.reason, 'Turn about the axis that is missing.', 'translation',
+                             frames, facts, dict(chain.status))
+    proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
+    motion = GENERAL
+    if stated:
+        motion = replace(motion, parallel=tuple(np.flatnonzero(np.isin(frames, translated))))
+    result = calibrate_from_motion(graph, size, facts, proposals, (motion,))
+    return replace(result, notes=(said, *result.notes)) if result else result

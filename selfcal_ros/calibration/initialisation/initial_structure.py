@@ -1,0 +1,330 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A start for the bundle adjustment, in closed form, once a calibration is supposed.
+
+Pairs of views give rotations (E = Kᵀ F K), all rotations together give the axis and the angles,
+and with rotations known every step of the camera follows from rays, its length from the points
+that are known already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import lsqr
+
+from selfcal_ros.calibration.bundle.centres import MINIMUM_PARALLAX, points_from_centres
+from selfcal_ros.calibration.bundle.state import BundleState, rescale
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import homogeneous
+from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
+
+#: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
+VOTERS = 48
+
+
+@dataclass(frozen=True)
+class PairGeometry:
+    """
+    Epipolar geometry of a pair of views.
+
+    Attributes
+    ----------
+    first, second : int
+        View indices.
+    F : ndarray, shape (3, 3)
+        x_secondᵀ F x_first = 0, pixels.
+    track : ndarray of int, shape (M,)
+        Track identity of the inlying matches.
+    xy_first, xy_second : ndarray, shape (M, 2)
+        Inlying matches, pixels.
+
+    """
+
+    first: int
+    second: int
+    F: np.ndarray
+    track: np.ndarray
+    xy_first: np.ndarray
+    xy_second: np.ndarray
+
+
+def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
+    """
+    Rotation of every pair's second view against its first, for a supposed calibration.
+
+    Parameters
+    ----------
+    pairs : list of PairGeometry
+    camera : Camera
+
+    Returns
+    -------
+    ndarray, shape (len(pairs), 3, 3)
+
+    """
+    E = camera.K.T @ np.array([pair.F for pair in pairs]) @ camera.K
+    U, _, Vt = np.linalg.svd(E)
+    U = U * np.sign(np.linalg.det(U))[:, None, None]
+    Vt = Vt * np.sign(np.linalg.det(Vt))[:, None, None]
+    W = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    candidates = np.stack([U @ W @ Vt, U @ W.T @ Vt], axis=1)          # (n, 2, 3, 3)
+    rays = np.full((2, len(pairs), VOTERS, 3), np.nan)
+    for k, pair in enumerate(pairs):
+        chosen = np.linspace(0, len(pair.xy_first) - 1, VOTERS).astype(int)
+        for side, xy in enumerate((pair.xy_first, pair.xy_second)):
+            rays[side, k] = homogeneous(camera.normalised(xy[chosen]))
+    turned = np.einsum('kcij,knj->kcni', candidates, rays[0])
+    other = np.broadcast_to(rays[1][:, None], turned.shape)
+    t = np.broadcast_to(U[:, None, None, :, 2], turned.shape)
+    normal = np.cross(other, turned)
+    with np.errstate(invalid='ignore'):
+        ahead_first = np.sum(np.cross(other, t) * normal, axis=-1) < 0     # z x' × Rx = -x' × t
+        ahead_second = np.sum(np.cross(turned, t) * normal, axis=-1) < 0
+    # of ±t the better one counts
+    votes = np.maximum((ahead_first & ahead_second).sum(-1),
+                       (~ahead_first & ~ahead_second).sum(-1))
+    return candidates[np.arange(len(pairs)), np.argmax(votes, axis=1)]
+
+
+def common_axis(rotations: np.ndarray) -> np.ndarray:
+    """
+    Axis that rotations (n, 3, 3) share best, unit, its sign that of the first large rotation.
+
+    The principal direction of the rotation vectors, so that small rotations weigh little.
+    """
+    vectors = rotation_vector(rotations)
+    _, directions = np.linalg.eigh(vectors.T @ vectors)
+    axis = directions[:, -1]
+    # one re-weighting: pairs whose axis is far off are wrong pairs
+    length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
+    off = np.linalg.norm(np.cross(axis, vectors), axis=1) / length
+    weighted = vectors / (1 + (off / 0.2)**2)[:, None]
+    _, directions = np.linalg.eigh(weighted.T @ weighted)
+    axis = directions[:, -1]
+    return axis * (np.sign(axis @ vectors[np.argmax(length)]) or 1.0)
+
+
+def planar_angles(pairs: list[PairGeometry], rotations: np.ndarray, axis: np.ndarray,
+                  views: int) -> np.ndarray:
+    """
+    Angle of every view about the axis, view 0 at zero, from all pairs at once.
+
+    Parameters
+    ----------
+    pairs : list of PairGeometry
+    rotations : ndarray, shape (len(pairs), 3, 3)
+    axis : ndarray, shape (3,)
+    views : int
+
+    Returns
+    -------
+    ndarray, shape (views,)
+        Radians.
+
+    """
+    frame = align_z(axis)
+    twist, _ = swing_twist(frame.T @ rotations @ frame)
+    n = len(pairs)
+    rows = np.repeat(np.arange(n), 2)
+    columns = np.array([[p.first, p.second] for p in pairs]).ravel()
+    weight = np.sqrt([len(p.xy_first) for p in pairs])
+    # wide pairs wrap: chain the narrow ones first, then bring all to the same turn
+    angles = np.zeros(views)
+    for k, old, new in spanning_order(pairs, views):
+        angles[new] = angles[old] + (twist[k] if pairs[k].first == old else -twist[k])
+    expected = np.array([angles[p.second] - angles[p.first] for p in pairs])
+    twist = twist + 2 * np.pi * np.round((expected - twist) / (2 * np.pi))
+    for _ in range(4):
+        matrix = coo_matrix((np.tile([-1.0, 1.0], n) * np.repeat(weight, 2), (rows, columns)),
+                            shape=(n, views)).tocsr()
+        angles = lsqr(matrix, twist * weight, atol=1e-12, btol=1e-12)[0]
+        angles -= angles[0]
+        error = np.array([angles[p.second] - angles[p.first] for p in pairs]) - twist
+        spread = 1.5 * np.median(np.abs(error)) + 1e-6
+        weight = np.sqrt([len(p.xy_first) for p in pairs]) / (1 + (error / (3 * spread))**2)
+    return angles
+
+
+def spanning_order(pairs: list[PairGeometry], views: int) -> list[tuple[int, int, int]]:
+    """
+    Order in which views can be attached, each to one that stands already.
+
+    Returns
+    -------
+    list of (pair index, standing view, new view)
+        Neighbours in time first, then pairs with many matches.
+
+    """
+    order, standing = [], {0}
+    waiting = sorted(range(len(pairs)), key=lambda k: (pairs[k].second - pairs[k].first,
+                                                       -len(pairs[k].track)))
+    while len(standing) < views:
+        for k in waiting:
+            a, b = pairs[k].first, pairs[k].second
+            if (a in standing) != (b in standing):
+                order.append((k, a, b) if a in standing else (k, b, a))
+                standing |= {a, b}
+                break
+        else:
+            break
+    return order
+
+
+def chained_rotations(pairs, relative: np.ndarray, views: int) -> np.ndarray:
+    """Rotations of all views against view 0 along the spanning order, shape (V, 3, 3)."""
+    rotations = np.tile(np.eye(3), (views, 1, 1))
+    for k, old, new in spanning_order(pairs, views):
+        step = relative[k] if pairs[k].first == old else relative[k].T
+        rotations[new] = step @ rotations[old]
+    return rotations
+
+
+def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) -> np.ndarray:
+    """
+    Camera centres from known rotations, view by view.
+
+    The direction of each step is that of the epipole; its length makes the depths of the
+    points that are known already agree (median ratio), so that no view can collapse onto
+    another as it can in a linear system for all of them.
+
+    Parameters
+    ----------
+    pairs : list of PairGeometry
+    camera : Camera
+    rotations : ndarray, shape (V, 3, 3)
+        Camera from world; for planar motion the world's z axis is the rotation axis.
+    planar : bool
+        Keep the centres in the plane z = 0.
+
+    Returns
+    -------
+    ndarray, shape (V, 3)
+
+    """
+    views = len(rotations)
+    centres = np.zeros((views, 3))
+    last = max(int(pair.track.max()) for pair in pairs) + 1
+    position, placed = np.zeros((last, 3)), np.zeros(last, dtype=bool)
+    steps = []
+    for k, old, new in spanning_order(pairs, views):
+        pair = pairs[k]
+        sides = (pair.xy_first, pair.xy_second)
+        xy_old, xy_new = sides if pair.first == old else sides[::-1]
+        d_old, d_new = (_world_rays(camera, xy, rotations[view])
+                        for xy, view in ((xy_old, old), (xy_new, new)))
+        valid = np.isfinite(d_old).all(axis=1) & np.isfinite(d_new).all(axis=1)
+        d_old, d_new, track = d_old[valid], d_new[valid], pair.track[valid]
+        direction = _step_direction(d_old, d_new, planar)
+        # depths along the old ray for a step of unit length
+        normal = np.cross(d_old, d_new)
+        square = np.maximum(np.sum(normal**2, axis=1), 1e-18)
+        depth = np.sum(np.cross(direction, d_new) * normal, axis=1) / square
+        depth_new = np.sum(np.cross(direction, d_old) * normal, axis=1) / square
+        if np.sum(np.sign(depth) * square) < 0:
+            direction, depth, depth_new = -direction, -depth, -depth_new
+        good = (depth > 0) & (depth_new > 0) & (square > MINIMUM_PARALLAX**2)
+        both = good & placed[track]
+        length = 1.0
+        if both.sum() >= 3:
+            before = np.sum((position[track[both]] - centres[old]) * d_old[both], axis=1)
+            ratio = before / depth[both]
+            ratio = ratio[ratio > 0]
+            if len(ratio):
+                length = float(np.median(ratio))
+        elif steps:
+            # nothing in common with what stands: the usual step, for the adjustment to mend
+            length = float(np.median(steps))
+        steps.append(length)
+        centres[new] = centres[old] + length * direction
+        fresh = good & ~placed[track]
+        position[track[fresh]] = centres[old] + length * depth[fresh, None] * d_old[fresh]
+        placed[track[fresh]] = True
+    return centres
+
+
+def _world_rays(camera, xy, rotation) -> np.ndarray:
+    """Unit rays of pixels (M, 2) in world directions, shape (M, 3)."""
+    rays = homogeneous(camera.normalised(xy))
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True) @ rotation
+
+
+def _step_direction(d_old, d_new, planar) -> np.ndarray:
+    """Unit direction (3,) of a translation that all rays agree with, by re-weighting."""
+    normal = np.cross(d_old, d_new)
+    if planar:
+        normal = normal[:, :2]
+    weight = np.ones(len(normal))
+    for _ in range(5):
+        weighted = normal * weight[:, None]
+        _, vectors = np.linalg.eigh(weighted.T @ weighted)
+        direction = vectors[:, 0]
+        # angle of the ray out of the epipolar plane, about
+        miss = np.abs(normal @ direction) / np.maximum(np.linalg.norm(normal, axis=1), 1e-4)
+        weight = 1 / (1 + (miss / (2 * np.median(miss) + 1e-9))**2)
+        weight /= np.maximum(np.linalg.norm(normal, axis=1), 1e-3)
+    return np.append(direction, 0.0) if planar else direction
+
+
+def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
+                 camera: Camera, exact: bool) -> BundleState | None:
+    """
+    Start for planar motion under a supposed calibration.
+
+    Parameters
+    ----------
+    pairs : list of PairGeometry
+        They must connect all views.
+    blocks : PointBlocks
+    xy : ndarray, shape (N, 2)
+        Pixels of the observations in `blocks`.
+    camera : Camera
+    exact : bool
+        True: rotations about one axis only, which noise disturbs least. False: keep the tilt
+        that the images show, which a road vehicle's pitch needs.
+
+    Returns
+    -------
+    BundleState or None
+        None where the calibration cannot be (points that cannot be undistorted, no solution).
+
+    """
+    views = blocks.view_count
+    relative = relative_rotations(pairs, camera)
+    axis = common_axis(relative)
+    mount = align_z(axis)
+    values = np.zeros((views, 6))
+    if exact:
+        values[:, 0] = planar_angles(pairs, relative, axis, views)
+    else:
+        turned = mount.T @ chained_rotations(pairs, relative, views) @ mount
+        values[:, 0], values[:, 3:5] = swing_twist(turned)
+        values[:, 0] = np.unwrap(values[:, 0])
+    f, fy, cx, cy, skew, k1, k2, p1, p2 = camera.parameters
+    state = BundleState(np.array([f, fy / f, cx, cy, skew, k1, k2, p1, p2]), mount, values,
+                        np.zeros((blocks.point_count, 4)))
+    rotations = mount @ state.rotations()
+    centres = chained_centres(pairs, camera, rotations, planar=exact)
+    rays = homogeneous(camera.normalised(xy))
+    if not np.isfinite(rays).all():
+        return None
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)
+    values[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', state.rotations(), centres)
+    return rescale(replace(state, views=values,
+                           points=points_from_centres(blocks, directions, centres)))

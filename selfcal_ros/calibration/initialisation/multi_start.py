@@ -1,0 +1,135 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Search of a start: the thesis's closed form first, then a sweep over the focal length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of
+from selfcal_ros.calibration.bundle.state import BundleState, holding
+from selfcal_ros.calibration.initialisation.problem import Problem, start_priors, supposed_camera
+from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.values.tracks import Tracks
+
+#: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a
+#: long one (13°), the likely ones first.
+FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
+#: A closed form outside this range (the same unit) is no start.
+FOCAL_SWEEP_LEAST, FOCAL_SWEEP_MOST = 0.2, 10.0
+#: Triplets that the closed form combines.
+CLOSED_FORM_TRIPLETS = 6
+#: A start that explains the images this well needs no rival (ratio to the noise of the
+#: epipolar geometry, which has more freedom).
+GOOD_ENOUGH = 1.25
+#: Tracks per view that the starts are compared on.
+START_TRACKS_PER_VIEW = 40
+
+
+def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[BundleState, float]]:
+    """
+    Follow proposed calibrations to their nearest optimum on a share of the tracks.
+
+    Yields
+    ------
+    BundleState
+        Without the points of the other tracks.
+    float
+        Robust estimate of the noise there, pixels.
+
+    """
+    mask = problem.observations.longest(START_TRACKS_PER_VIEW)
+    few, _ = problem.observations.select(mask)
+    priors = start_priors(problem)
+    blocks = PointBlocks(few.point, few.view)
+    coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
+    fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
+    for camera in proposals:
+        candidates = [problem.start(blocks, few.xy, camera, exact)
+                      for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
+        costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
+        if not np.isfinite(min(costs)):
+            continue
+        chosen = holding(candidates[int(np.argmin(costs))], priors)
+        # a coarse scale first: far from the optimum most residuals are large
+        state = coarse.optimise(chosen, 8, 1.0)
+        state = fine.optimise(state, 12, 1.0)
+        yield state, fine.noise_sigma(state)
+
+
+def closed_form(problem: Problem) -> list[Camera]:
+    """
+    Calibration of the thesis's chain: horizon, v, circular points, pencil (chapters 5 and 6).
+
+    Empty where it does not apply: distortion and uneven ground upset it, which the bundle
+    adjustment does not mind.
+    """
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    tracks = Tracks(few.view, few.point, few.xy, problem.size)
+    estimate = fixed_points(tracks, limit=CLOSED_FORM_TRIPLETS)
+    found = calibrate_estimate(estimate, problem.facts) if estimate else None
+    if not found:
+        return []
+    K = np.triu(found.K)
+    focal = K[0, 0] / max(problem.size)
+    if not FOCAL_SWEEP_LEAST < focal < FOCAL_SWEEP_MOST:
+        return []
+    return [Camera(K / K[2, 2], width=problem.size[0], height=problem.size[1])]
+
+
+def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | None, float]:
+    """
+    Choose the start that explains the images best.
+
+    Parameters
+    ----------
+    problem : Problem
+    first : list of Camera
+        Proposals to try before the closed form and the sweep over the focal length.
+
+    Returns
+    -------
+    BundleState or None
+    float
+        Robust estimate of the noise there, pixels.
+
+    """
+    longer = max(problem.size)
+
+    def proposals():
+        yield from first
+        for k, share in enumerate(FOCAL_SWEEP):
+            # an ordinary lens is tried in less time than the closed form takes
+            if k == 1 and problem.motion.keeps_plane and problem.flat is None:
+                yield from closed_form(problem)
+            yield supposed_camera(share * longer, problem.size, problem.facts)
+
+    best, best_noise = None, np.inf
+    for state, noise in starts(problem, proposals()):
+        if noise < best_noise:
+            best, best_noise = state, noise
+        # of a plane every start leaves little, also with poses of the plane's mirror image
+        if (problem.flat is None and best_noise < GOOD_ENOUGH * problem.noise_px
+                and _is_plausible(best, problem.size)):
+            break
+    return best, best_noise
+
+
+def _is_plausible(state: BundleState, size: tuple[int, int]) -> bool:
+    """Whether the principal point is in the image: else a rival may explain it better."""
+    return bool(np.all((state.intrinsics[2:4] > 0) & (state.intrinsics[2:4] < size)))

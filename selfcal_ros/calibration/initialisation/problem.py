@@ -1,0 +1,117 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What is to be explained: observations, the pairs that start it, facts, and a kind of motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import NEARLY_PLANAR, Observations
+from selfcal_ros.calibration.bundle.state import (ASPECT, BundleState, CX, CY, K1, K2, MotionModel,
+                                                  Prior, priors_from_facts, SKEW)
+from selfcal_ros.calibration.initialisation.initial_structure import (planar_start,
+                                                                      relative_rotations,
+                                                                      spanning_order)
+from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.values.tracks import Tracks
+
+#: While starts are compared, soft facts keep them from wandering: principal point within so
+#: much of the middle (share of the longer side), distortion of ordinary lenses.
+START_PRINCIPAL_POINT_SHARE = 0.06
+START_K1_SIGMA, START_K2_SIGMA = 0.2, 0.1
+#: Longer sequences are started, and their models chosen, on the stretch of so many successive
+#: views that turns most: the time for that does not grow with the sequence.
+WINDOW_VIEWS = 48
+#: Tracks per view that the estimate uses; more add time and little accuracy.
+TRACKS_PER_VIEW = 400
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every start is judged on; `flat` where the scene may be one plane."""
+
+    observations: Observations
+    pairs: list
+    size: tuple[int, int]
+    facts: CameraFacts
+    noise_px: float
+    motion: MotionModel = NEARLY_PLANAR
+    flat: FlatScene | None = None
+
+    @property
+    def views(self) -> int:
+        """Count the views."""
+        return int(self.observations.view.max()) + 1
+
+    def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
+              exact: bool) -> BundleState | None:
+        """Start under a supposed calibration; see `planar_start`."""
+        if self.flat is not None:
+            return self.flat.start(blocks, xy, camera, exact)
+        return planar_start(self.pairs, blocks, xy, camera, exact)
+
+    def window(self) -> Problem:
+        """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
+        if self.views <= WINDOW_VIEWS:
+            return self
+        camera = supposed_camera(max(self.size), self.size, self.facts)
+        near = [pair for pair in self.pairs if pair.second - pair.first == 1]
+        turn = np.zeros(self.views - 1)
+        turn[[pair.first for pair in near]] = np.linalg.norm(
+            rotation_vector(relative_rotations(near, camera)), axis=1)
+        first = int(np.argmax(np.convolve(turn, np.ones(WINDOW_VIEWS - 1), 'valid')))
+        last = first + WINDOW_VIEWS
+        pairs = [replace(pair, first=pair.first - first, second=pair.second - first)
+                 for pair in self.pairs if first <= pair.first and pair.second < last]
+        if len(spanning_order(pairs, WINDOW_VIEWS)) < WINDOW_VIEWS - 1:
+            return self
+        observations = self.observations
+        inside = (observations.view >= first) & (observations.view < last)
+        within, _ = observations.select(inside)
+        flat = self.flat and FlatScene(self.flat.homographies[first:last])
+        return replace(self, pairs=pairs, flat=flat,
+                       motion=self.motion.of_views(np.arange(first, last)),
+                       observations=replace(within, view=within.view - first))
+
+
+def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> Camera:
+    """Camera with a supposed focal length; what no fact states is what most cameras have."""
+    centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    aspect = facts.aspect_ratio or 1.0
+    return Camera([[focal_px, facts.skew or 0.0, centre[0]], [0, focal_px * aspect, centre[1]],
+                   [0, 0, 1]], width=size[0], height=size[1])
+
+
+def start_priors(problem: Problem) -> dict[int, Prior]:
+    """Facts, and for the starts alone what most cameras have."""
+    priors = priors_from_facts(problem.facts)
+    longer = max(problem.size)
+    usual = {CX: Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             CY: Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             K1: Prior(0.0, START_K1_SIGMA), K2: Prior(0.0, START_K2_SIGMA),
+             ASPECT: Prior(1.0, 0.1), SKEW: Prior(0.0, 0.02 * longer)}
+    return {**usual, **priors}
+
+
+def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
+    """Index the observations of tracks, no more than `TRACKS_PER_VIEW` of the longest a view."""
+    tracks = tracks.with_at_least(2)
+    identity, point = np.unique(tracks.track, return_inverse=True)
+    result = Observations(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity)
+    return result.select(result.longest(TRACKS_PER_VIEW))[0]

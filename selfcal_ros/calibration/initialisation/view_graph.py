@@ -1,0 +1,253 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Which views see the same points, and by which epipolar geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.special import erf
+
+from selfcal_ros.calibration.bundle.inliers import verified
+from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
+from selfcal_ros.geometry.epipolar_distance import sampson_distance
+from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.ransac import ransac_inliers
+from selfcal_ros.geometry.two_view_tests import homography_cost
+from selfcal_ros.values.tracks import Tracks
+
+#: Every view is compared with so many successors.
+SUCCESSORS = 3
+#: Pairs with fewer common tracks than this say too little, by themselves.
+MINIMUM_MATCHES = 12
+#: Between views that those leave unlinked: so many, if every one of them agrees. An eighth match
+#: may agree by chance with what seven determine; the adjustment of all views finds that out.
+FEWEST_MATCHES = 8
+#: Noise below this is rounding.
+LEAST_NOISE_PX = 1e-3
+#: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
+RANSAC_MATCHES = 200
+#: Largest distance of an inlier from the epipolar geometry, pixels. Where the noise is so large
+#: that this cuts into it, `NOISE_SIGMAS` times the noise instead, but no more than the second.
+EPIPOLAR_THRESHOLD_PX, WIDEST_THRESHOLD_PX = 1.5, 6.0
+NOISE_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class ViewGraph:
+    """
+    Views that are connected by pairs, and the observations that fit them.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+        Frame index of each view.
+    tracks : Tracks
+        Observations that fit the epipolar geometry.
+    pairs : list of PairGeometry
+        Their indices are views.
+    noise_px : float
+        Robust standard deviation of an image coordinate, from epipolar distances.
+    rejected : int
+        Observations that contradict the others: outliers of a pair of views, or in pairs of
+        which none has a consistent epipolar geometry. Those that could not be compared do not
+        count, nor do those of pairs with fewer than `MINIMUM_MATCHES` matches that disagree: a
+        single one may be to blame.
+    parallax : float
+        What a homography leaves of the pair that it explains worst, in units of that pair's
+        noise; near 1 the scene is one plane or the camera only rotated.
+
+    """
+
+    frames: np.ndarray
+    tracks: Tracks
+    pairs: list
+    noise_px: float
+    rejected: int
+    parallax: float
+
+
+def _parallax(pairs, noise_px) -> float:
+    """Largest residual of a homography over the pairs, in units of the noise."""
+    data = PairMatches.from_pixels([(p.xy_first, p.xy_second) for p in pairs])
+    left = np.sqrt(homography_cost(data) / (4 * np.maximum(2 * data.counts - 8, 1)))
+    return float(left.max() / noise_px)
+
+
+def _refined(samples) -> np.ndarray:
+    """Fundamental matrices of all pairs' inliers at once, pixels, shape (n, 3, 3)."""
+    if not samples:
+        return np.zeros((0, 3, 3))
+    data = PairMatches.from_pixels(samples)
+    F, *_ = refine_general(data, eight_point(data))
+    return data.pixels_F(F)
+
+
+def truncated_sigma(square: float, limit: float) -> float:
+    """
+    Estimate the standard deviation of Gaussian noise from what lies within a limit.
+
+    Parameters
+    ----------
+    square : float
+        Mean square of the values within +-limit.
+    limit : float
+
+    Returns
+    -------
+    float
+        Infinite where the values look evenly spread over the whole interval.
+
+    """
+    # E[d^2 | |d| < T] / T^2 by the ratio t = T / sigma; it falls from 1/3 as t grows
+    t = np.linspace(0.6, 12, 400)
+    expected = (1 - t * np.exp(-t * t / 2) * np.sqrt(2 / np.pi) / erf(t / np.sqrt(2))) / t**2
+    share = square / limit**2
+    if share >= expected[0]:
+        return float('inf')
+    return float(np.sqrt(square)) if share <= expected[-1] else float(
+        limit / np.interp(share, expected[::-1], t[::-1]))
+
+
+def _threshold(F, samples, threshold_px: float) -> float:
+    """Limit that cuts off gross errors but not the noise, which it would make look small."""
+    square, freedom = 0.0, 0
+    for one, (xy_a, xy_b) in zip(F, samples):
+        distance = sampson_distance(one, xy_a, xy_b)
+        near = distance[np.abs(distance) < threshold_px]
+        if len(near) > 7:
+            square, freedom = square + float(near @ near), freedom + len(near) - 7
+    if not freedom:
+        return threshold_px
+    sigma = truncated_sigma(square / freedom, threshold_px)
+    return float(np.clip(NOISE_SIGMAS * sigma, threshold_px, WIDEST_THRESHOLD_PX))
+
+
+def _with_threshold(samples, compared) -> tuple[np.ndarray, float]:
+    """Refine every pair on its inliers, with a limit that suits the noise of all pairs."""
+    F, threshold_px = _refined(samples), EPIPOLAR_THRESHOLD_PX
+    for _ in range(4):
+        wider = _threshold(F, compared, threshold_px)
+        if wider < 1.05 * threshold_px:
+            break
+        threshold_px = wider
+        near = [np.abs(sampson_distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
+        samples = [(a[k], b[k]) if k.sum() >= _least(len(k)) else old
+                   for k, (a, b), old in zip(near, compared, samples)]
+        F = _refined(samples)
+    return F, threshold_px
+
+
+def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frames and the view pairs (n, 2) worth comparing."""
+    frames, view = np.unique(tracks.frame, return_inverse=True)
+    _, point = np.unique(tracks.track, return_inverse=True)
+    seen = coo_matrix((np.ones(len(view)), (point, view))).tocsr()
+    common = np.asarray((seen.T @ seen).todense())
+    a, b = np.triu_indices(len(frames), 1)
+    gap = b - a
+    # neighbours in time, and the end of a loop that meets its beginning
+    wanted = (gap <= SUCCESSORS) | (len(frames) - gap <= SUCCESSORS) | (len(frames) <= 6)
+    pairs = np.column_stack([a, b])
+    enough = wanted & (common[a, b] >= MINIMUM_MATCHES)
+    label = _components(pairs[enough], len(frames))
+    joining = wanted & (common[a, b] >= FEWEST_MATCHES) & (label[a] != label[b])
+    return frames, pairs[enough | joining]
+
+
+def _least(common: int) -> int:
+    """Tell how many of the matches of a pair have to agree."""
+    return min(max(common, FEWEST_MATCHES), MINIMUM_MATCHES)
+
+
+def _components(pairs, count: int) -> np.ndarray:
+    """Return the number of the connected set (count,) that every view belongs to."""
+    first, second = np.reshape(pairs, (-1, 2)).T
+    links = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    return connected_components(links, directed=False)[1]
+
+
+def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | str:
+    """
+    Estimate the epipolar geometry of pairs of views and keep the observations that fit.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ViewGraph, or str
+        A string is the reason why there is none.
+
+    """
+    tracks = tracks.with_at_least(2)
+    if len(np.unique(tracks.frame)) < 2:
+        return 'Fewer than two images share tracked points.'
+    frames, candidates = _candidate_pairs(tracks)
+    row = np.full((len(frames), len(np.unique(tracks.track))), -1, dtype=np.int64)
+    _, point = np.unique(tracks.track, return_inverse=True)
+    view = np.searchsorted(frames, tracks.frame)
+    row[view, point] = np.arange(len(tracks))
+    samples, matches, compared, tested = [], [], [], np.zeros(len(tracks), bool)
+    for a, b in candidates:
+        both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
+        xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
+        tested[row[[a, b]][:, both]] |= len(both) >= MINIMUM_MATCHES
+        few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
+        found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
+        if found:
+            compared.append((xy_a[few], xy_b[few]))
+            samples.append((xy_a[few[found[0]]], xy_b[few[found[0]]]))
+            matches.append((a, b, both))
+    all_F, threshold_px = _with_threshold(samples, compared)
+    votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
+    pairs, spreads = [], []
+    for (a, b, both), F in zip(matches, all_F):
+        rows_a, rows_b = row[a, both], row[b, both]
+        xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
+        distance = sampson_distance(F, xy_a, xy_b)
+        inlier = np.abs(distance) < threshold_px
+        count = int(inlier.sum())
+        if count < _least(len(both)):
+            continue
+        for rows in (rows_a, rows_b):
+            used[rows] += 1
+            votes[rows] += inlier
+        spreads.append((1.4826 * np.median(np.abs(distance[inlier]))
+                        * np.sqrt(count / max(count - 7, 1)), count))
+        pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
+    if not pairs:
+        return ('No two images share enough points with a consistent epipolar geometry (at least '
+                f'{FEWEST_MATCHES} are needed, and {MINIMUM_MATCHES} where some disagree).')
+    keep = votes >= 0.5 * np.maximum(used, 1)
+    # the largest connected set of views
+    label = _components([(p.first, p.second) for p in pairs], len(frames))
+    largest = label == np.argmax(np.bincount(label))
+    index = np.cumsum(largest) - 1
+    pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
+             for p in pairs if largest[p.first] and largest[p.second]]
+    rejected = int(np.sum((tested | (used > 0)) & ~keep))
+    keep &= largest[view]
+    kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
+    noise, weight = np.array(spreads).T
+    order = np.argsort(noise)
+    share = np.cumsum(weight[order]) / weight.sum()
+    median = float(noise[order][np.searchsorted(share, 0.5)])
+    return ViewGraph(frames[largest], kept, pairs, median, rejected,
+                     _parallax(pairs, max(median, LEAST_NOISE_PX)))

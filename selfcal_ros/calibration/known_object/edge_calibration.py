@@ -1,0 +1,361 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Calibration from the edges of a tracked object (the thesis's future work, 8.2).
+
+A rigid object of known shape was followed through many images by its edges. Every edgel gives one
+equation, and one robust adjustment of calibration, distortion and all poses sees them together.
+Edgels of one primitive share errors (the object is not quite its model, shading moves an edge),
+so the covariance is that of clustered errors where the residuals show them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.state import (ASPECT, CX, CY, F, holding, parameter_covariance,
+                                                  Prior, priors_from_facts)
+from selfcal_ros.calibration.known_object.edge_bundle import EdgeBundle
+from selfcal_ros.calibration.known_object.object_bundle import ObjectState
+from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (assess_dependence,
+                                                                    stretch_excess, stretch_note)
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.version import __version__
+
+MOTION = 'known-object'
+#: Distortion models that 'auto' tries, the richest first.
+AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
+#: Residuals beyond so many sigmas are outliers.
+OUTLIER_SIGMAS = 4.0
+#: A view keeps its pose only with so many edgels of so many primitives.
+LEAST_EDGELS, LEAST_PRIMITIVES = 12, 4
+#: Edgels farther than this from the model, rms, do not belong to it (share of the diagonal): the
+#: nearest of any edges around would lie about as far.
+MISFIT_SHARE = 0.00075
+#: Focal lengths beyond these, over the longer side of the image, are those of no lens.
+FOCAL_SHARES = (0.2, 30.0)
+#: Stretches of the sequence that are left out in turn.
+STRETCHES = 6
+#: Two halves of the sequence may differ in focal length by so many sigmas, or by this share.
+ZOOM_SIGMAS, ZOOM_SHARE = 5.0, 0.02
+_AGAIN = 'Track with --camera-model zoom: it gives the focal length of every image.'
+
+
+@dataclass(frozen=True)
+class EdgeViews:
+    """
+    Edgels of an object with known edges in several images.
+
+    Parameters
+    ----------
+    frame : array_like of int, shape (N,)
+        Image of each edgel, ascending.
+    point, primitive : array_like of int, shape (N,)
+        Control point and primitive that it belongs to, the same in all images.
+    points, tangents : array_like, shape (N, 3)
+        The control point and the direction of its edge, object coordinates, metres.
+    xy : array_like, shape (N, 2)
+        Where the edgel was found, pixels.
+    cam_from_object : array_like, shape (V, 3, 4)
+        Approximate pose in each image, in the order of the frames.
+    image_size : (int, int)
+
+    Raises
+    ------
+    InputError
+        If shapes differ or a number is not finite.
+
+    """
+
+    frame: np.ndarray
+    point: np.ndarray
+    primitive: np.ndarray
+    points: np.ndarray
+    tangents: np.ndarray
+    xy: np.ndarray
+    cam_from_object: np.ndarray
+    image_size: tuple[int, int]
+
+    def __post_init__(self):
+        """Check the arrays."""
+        for name in ('frame', 'point', 'primitive'):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.int64).ravel())
+        for name, width in (('points', 3), ('tangents', 3), ('xy', 2)):
+            object.__setattr__(self, name,
+                               np.asarray(getattr(self, name), float).reshape(-1, width))
+        poses = np.asarray(self.cam_from_object, float).reshape(-1, 3, 4)
+        object.__setattr__(self, 'cam_from_object', poses)
+        lengths = {len(getattr(self, name)) for name in ('frame', 'point', 'primitive', 'points',
+                                                         'tangents', 'xy')}
+        if len(lengths) != 1 or len(np.unique(self.frame)) != len(poses) or \
+                (np.diff(self.frame) < 0).any():
+            raise InputError('Edge views need arrays of one length, frames in ascending order, '
+                             'and one pose a frame.')
+        if not all(np.isfinite(array).all() for array in (self.points, self.tangents, self.xy,
+                                                          poses)):
+            raise InputError('Edge views hold a number that is not finite.')
+
+    def __len__(self) -> int:
+        """Count the edgels."""
+        return len(self.frame)
+
+    @property
+    def frames(self) -> np.ndarray:
+        """The images, ascending."""
+        return np.unique(self.frame)
+
+    def select(self, mask: np.ndarray) -> EdgeViews:
+        """Keep the edgels in mask, of images that keep enough of them."""
+        frames, view = np.unique(self.frame, return_inverse=True)
+        counts = np.bincount(view[mask], minlength=len(frames))
+        pairs = np.unique(np.column_stack([view[mask], self.primitive[mask]]), axis=0)
+        kinds = np.bincount(pairs[:, 0], minlength=len(frames)) if len(pairs) else counts
+        good = (counts >= LEAST_EDGELS) & (kinds >= LEAST_PRIMITIVES)
+        mask = mask & good[view]
+        return replace(self, cam_from_object=self.cam_from_object[good],
+                       **{name: getattr(self, name)[mask] for name in (
+                           'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
+
+    def bundle(self, priors, sigma_px: float) -> EdgeBundle:
+        """Return the adjustment of these edgels."""
+        _, view = np.unique(self.frame, return_inverse=True)
+        return EdgeBundle(view, self.points, self.tangents, self.xy, priors=priors,
+                          sigma_px=sigma_px)
+
+
+def calibrate_from_edges(views: EdgeViews, start: Camera, *,
+                         facts: CameraFacts | None = None) -> Calibration | NotCalibrated:
+    """
+    Calibrate a camera from the edges of a known object.
+
+    Parameters
+    ----------
+    views : EdgeViews
+    start : Camera
+        With which the poses are approximately right.
+    facts : CameraFacts, optional
+        What is known of the camera; no skew by default.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+        Motion 'known-object'; the reconstruction holds the control points and the pose of the
+        object in every image (metres).
+
+    """
+    facts = CameraFacts(skew=0.0) if facts is None else facts
+    size = views.image_size
+    frames = tuple(int(f) for f in views.frames)
+
+    def refuse(reason, advice='', status=None):
+        return NotCalibrated(reason, advice, MOTION, frames, facts, status or {},
+                             f'selfcal_ros {__version__}')
+
+    views = views.select(np.ones(len(views), bool))
+    if len(views.frames) < 2:
+        return refuse('The object was followed in fewer than two images with enough edges.',
+                      'Show it larger and sharper, with at least three of its faces or circles.')
+    first = _first_state(views, start)
+    found = None
+    names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
+    for name in names:
+        chosen = replace(facts, distortion=name)
+        fit = _fit(views, first, chosen)
+        if fit is None:
+            continue
+        found = (*fit, chosen, *_judge(*fit, chosen, size))
+        if 'unobservable' not in found[-1].values():
+            break
+    if found is None:
+        return refuse('The adjustment found no camera that fits the edges.',
+                      'Check the model, its unit (metres) and the start pose.')
+    used, bundle, state, chosen, covariance, inflation, notes, status = found
+    if not bundle.sigma_px <= MISFIT_SHARE * float(np.hypot(*size)):
+        return refuse(f'The edges lie {bundle.sigma_px:.2g} px from the model: that is more than '
+                      'noise.',
+                      'Check the proportions of the model, that the object is rigid, and '
+                      'with `selfcal track --overlay` that its own edges are followed; a better '
+                      'camera to begin with (--camera) helps.')
+    missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
+    low, high = FOCAL_SHARES[0] * max(size), FOCAL_SHARES[1] * max(size)
+    if not missing and not low < state.intrinsics[F] < high:
+        missing = ['fx', 'fy']
+    if missing:
+        return refuse(f'What was seen of the object leaves {", ".join(missing)} open.',
+                      'Show the object nearer, in all parts of the image and under other angles, '
+                      'or state the principal point (--principal-point, with its sigma) or the '
+                      'aspect ratio.', status)
+    zoomed = _zoomed(used, state, inflation)
+    if zoomed:
+        return refuse(zoomed, _AGAIN)
+    camera = _camera(state, size)
+    residuals = bundle.offsets(state)
+    points, first_seen = np.unique(used.point, return_index=True)
+    return Calibration(
+        camera=camera, covariance=covariance, status=status, held_by=held_facts(chosen),
+        motion=MOTION, facts=chosen, frames=tuple(int(f) for f in used.frames),
+        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
+        noise_sigma_px=bundle.sigma_px, observation_count=len(used),
+        outlier_count=len(views) - len(used),
+        reconstruction=Reconstruction(
+            used.frames, np.array(state.cam_from_object), points,
+            np.column_stack([used.points[first_seen], np.ones(len(points))])),
+        notes=notes, software=f'selfcal_ros {__version__}', residuals=residuals)
+
+
+def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts):
+    """
+    Adjust camera and poses to edges, without judging them.
+
+    Returns
+    -------
+    (Camera, dict of int to ndarray (3, 4)) or None
+        The camera and the pose of the object in each image that was used; None where there is
+        no solution.
+
+    """
+    views = views.select(np.ones(len(views), bool))
+    if len(views.frames) < 2:
+        return None
+    if facts.distortion == 'auto':
+        facts = replace(facts, distortion='none')
+    fit = _fit(views, _first_state(views, start), facts)
+    if fit is None:
+        return None
+    used, _, state = fit
+    try:
+        camera = _camera(state, views.image_size)
+    except ArgumentError:
+        return None
+    return camera, dict(zip(used.frames.tolist(), state.cam_from_object))
+
+
+def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
+    fx, fy, *rest = start.parameters
+    return ObjectState(np.array([fx, fy / fx, *rest]), views.cam_from_object.copy())
+
+
+def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
+    """Adjust, estimate the noise, leave out outliers; returns views, bundle and state, or None."""
+    priors = priors_from_facts(facts)
+    state = holding(state, priors)
+    # at first the poses settle, and the principal point may not run away with them
+    longer = max(views.image_size)
+    held = {CX: Prior((views.image_size[0] - 1) / 2, 0.05 * longer),
+            CY: Prior((views.image_size[1] - 1) / 2, 0.05 * longer), ASPECT: Prior(1.0, 0.05),
+            **priors}
+    bundle = views.bundle(held, 1.0)
+    if bundle.degrees_of_freedom < 1:
+        return None
+    state = bundle.optimise(state, tolerance=1e-2)
+    for _ in range(4):
+        bundle = views.bundle(priors, bundle.noise_sigma(state))
+        if not np.isfinite(bundle.sigma_px):
+            return None
+        state = bundle.optimise(state, tolerance=1e-2)
+        distance = np.abs(bundle.residuals(state)).ravel()
+        sigma = bundle.noise_sigma(state)
+        good = distance < OUTLIER_SIGMAS * sigma
+        if good.all():
+            break
+        rest = views.select(good)
+        kept = np.isin(views.frames, rest.frames)
+        if len(rest.frames) < 2:
+            return None
+        state = replace(state, cam_from_object=state.cam_from_object[kept])
+        views, bundle = rest, rest.bundle(priors, sigma)
+        if bundle.degrees_of_freedom < 1:
+            return None
+    bundle = views.bundle(priors, bundle.noise_rms(state))
+    return views, bundle, bundle.optimise(state, tolerance=1e-6)
+
+
+def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: CameraFacts, size):
+    """Return covariance, how much wider it is than for independent errors, notes and status."""
+    evidence = bundle.evidence(state)
+    _, view = np.unique(views.frame, return_inverse=True)
+    within = view * (int(views.primitive.max()) + 1) + views.primitive
+    by_primitive = assess_dependence(evidence, views.primitive, views.xy, size)
+    by_stay = assess_dependence(evidence, within, views.xy, size)
+    wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
+    ratio, more = _stretches(views, bundle, state, wider)
+    covariance = parameter_covariance(wider.covariance + more, state.intrinsics)
+    for k, name in enumerate(PARAMETER_NAMES):
+        if name in held_facts(facts):
+            covariance[k] = covariance[:, k] = 0
+    causes = {'track': 'by the edgels of one edge, as when the object is not quite its model or '
+                       'light moves the edge',
+              'region': 'within a region of the image, as with a lens that the distortion model '
+                        'does not describe'}
+    notes = tuple(f'Errors are shared {cause}: sigmas are {wider.ratios[name]:.1f} times those of '
+                  'independent errors for it.' for name, cause in causes.items()
+                  if wider.ratios.get(name, 1) > 1) + stretch_note(ratio)
+    return (covariance, wider.inflation * ratio, notes,
+            parameter_status(_camera(state, size), covariance, facts))
+
+
+def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
+    """Return what leaving out a stretch of images at a time tells: ratio and covariance."""
+    nothing = 1.0, np.zeros((9, 9))
+    frames = views.frames
+    if len(frames) < 3 * STRETCHES:
+        return nothing
+    base = bundle.ideal_covariance(state)
+    shifts, covariances = [], []
+    for gone in np.array_split(frames, STRETCHES):
+        keep = ~np.isin(views.frame, gone)
+        rest = views.select(keep)
+        part = rest.bundle(bundle.priors, bundle.sigma_px)
+        own = replace(state, cam_from_object=state.cam_from_object[np.isin(frames, rest.frames)])
+        moved = part.optimise(own, 20, 1e-4)
+        shifts.append(moved.intrinsics - state.intrinsics)
+        covariances.append(part.ideal_covariance(moved))
+    return stretch_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
+
+
+def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> str:
+    """Say that the focal length has changed between the halves of the sequence, or nothing."""
+    frames = views.frames
+    if len(frames) < 8:
+        return ''
+    half = frames[len(frames) // 2]
+    priors = {index: Prior(float(value), 0.0) for index, value in enumerate(state.intrinsics)
+              if index != F}
+    found = []
+    for keep in (views.frame < half, views.frame >= half):
+        part = views.select(keep)
+        if len(part.frames) < 3:
+            return ''
+        own = replace(state, cam_from_object=state.cam_from_object[np.isin(frames, part.frames)])
+        bundle = part.bundle(priors, 1.0)
+        bundle = part.bundle(priors, bundle.noise_sigma(own))
+        own = bundle.optimise(own, 30, 1e-4)
+        found.append((own.intrinsics[F], float(np.sqrt(bundle.ideal_covariance(own)[F, F]))))
+    (a, sigma_a), (b, sigma_b) = found
+    limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
+                ZOOM_SHARE * state.intrinsics[F])
+    if abs(a - b) < limit:
+        return ''
+    return (f'The focal length changes: {a:.0f} px in the first half of the images, {b:.0f} px in '
+            'the second.')
+
+
+def _camera(state: ObjectState, size) -> Camera:
+    f, aspect, *rest = state.intrinsics
+    return Camera.from_parameters([f, aspect * f, *rest], *size)

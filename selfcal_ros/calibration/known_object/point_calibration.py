@@ -1,0 +1,325 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Calibration from known objects (thesis 3.2): any number of views of points with known coordinates.
+
+One image of a solid suffices; boards need several views under different tilts. A closed form
+(`object_start`) starts one robust adjustment of calibration, distortion and poses together
+(`object_bundle`), which owns the result and its covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.state import (CX, CY, holding, K1, K2, P1, P2,
+                                                  parameter_covariance, Prior, priors_from_facts)
+from selfcal_ros.calibration.known_object.object_bundle import ObjectBundle, ObjectState, POSE
+from selfcal_ros.calibration.known_object.object_start import (linear_view, LinearView,
+                                                               start_state, supposed_cameras)
+from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence, Dependence
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.values.known_object import KnownObject
+from selfcal_ros.values.tracks import Tracks
+from selfcal_ros.version import __version__
+
+MOTION = 'known-object'
+#: Distortion models that 'auto' tries, the richest first.
+AUTOMATIC_DISTORTION = ('plumb_bob', 'radial2', 'radial1', 'none')
+#: Residuals beyond so many sigmas are outliers.
+OUTLIER_SIGMAS = 4.0
+#: An image noise beyond this share of the image's diagonal is no noise: points and object do not
+#: belong together.
+MISFIT_SHARE = 0.006
+#: Starts are compared on so many points a view.
+START_POINTS = 40
+
+
+@dataclass(frozen=True)
+class _Views:
+    """Observations by view, in a centred frame of the object with unit extent."""
+
+    frames: np.ndarray
+    view: np.ndarray
+    point: np.ndarray
+    points: np.ndarray
+    xy: np.ndarray
+    linear: list[LinearView]
+
+    def bundle(self, priors, sigma_px: float) -> ObjectBundle:
+        return ObjectBundle(self.view, self.points, self.xy, priors=priors, sigma_px=sigma_px)
+
+    def select(self, mask: np.ndarray) -> _Views:
+        """Keep the observations in mask, of views that keep at least four."""
+        mask = mask & (np.bincount(self.view[mask], minlength=len(self.frames)) >= 4)[self.view]
+        kept, index = np.unique(self.view[mask], return_inverse=True)
+        return _Views(self.frames[kept], index, self.point[mask], self.points[mask],
+                      self.xy[mask], [self.linear[v] for v in kept])
+
+
+def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
+                           facts: CameraFacts | None = None) -> Calibration | NotCalibrated:
+    """
+    Calibrate a camera from images of known points.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Where each point was seen; `track` is the point's identity. Of any number of views.
+    target : KnownObject
+    facts : CameraFacts, optional
+        What is known of the camera; nothing by default. Distortion 'auto': the richest model
+        that the data determine.
+
+    Returns
+    -------
+    Calibration or NotCalibrated
+        Motion 'known-object'; the reconstruction holds the object's points and the pose of the
+        object in every camera (units of the object).
+
+    """
+    facts = CameraFacts() if facts is None else facts
+    size = tracks.image_size or tuple(
+        int(v) for v in np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1))
+    software = f'selfcal_ros {__version__}'
+
+    def refuse(reason, advice='', status=None):
+        return NotCalibrated(reason, advice, MOTION, tuple(int(f) for f in tracks.frames), facts,
+                             status or {}, software)
+
+    origin = target.points.mean(axis=0) if len(target) else np.zeros(3)
+    extent = float(np.sqrt(np.mean(np.sum((target.points - origin)**2, axis=1)))) if len(
+        target) else 0.0
+    if not extent > 0:
+        return refuse('The object has no extent: all its points are one.',
+                      'Check the file of object points.')
+    scaled = replace(target, points=(target.points - origin) / extent)
+    views, notes = _gather(tracks, scaled)
+    if isinstance(views, str):
+        return refuse(views, *notes)
+    fit = _fit(views, size, facts)
+    if isinstance(fit, str):
+        return refuse(fit, 'Give more points or views, or state what is known of the camera.')
+    used, bundle, state, chosen, judgement = fit
+    limit = MISFIT_SHARE * float(np.hypot(*size))
+    if all(view.mirrored and view.error_px < limit for view in views.linear):
+        return refuse('The images show the mirror image of the object: its coordinates are '
+                      'left-handed.', 'Change the sign of one coordinate of every object point.')
+    if not bundle.sigma_px <= limit:
+        return refuse(
+            f'The observed points do not fit the object: {bundle.sigma_px:.3g} px remain where '
+            f'{limit:.2g} px could be noise.',
+            'Check that both files number the points alike, the numbers of columns and rows, '
+            'and that the object is rigid.')
+    dependence, covariance, status = judgement
+    missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
+    if missing:
+        return refuse(*_unobservable(missing, used), status)
+    residuals = bundle.residuals(state)
+    lost = np.setdiff1d(views.frames, used.frames)
+    if len(lost):
+        notes += ('The object does not fit what was seen of it in '
+                  f'{"frame" if len(lost) == 1 else "frames"} '
+                  f'{", ".join(map(str, lost[:5].tolist()))}'
+                  f'{" and others" if len(lost) > 5 else ""}, left out.',)
+    # back to the object's own frame and unit
+    poses = np.array(state.cam_from_object)
+    poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin
+    points = np.column_stack([target.points, np.ones(len(target))])
+    rejected = len(views.view) - len(used.view)
+    return Calibration(
+        camera=_camera(state, size), covariance=covariance, status=status,
+        held_by=held_facts(chosen), motion=MOTION, facts=chosen,
+        frames=tuple(int(f) for f in used.frames),
+        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
+        noise_sigma_px=bundle.sigma_px, observation_count=len(used.view),
+        outlier_count=rejected,
+        reconstruction=Reconstruction(used.frames, poses, target.identity, points),
+        notes=notes + _dependence_notes(dependence), software=software, residuals=residuals)
+
+
+def _gather(tracks: Tracks, target: KnownObject):
+    """Return the views that can be used and notes, or a reason and advice."""
+    place = np.minimum(np.searchsorted(target.identity, tracks.track), len(target) - 1)
+    known = target.identity[place] == tracks.track
+    if not known.any():
+        return ('None of the observed points belongs to the object: the point numbers of the two '
+                'files do not match.'), ('Number the points alike in both.',)
+    notes = ()
+    if not known.all():
+        notes += (f'{np.count_nonzero(~known)} observations of points that the object does not '
+                  'have were left out.',)
+    order = np.lexsort((tracks.track, tracks.frame))
+    order = order[known[order]]
+    frame, place, xy = tracks.frame[order], place[order], tracks.xy[order]
+    frames, view = np.unique(frame, return_inverse=True)
+    everything = _Views(frames, view, place, target.points[place], xy, [])
+    first = np.searchsorted(view, np.arange(len(frames) + 1))
+    found = [linear_view(everything.points[a:b], xy[a:b]) for a, b in zip(first, first[1:])]
+    refused = {int(f): one for f, one in zip(frames, found) if isinstance(one, str)}
+    good = np.array([not isinstance(one, str) for one in found])
+    if not good.any():
+        f, why = next(iter(refused.items()))
+        return (f'No view can be used: frame {f} has {why}.',
+                ('Show at least 6 points of a solid or 4 of a plane in a view.',))
+    if refused:
+        f, why = next(iter(refused.items()))
+        notes += (f'{len(refused)} views were left out: frame {f} has {why}.',)
+    everything = replace(everything, linear=found)
+    return everything.select(good[view]), notes
+
+
+def _fit(views: _Views, size, facts: CameraFacts):
+    """Return (views, bundle, state, facts with their distortion model, judgement) or a reason."""
+    state = _start(views, size, facts)
+    names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
+    found = 'The adjustment found no camera that fits the points.'
+    for name in names:
+        chosen = replace(facts, distortion=name)
+        bundle = views.bundle(priors_from_facts(chosen), 1.0)
+        if bundle.degrees_of_freedom < 1:
+            if name != names[-1]:
+                continue
+            unknowns = int(bundle.free.sum()) + POSE * bundle.views
+            return (f'Too few points: {2 * len(views.view)} coordinates were measured, and there '
+                    f'are {unknowns} unknowns.')
+        fit = _robust_fit(views, holding(state, bundle.priors), chosen)
+        if fit is None:
+            continue
+        judgement = _judge(*fit, chosen, size)
+        found = (*fit, chosen, judgement)
+        if 'unobservable' not in judgement[2].values():
+            break
+    return found
+
+
+def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
+    """Return the best of the supposed cameras after a short, held adjustment of a few points."""
+    rank = np.arange(len(views.view)) - np.searchsorted(views.view, views.view)
+    count = np.bincount(views.view)[views.view]
+    few = views.select(rank * START_POINTS % count < START_POINTS)
+    longer = max(size)
+    priors = {K1: Prior(0.0, 0.2), K2: Prior(0.0, 0.1), P1: Prior(0.0, 0.0), P2: Prior(0.0, 0.0),
+              CX: Prior((size[0] - 1) / 2, 0.2 * longer),
+              CY: Prior((size[1] - 1) / 2, 0.2 * longer), **priors_from_facts(facts)}
+    priors.update({index: Prior(0.0, 0.0) for index in (P1, P2)})
+    # a pixel or two for what the linear solution and the short adjustment leave
+    bundle = few.bundle(priors, 0.002 * longer)
+    best, least = None, np.inf
+    for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
+        state = bundle.optimise(holding(start_state(K, few.linear), priors), 25, 1e-2)
+        cost = bundle.cost(state)
+        if best is None or cost < least:
+            best, least = state, cost
+        # the range of focal lengths is for those that the linear equations left without
+        if number and least < len(few.view):
+            break
+    return best
+
+
+def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
+    """Adjust, estimate the noise, leave out outliers; returns views, bundle and state."""
+    priors = priors_from_facts(facts)
+    bundle = views.bundle(priors, 1.0)
+    sigma = bundle.noise_sigma(state)
+    for _ in range(6):
+        if not np.isfinite(sigma):
+            return None
+        bundle = views.bundle(priors, sigma)
+        state = bundle.optimise(state, tolerance=0.1)
+        before, sigma = sigma, bundle.noise_sigma(state)
+        if abs(sigma - before) < 0.05 * before:
+            break
+    for _ in range(3):
+        distance = np.linalg.norm(bundle.residuals(state), axis=1)
+        good = distance < OUTLIER_SIGMAS * sigma
+        if good.all():
+            break
+        rest = views.select(good)
+        if not len(rest.view) or rest.bundle(priors, sigma).degrees_of_freedom < 1:
+            return None
+        kept = np.isin(views.frames, rest.frames)
+        state = replace(state, cam_from_object=state.cam_from_object[kept])
+        views, bundle = rest, rest.bundle(priors, sigma)
+        state = bundle.optimise(state, tolerance=0.1)
+        sigma = bundle.noise_sigma(state)
+    bundle = views.bundle(priors, bundle.noise_rms(state))
+    state = bundle.optimise(state, tolerance=1e-7)
+    return views, bundle, state
+
+
+def _camera(state: ObjectState, size) -> Camera:
+    f, aspect, *rest = state.intrinsics
+    return Camera.from_parameters([f, aspect * f, *rest], *size)
+
+
+def _judge(views: _Views, bundle: ObjectBundle, state: ObjectState, facts: CameraFacts, size):
+    """Return how far errors are shared, the covariance, and every parameter's status."""
+    dependence = assess_dependence(bundle.evidence(state), views.point, views.xy, size)
+    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    for k, name in enumerate(PARAMETER_NAMES):
+        if name in held_facts(facts):
+            covariance[k] = covariance[:, k] = 0
+    status = parameter_status(_camera(state, size), covariance, facts)
+    return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
+
+
+def _open_without_lens(bundle: ObjectBundle, state: ObjectState, facts: CameraFacts,
+                       size) -> dict[str, str]:
+    """
+    Return the parameters that the same views leave open where the lens does not distort.
+
+    The distortion of a board alone shows the principal point and with it the rest, but only as
+    far as the lens is exactly what its model says.
+    """
+    ideal = replace(state, intrinsics=np.where(np.arange(9) >= K1, 0.0, state.intrinsics))
+    pinhole = replace(facts, distortion='none')
+    bare = ObjectBundle(bundle.view, bundle.points, bundle.xy, priors=priors_from_facts(pinhole),
+                        sigma_px=bundle.sigma_px)
+    bare.xy = bundle.xy + np.nan_to_num(bare.residuals(ideal))
+    covariance = parameter_covariance(bare.ideal_covariance(ideal), ideal.intrinsics)
+    status = parameter_status(_camera(ideal, size), covariance, pinhole)
+    return {name: status[name] for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable'}
+
+
+def _unobservable(missing: list[str], views: _Views) -> tuple[str, str]:
+    """Say which parameters the views leave open, and what would show them."""
+    names = ', '.join(missing)
+    flat = [view.flat for view in views.linear]
+    if all(flat) and len(flat) == 1:
+        return (f'All points of the only image lie in one plane, which leaves {names} open.',
+                'Add views of the board under other tilts, use a solid object, or state the '
+                'principal point and the aspect ratio.')
+    if all(flat):
+        return (f'The {len(flat)} views of the plane are too much alike; they leave {names} '
+                'open.', 'Tilt the board by 20 to 45 degrees about different axes between the '
+                'views.')
+    return (f'The points of the object leave {names} open.',
+            'Show the object larger, nearer, or in more views, or state what is known of the '
+            'camera.')
+
+
+def _dependence_notes(dependence: Dependence) -> tuple:
+    """Say which errors are shared, in words that suit an object."""
+    causes = {'track': 'at the same points of the object in every view, as when it is not quite '
+                       'what its coordinates say',
+              'region': 'within a region of the image, as with a lens that the distortion model '
+                        'does not describe'}
+    return tuple(f'Errors are shared {cause}: sigmas are {dependence.ratios[name]:.1f} times '
+                 'those of independent errors for it.'
+                 for name, cause in causes.items() if dependence.ratios.get(name, 1) > 1)

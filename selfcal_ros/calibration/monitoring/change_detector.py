@@ -1,0 +1,305 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Has the camera changed? A sequential test of new evidence against the calibration in force.
+
+Model: the camera in force errs by what its covariance says; window after window of keyframes tells
+it again, each with its own error (`window_score`). Against that stands, for every moment at which
+it might have happened, a change of focal length and principal point. Twice the logarithm of the
+generalised likelihood ratio of the two is a chi-square with three degrees of freedom; over the
+moments it is maximised, and the threshold bounds the rate at which an unchanged camera exceeds it
+(docs/monitoring.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.state import ASPECT
+from selfcal_ros.calibration.monitoring.camera_change import CameraChange, CHANGES, MonitorSettings
+from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
+from selfcal_ros.calibration.monitoring.window_score import WindowScore
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import Camera
+
+#: What remains of the statistic without its strongest window must be improbable, too: one window
+#: alone, with a moving object in it, proves nothing.
+WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
+#: The newest windows are kept one by one; older ones are merged in pairs, as many of each size.
+SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
+#: Share of the windows' scatter, as a variance, that a change has to exceed.
+SHARED_SCATTER = 0.25
+#: A score is exact to first order: so much of the step that it tells is its own uncertainty.
+CURVATURE = 0.1
+
+
+@dataclass
+class _Block:
+    """Sum of the evidence of successive windows, relative to the camera in force."""
+
+    information: np.ndarray
+    shift: np.ndarray           # information times step
+    windows: int
+    first_frame: int
+    last_frame: int
+    score: WindowScore | None = None
+
+    def merged(self, other: _Block) -> _Block:
+        return _Block(self.information + other.information, self.shift + other.shift,
+                      self.windows + other.windows, self.first_frame, other.last_frame)
+
+
+class ChangeMonitor:
+    """
+    Compares windows with a calibration, and with one another.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        In force. Its camera has an image size.
+    settings : MonitorSettings, optional
+
+    Attributes
+    ----------
+    calibration : Calibration
+    free : ndarray of int, shape (k,)
+        Indices into `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+    in_force : ndarray, shape (k,)
+        These parameters of the camera in force.
+    camera : Camera
+        That the next window is to be scored against: the one in force, or after an alarm the one
+        that there seems to be, since a score is exact to first order only.
+    change : CameraChange or None
+        The alarm. It stays once it is raised, and what it states improves with every window.
+    windows, discarded : int
+        Windows that were taken, and those of them that agreed with nothing before or after.
+    statistic, threshold : float
+        Of the newest test.
+
+    """
+
+    def __init__(self, calibration: Calibration, settings: MonitorSettings = MonitorSettings()):
+        self.settings, self.calibration = settings, calibration
+        self.camera = calibration.camera
+        fx, fy, *rest = self.camera.parameters
+        covariance = _intrinsic_covariance(calibration)
+        self.free = np.flatnonzero((np.diag(covariance) > 0) | np.isin(np.arange(9), CHANGES))
+        self.in_force = np.array([fx, fy / fx, *rest])[self.free]
+        self._changes = np.searchsorted(self.free, CHANGES)
+        size = np.hypot(self.camera.width, self.camera.height)
+        focal = self.camera.K[0, 0]
+        # displacement half a diagonal from the middle: of a focal length, and of the middle
+        reach = 2 * focal / size
+        self._least = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
+        prior = covariance[np.ix_(self.free, self.free)]
+        self._prior = self._stated = prior + np.diag(self._along(0.01 * self._least))
+        self._old: list[_Block] = []
+        self._new: list[_Block] = []
+        self._scatter = WindowScatter(self._least)
+        self._of_windows = self._of_changes = self._least
+        self.change: CameraChange | None = None
+        self.windows = self.discarded = 0
+        self.statistic, self.threshold = 0.0, self._threshold(1)
+
+    def _along(self, values) -> np.ndarray:
+        """Spread values (3,) of what may change over the free parameters, (k,)."""
+        result = np.zeros(len(self.free))
+        result[self._changes] = values
+        return result
+
+    def _threshold(self, moments: int) -> float:
+        """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
+        chance = (self.settings.keyframes - 1) / self.settings.false_alarm_keyframes
+        return float(chi2.isf(chance / moments, len(CHANGES)))
+
+    def learn(self, score: WindowScore) -> None:
+        """
+        Take the score of a window of those keyframes that the calibration was made from.
+
+        It is no evidence, but tells how well windows agree with this calibration.
+        """
+        mean = self._along(self._remember(score))
+        # by so much all windows may disagree with the calibration
+        self._prior = self._stated + np.outer(mean, mean)
+
+    def add(self, score: WindowScore) -> CameraChange | None:
+        """
+        Take the score of the next window.
+
+        Parameters
+        ----------
+        score : WindowScore
+            Of `free`, against `camera` or against the one in force.
+
+        Returns
+        -------
+        CameraChange or None
+            The alarm, as long as it stands.
+
+        """
+        self.windows += 1
+        step = score.at + score.step - self.in_force
+        information = score.information / self._scatter.inflation(score.dependence)
+        # every scene has its own small error, however much it tells
+        own = np.diag(self._along(self._of_windows
+                                  + np.square(CURVATURE * score.step[self._changes])))
+        weight = np.linalg.inv(np.eye(len(self.free)) + information @ own)
+        self._new.append(_Block(_symmetric(weight @ information), weight @ information @ step, 1,
+                                score.frames[0], score.frames[-1], score))
+        self._test()
+        if len(self._new) > SINGLE_WINDOWS:
+            self._retire()
+        return self.change
+
+    # ------------------------------------------------------------------ the test
+
+    def _sums(self, blocks) -> tuple[np.ndarray, np.ndarray]:
+        """Information (n, k, k) and shift (n, k) of the last 1, 2, ... n blocks together."""
+        return (np.cumsum([block.information for block in reversed(blocks)], axis=0),
+                np.cumsum([block.shift for block in reversed(blocks)], axis=0))
+
+    def _ratios(self, before: np.ndarray, before_shift, after, after_shift):
+        """
+        Statistics of changes between evidence before and after, batches of n.
+
+        Returns
+        -------
+        statistic : ndarray, shape (n,)
+        change : ndarray, shape (n, 3)
+        covariance : ndarray, shape (n, 3, 3)
+            Tolerance included.
+
+        """
+        total = before + after
+        along = after[:, :, self._changes]                       # (n, k, 3)
+        # the common camera, which both sides measure, is eliminated
+        solved = np.linalg.solve(total, np.concatenate(
+            [along, (before_shift + after_shift)[..., None]], axis=2))
+        information = along[:, self._changes] - np.swapaxes(along, 1, 2) @ solved[..., :3]
+        right = after_shift[:, self._changes] - np.einsum('nki,nk->ni', along, solved[..., 3])
+        # tolerance T: covariance I⁻¹ + T, without inverting an I that may be singular
+        eased = np.eye(3) + information * self._of_changes
+        weight = np.linalg.solve(eased, information)             # (I⁻¹ + T)⁻¹
+        values, vectors = np.linalg.eigh(_symmetric(information))
+        floor = np.maximum(values, 1e-12 * np.maximum(values[:, -1:], 1e-12))
+        inverse = (vectors / floor[:, None]) @ np.swapaxes(vectors, 1, 2)
+        change = np.einsum('nij,nj->ni', inverse, right)
+        statistic = np.einsum('ni,nij,nj->n', change, weight, change)
+        return statistic, change, inverse + np.diag(self._of_changes)
+
+    def _test(self) -> None:
+        """Test every moment that the blocks leave, and judge the most likely one."""
+        blocks = self._old + self._new
+        after, after_shift = self._sums(blocks)
+        before = after[-1] - after + np.linalg.inv(self._prior)
+        statistic, change, covariance = self._ratios(before, after_shift[-1] - after_shift,
+                                                     after, after_shift)
+        best = int(np.argmax(statistic))
+        self.statistic, self.threshold = float(statistic[best]), self._threshold(len(blocks))
+        if best == 0 or self.statistic < self.threshold:
+            return
+        if self.change is None and not self._holds_without_strongest(
+                best + 1, before[best], after_shift[-1] - after_shift[best],
+                after[best], after_shift[best]):
+            return
+        # the camera may have changed within the first of the windows that differ: it is a mixture
+        # of two cameras, and counts with neither
+        _, change, covariance = self._ratios(
+            before[best:best + 1], (after_shift[-1] - after_shift[best])[None],
+            after[best - 1:best], after_shift[best - 1:best])
+        first = blocks[-1 - best]
+        self.change = CameraChange(
+            change[0], covariance[0], float(self.in_force[0]), first.first_frame,
+            first.last_frame, blocks[-1].last_frame, self.statistic, self.threshold)
+        self.camera = self._changed(change[0])
+
+    def _changed(self, change) -> Camera:
+        """Return the camera in force after a change (3,), within reason."""
+        camera = self.calibration.camera
+        values = camera.parameters
+        values[:2] *= np.clip(1 + change[0] / values[0], 0.5, 2.0)
+        values[2:4] += np.clip(change[1:], *(np.array([-0.25, 0.25])
+                                             * np.hypot(camera.width, camera.height)))
+        return Camera.from_parameters(values, camera.width, camera.height)
+
+    def _holds_without_strongest(self, count, before, before_shift, after, after_shift) -> bool:
+        """Tell whether the change is seen without any one of its newest windows, too."""
+        single = self._new[-count:]
+        others = np.stack([after - block.information for block in single])
+        other_shifts = np.stack([after_shift - block.shift for block in single])
+        statistic, *_ = self._ratios(np.repeat(before[None], len(single), axis=0),
+                                     np.repeat(before_shift[None], len(single), axis=0),
+                                     others, other_shifts)
+        return bool(statistic.min() > WITHOUT_STRONGEST)
+
+    # ------------------------------------------------------------------ memory
+
+    def _remember(self, score: WindowScore) -> np.ndarray:
+        """Learn how large the errors of windows are; returns their mean, shape (3,)."""
+        spread = _inverse(score.information) * self._scatter.inflation(score.dependence)
+        step = (score.at + score.step - self.in_force)[self._changes]
+        self._scatter.remember(score.dependence, step,
+                               spread[np.ix_(self._changes, self._changes)])
+        self._of_windows, mean = self._scatter.tolerance()
+        # neighbouring windows share a scene, so that their mean scatters, too
+        self._of_changes = np.maximum(self._least, SHARED_SCATTER * self._of_windows)
+        return mean
+
+    def _retire(self) -> None:
+        """Move the oldest single window to the merged ones, unless it agrees with nothing."""
+        block = self._new.pop(0)
+        # not before: after a change, windows scatter about another camera
+        if self.change is None:
+            self._remember(block.score)
+            block.score = None
+        others = self._old + self._new
+        information = np.linalg.inv(self._prior) + sum(b.information for b in others)
+        statistic, *_ = self._ratios(information[None], sum(b.shift for b in others)[None],
+                                     block.information[None], block.shift[None])
+        if statistic[0] > self._threshold(1):
+            self.discarded += 1
+            return
+        self._old.append(block)
+        for size in (2**k for k in range(60)):
+            same = [k for k, b in enumerate(self._old) if size <= b.windows < 2 * size]
+            if len(same) <= OF_EACH_SIZE:
+                break
+            first = same[0]
+            self._old[first:first + 2] = [self._old[first].merged(self._old[first + 1])]
+
+
+def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
+    """Covariance of `INTRINSIC_NAMES` from that of `PARAMETER_NAMES`, (9, 9)."""
+    fx, fy = calibration.camera.K[0, 0], calibration.camera.K[1, 1]
+    J = np.eye(9)
+    J[ASPECT, :2] = -fy / fx**2, 1 / fx
+    covariance = J @ calibration.covariance @ J.T
+    # an aspect ratio that a fact holds has no variance but that of rounding
+    if covariance[ASPECT, ASPECT] < 1e-14:
+        covariance[ASPECT] = covariance[:, ASPECT] = 0
+    return covariance
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return (matrix + np.swapaxes(matrix, -1, -2)) / 2
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Invert by way of unit diagonals: parameters differ in scale."""
+    scale = np.sqrt(np.diag(information))
+    return np.linalg.pinv(information / np.outer(scale, scale),
+                          hermitian=True) / np.outer(scale, scale)

@@ -1,0 +1,201 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What the uncertainty of a calibration means for angles that are measured in its images.
+
+Angles between the rays of two pixels come from the camera alone; first order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.pixel_model import PixelModel
+from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated, StructureSample
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
+
+#: An angle across the middle of the image that the report speaks of, degrees.
+COMMON_ANGLE_DEG = 30.0
+
+
+def ray_angles(result: Calibration | NotCalibrated, first: np.ndarray, second: np.ndarray,
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Angles between the rays of pixels, and what the uncertainty of the camera makes of them.
+
+    Parameters
+    ----------
+    result : Calibration
+    first, second : ndarray, shape (N, 2) or (2,)
+        Pixels, exact: add the noise of what is measured there.
+
+    Returns
+    -------
+    angle, sigma : ndarray, shape (N,)
+        Radians; NaN where the distortion cannot be undone.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no calibration, or the pixels are none.
+
+    """
+    if not isinstance(result, Calibration):
+        raise ArgumentError('Angles need a Calibration to be measured with.')
+    try:
+        first, second = np.broadcast_arrays(np.atleast_2d(np.asarray(first, float)),
+                                            np.atleast_2d(np.asarray(second, float)))
+    except (TypeError, ValueError):
+        first = second = np.zeros(0)
+    if first.ndim != 2 or first.shape[1] != 2:
+        raise ArgumentError('The pixels must be two arrays of the same shape (N, 2).')
+    return angles_between(result.camera, result.covariance, first, second)
+
+
+def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, second: np.ndarray,
+                   ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Angles between the rays of pixels, and what the camera's covariance makes of them.
+
+    Parameters
+    ----------
+    camera : Camera
+    covariance : ndarray, shape (9, 9)
+        Of `PARAMETER_NAMES`.
+    first, second : ndarray, shape (N, 2)
+        Pixels, exact.
+
+    Returns
+    -------
+    angle, sigma : ndarray, shape (N,)
+        Radians; NaN where the distortion cannot be undone.
+
+    """
+    a, along_a = _directions(camera, np.atleast_2d(np.asarray(first, float)))
+    b, along_b = _directions(camera, np.atleast_2d(np.asarray(second, float)))
+    sine = np.linalg.norm(np.cross(a, b), axis=1)
+    cosine = np.einsum('ni,ni->n', a, b)
+    slope = -(np.einsum('nik,ni->nk', along_a, b) + np.einsum('nik,ni->nk', along_b, a))
+    slope /= np.maximum(sine, 1e-300)[:, None]
+    variance = np.einsum('ni,ij,nj->n', slope, np.asarray(covariance, float), slope)
+    return np.arctan2(sine, cosine), np.sqrt(np.maximum(variance, 0))
+
+
+def _directions(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit rays (N, 3) of pixels, and their derivatives (N, 3, 9) by `PARAMETER_NAMES`."""
+    fx, fy, *rest = camera.parameters
+    x, y = camera.normalised(pixels).T
+    model = PixelModel(np.array([fx, fy / fx, *rest]), x, y)
+    by_camera = model.by_intrinsics(np.ones(9, bool))
+    # of (f, aspect) by (fx, fy)
+    by_camera[:, :, 0] -= fy / fx**2 * by_camera[:, :, 1]
+    by_camera[:, :, 1] /= fx
+    # the pixel stays: what the parameters move, the ray has to make good
+    seen = np.isfinite(x) & np.isfinite(y)
+    moved = np.full((len(x), 2, 9), np.nan)
+    moved[seen] = -np.linalg.solve(model.by_points(np.ones(len(x)))[seen, :, :2],
+                                   by_camera[seen])
+    ray = np.column_stack([x, y, np.ones(len(x))])
+    length = np.linalg.norm(ray, axis=1)[:, None]
+    unit = ray / length
+    change = np.concatenate([moved, np.zeros((len(x), 1, 9))], axis=1) / length[:, :, None]
+    return unit, change - unit[:, :, None] * np.einsum('ni,nik->nk', unit, change)[:, None]
+
+
+def fields_of_view(camera: Camera, covariance: np.ndarray) -> dict[str, Measured]:
+    """
+    Horizontal, vertical and diagonal field of view, edge to edge, in degrees.
+
+    Parameters
+    ----------
+    camera : Camera
+        With its image size.
+    covariance : ndarray, shape (9, 9)
+
+    Returns
+    -------
+    dict of str to Measured
+        'horizontal' and 'vertical' through the middle of the image, 'diagonal' from corner to
+        corner; without those whose ends the distortion does not reach.
+
+    """
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    middle = (camera.width - 1) / 2, (camera.height - 1) / 2
+    ends = {'horizontal': ((-0.5, middle[1]), (right, middle[1])),
+            'vertical': ((middle[0], -0.5), (middle[0], bottom)),
+            'diagonal': ((-0.5, -0.5), (right, bottom))}
+    angle, sigma = np.degrees(angles_between(camera, covariance, *np.array(
+        list(ends.values())).swapaxes(0, 1)))
+    return {name: Measured(float(value), float(spread))
+            for name, value, spread in zip(ends, angle, sigma) if np.isfinite(value + spread)}
+
+
+def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
+    """
+    Sigma of `COMMON_ANGLE_DEG` measured across the middle of the image, along its longer side.
+
+    Parameters
+    ----------
+    camera : Camera
+        With its image size.
+    covariance : ndarray, shape (9, 9)
+
+    Returns
+    -------
+    Measured or None
+        Degrees; half the field of view where the image does not span the common angle, None
+        where the distortion cannot be undone.
+
+    """
+    size = np.array([camera.width, camera.height])
+    middle = (size - 1) / 2
+    axis = np.eye(2)[int(np.argmax(size))]
+    along = np.linspace(0.01, 0.5, 400)[:, None] * size.max() * axis
+    angle, sigma = np.degrees(angles_between(camera, covariance, middle - along,
+                                             middle + along))
+    seen = np.isfinite(angle) & np.isfinite(sigma)
+    if not seen.any():
+        return None
+    wanted = (COMMON_ANGLE_DEG if angle[seen][-1] >= COMMON_ANGLE_DEG >= angle[seen][0]
+              else angle[seen][-1] / 2)
+    return Measured(float(wanted), float(np.interp(wanted, angle[seen], sigma[seen])))
+
+
+def measurement_sentences(camera: Camera, covariance: np.ndarray,
+                          sample: StructureSample | None = None) -> tuple:
+    """Say what the covariance means for what is measured in images of the camera."""
+    said = []
+    sized = min(camera.width, camera.height) > 0
+    wide = fields_of_view(camera, covariance).get('horizontal') if sized else None
+    if wide:
+        said.append(f'The horizontal field of view is {_rounded(wide)} degrees.')
+    angle = central_angle(camera, covariance) if sized else None
+    if angle:
+        said.append(f'An angle of {angle.value:.3g} degrees measured across the middle of the '
+                    f'image is good to ± {angle.sigma:.2g} degrees.')
+    if sample:
+        said.append('In the structure, two typical lengths (between the tracks {} and {}, {} and '
+                    '{})'.format(*sample.first, *sample.second)
+                    + f' have the ratio {_rounded(sample.length_ratio)}, and an angle of '
+                    f'{sample.angle_deg.value:.3g} degrees (at track {sample.corner[1]}) is good '
+                    f'to ± {sample.angle_deg.sigma:.2g} degrees.')
+    return tuple(said)
+
+
+def _rounded(measured: Measured) -> str:
+    """Write value ± sigma with the digits that the sigma leaves."""
+    digits = 2 if not measured.sigma > 0 else int(np.clip(1 - np.floor(np.log10(measured.sigma)),
+                                                          0, 6))
+    return f'{measured.value:.{digits}f} ± {measured.sigma:.{digits}f}'

@@ -1,0 +1,326 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Metric structure: from a calibration, or step by step from a projective frame (thesis 2.2).
+
+Images fix a scene up to its scale. Here the median step between successive views is 1, and the
+world is the body frame (x forward, y left, z up) of the first view; planar motion, which knows the
+vertical of its plane, puts z along its rotation axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.upgrade import affine_upgrade, metric_upgrade
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.values.tracks import Tracks
+
+#: Observations farther than so many sigmas from the prediction are not the point's.
+OUTLIER_SIGMAS = 4.0
+#: A point is kept when it is known to this share of its distance from the nearest view.
+RELATIVE_SIGMA = 0.05
+#: Body axes (x forward, y left, z up) in an optical frame (x right, y down, z forward).
+_OPTICAL_FROM_BODY = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+
+
+@dataclass(frozen=True)
+class Structure:
+    """
+    Camera path and points in a metric frame of arbitrary scale.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+    cam_from_world : ndarray, shape (V, 3, 4)
+        [R | t] of each frame; the unit of length is the median step between successive views.
+    tracks : ndarray of int, shape (P,)
+        Of the points kept.
+    points : ndarray, shape (P, 3)
+    covariance : ndarray, shape (P, 3, 3)
+        Of each point, the cameras taken as exact.
+    left_out : int
+        Reconstructed points that are at infinity, or not known well enough.
+
+    """
+
+    frames: np.ndarray
+    cam_from_world: np.ndarray
+    tracks: np.ndarray
+    points: np.ndarray
+    covariance: np.ndarray
+    left_out: int
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Camera centres in the world, shape (V, 3)."""
+        return _centres(self.cam_from_world)
+
+
+def metric_structure(calibration: Calibration, tracks: Tracks,
+                     relative_sigma: float = RELATIVE_SIGMA) -> Structure:
+    """
+    Return the finite points of a calibration that are well known, and the camera path.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its reconstruction.
+    tracks : Tracks
+        Those that were calibrated from; they tell how well each point is known.
+    relative_sigma : float
+        Keep points whose largest standard deviation is below this share of their distance from
+        the nearest view that saw them.
+
+    Returns
+    -------
+    Structure
+        Its world frame and scale are those of the module's heading.
+
+    """
+    shape = calibration.reconstruction
+    poses = np.asarray(shape.cam_from_world, float)
+    points = np.asarray(shape.points, float)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        points = points[:, :3] / points[:, 3:]
+    world, scale = _world(poses, calibration.motion in ('planar', 'circular'))
+    # X_new = scale * (R X + t) for world = [R | t]
+    rotations = poses[:, :, :3] @ world[:, :3].T
+    translations = scale * (poses[:, :, 3] - rotations @ world[:, 3])
+    poses = np.concatenate([rotations, translations[:, :, None]], axis=2)
+    points = scale * (points @ world[:, :3].T + world[:, 3])
+    covariance, nearest = _point_covariances(calibration, tracks, poses, points)
+    finite = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(points).all(axis=1)
+    keep = np.flatnonzero(finite)
+    spread = np.sqrt(np.linalg.eigvalsh(covariance[keep])[:, -1].clip(0))
+    keep = keep[spread < relative_sigma * nearest[keep]]
+    return Structure(shape.frames, poses, shape.tracks[keep], points[keep], covariance[keep],
+                     len(points) - len(keep))
+
+
+def _centres(poses: np.ndarray) -> np.ndarray:
+    """Return the camera centres of [R | t], shape (V, 3)."""
+    return -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+
+
+def _world(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]:
+    """Return [R | t] from the given world to that of the heading, and the scale."""
+    first = poses[0, :, :3]
+    axes = _OPTICAL_FROM_BODY.T @ first
+    if planar:
+        # the images' y points down: so does the axis, where it goes with them
+        up = np.array([0, 0, -np.sign(poses[:, 1, 2].sum()) or 1.0])
+        forward = first[2] - up * (up @ first[2])
+        if np.linalg.norm(forward) < 1e-6:
+            # straight down (or up): the top of the image is ahead
+            forward = -first[1] + up * (up @ first[1])
+        forward /= np.linalg.norm(forward)
+        axes = np.array([forward, np.cross(up, forward), up])
+    centres = _centres(poses)
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    step = float(np.median(steps)) if len(steps) else 0.0
+    # more than half of the views may stand still
+    step = step or float(steps.max(initial=0.0)) or 1.0
+    return np.column_stack([axes, -axes @ centres[0]]), 1 / step
+
+
+def _point_covariances(calibration, tracks, poses, points):
+    """Return the covariance (P, 3, 3) of points, NaN where unknown, and their least distance."""
+    shape, camera = calibration.reconstruction, calibration.camera
+    view, seen = _places(shape.frames, tracks.frame)
+    point, known = _places(shape.tracks, tracks.track)
+    both = seen & known & np.isfinite(points[point]).all(axis=1)
+    view, point, xy = view[both], point[both], tracks.xy[both]
+    X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
+    ahead = X[:, 2] > 0
+    view, point, xy, X = view[ahead], point[ahead], xy[ahead], X[ahead]
+    normalised = X[:, :2] / X[:, 2:]
+    # a homogeneous point far beyond the image may meet the fold of the distortion
+    with np.errstate(invalid='ignore', over='ignore'):
+        miss = np.linalg.norm(camera.pixels(normalised) - xy, axis=1)
+        near = miss < OUTLIER_SIGMAS * max(calibration.noise_sigma_px, 1e-9)
+    view, point, X, normalised = view[near], point[near], X[near], normalised[near]
+    # d pixel / d X_camera, the distortion's own slope (a few per cent) left out
+    J = np.zeros((len(X), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1
+    J[:, :, 2] = -normalised
+    J = camera.K[:2, :2] @ (J / X[:, 2, None, None]) @ poses[view, :, :3]
+    information = np.zeros((len(points), 3, 3))
+    np.add.at(information, point, np.swapaxes(J, 1, 2) @ J)
+    views = np.bincount(point, minlength=len(points))
+    nearest = np.full(len(points), np.inf)
+    np.minimum.at(nearest, point, np.linalg.norm(X, axis=1))
+    covariance = np.full((len(points), 3, 3), np.nan)
+    # a ray alone, or several that coincide, do not fix a point
+    enough = np.flatnonzero((views >= 2) & (np.linalg.cond(information) < 1e12))
+    covariance[enough] = (calibration.noise_sigma_px**2 * np.linalg.inv(information[enough]))
+    return covariance, nearest
+
+
+def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find values among keys: their places, and whether they are there at all."""
+    keys = np.asarray(keys)
+    if not len(keys):
+        return np.zeros(len(wanted), int), np.zeros(len(wanted), bool)
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return place, keys[place] == wanted
+
+
+def to_affine(cameras: np.ndarray, points: np.ndarray, plane) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Upgrade a projective reconstruction to an affine one (thesis 2.14).
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (V, 3, 4)
+        The first is [I | 0].
+    points : ndarray, shape (P, 4)
+    plane : array_like, shape (3,)
+        pi: points at infinity satisfy pi^T X + W = 0.
+
+    Returns
+    -------
+    cameras : ndarray, shape (V, 3, 4)
+        [A_i | a_i], A_i being the infinite homography from the first view.
+    points : ndarray, shape (P, 4)
+
+    """
+    return _transformed(cameras, points, affine_upgrade(plane))
+
+
+def to_metric(cameras: np.ndarray, points: np.ndarray, K) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Upgrade an affine reconstruction to a metric one (thesis 2.16).
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (V, 3, 4)
+        The first is [I | 0].
+    points : ndarray, shape (P, 4)
+    K : array_like, shape (3, 3)
+        Of the first camera, and of all where they are one.
+
+    Returns
+    -------
+    cameras : ndarray, shape (V, 3, 4)
+        K [R_i | t_i] up to a factor; the first is K [I | 0].
+    points : ndarray, shape (P, 4)
+        In the optical frame of the first view, at the scale of the input.
+
+    """
+    return _transformed(cameras, points, metric_upgrade(K))
+
+
+def _transformed(cameras, points, H):
+    return (np.asarray(cameras, float) @ np.linalg.inv(H), np.asarray(points, float) @ H.T)
+
+
+def distance_error(grids) -> float:
+    """
+    Spread of the distances between neighbours on regular grids (thesis 4.2, measure 1).
+
+    Parameters
+    ----------
+    grids : array_like, shape (..., rows, columns, 3)
+        Points of one or several grids of equal squares; NaN where a point is missing.
+
+    Returns
+    -------
+    float
+        Standard deviation over mean; 0 for perfect structure of any scale.
+
+    """
+    grids = _grids(grids)
+    distances = np.concatenate([
+        np.linalg.norm(np.diff(grids, axis=axis), axis=-1).ravel() for axis in (-2, -3)])
+    distances = distances[np.isfinite(distances)]
+    if len(distances) < 2:
+        raise ArgumentError('The distance error needs at least three neighbouring points.')
+    return float(distances.std() / distances.mean())
+
+
+def pattern_error(grids) -> float:
+    """
+    Spread of the angles at the corners of a grid's squares (thesis 4.2, measure 2), radians.
+
+    Parameters
+    ----------
+    grids : array_like, shape (..., rows, columns, 3)
+        As for `distance_error`.
+
+    """
+    grids = _grids(grids)
+    corners = [grids[..., :-1, :-1, :], grids[..., :-1, 1:, :], grids[..., 1:, 1:, :],
+               grids[..., 1:, :-1, :]]
+    angles = []
+    for k in range(4):
+        a, b = corners[k - 1] - corners[k], corners[(k + 1) % 4] - corners[k]
+        angles.append(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+    angles = np.ravel(angles)
+    angles = angles[np.isfinite(angles)]
+    if not len(angles):
+        raise ArgumentError('The pattern error needs at least one whole square.')
+    return float(angles.std())
+
+
+def plane_angle(first, second) -> float:
+    """
+    Angle between two planes of points, each by orthogonal regression (thesis 4.2, measure 3).
+
+    Parameters
+    ----------
+    first, second : array_like, shape (..., 3)
+        Points of each plane; NaN rows are left out.
+
+    Returns
+    -------
+    float
+        Radians, 0 to pi: between the two half-planes that leave their common line towards the
+        points; 90 degrees for two sides of a box.
+
+    """
+    (centre_1, normal_1), (centre_2, normal_2) = _plane(first), _plane(second)
+    line = np.cross(normal_1, normal_2)
+    if np.linalg.norm(line) < 1e-9:
+        return 0.0
+    # a point of the common line, the nearest to the middle of the points
+    middle = (centre_1 + centre_2) / 2
+    rows = np.array([normal_1, normal_2, line / np.linalg.norm(line)])
+    hinge = np.linalg.solve(rows, [normal_1 @ centre_1, normal_2 @ centre_2, rows[2] @ middle])
+    arms = [np.cross(line, normal) for normal in (normal_1, normal_2)]
+    arms = [arm if arm @ (centre - hinge) >= 0 else -arm
+            for arm, centre in zip(arms, (centre_1, centre_2))]
+    return float(np.arctan2(np.linalg.norm(np.cross(*arms)), arms[0] @ arms[1]))
+
+
+def _grids(points) -> np.ndarray:
+    points = np.asarray(points, float)
+    if points.ndim < 3 or points.shape[-1] != 3:
+        raise ArgumentError(f'A grid of points must be (..., rows, columns, 3), not '
+                            f'{points.shape}.')
+    return points
+
+
+def _plane(points) -> tuple[np.ndarray, np.ndarray]:
+    """Fit a plane by orthogonal regression: its centre and unit normal."""
+    points = np.asarray(points, float).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 3:
+        raise ArgumentError('A plane needs at least three points.')
+    centre = points.mean(axis=0)
+    return centre, np.linalg.svd(points - centre, full_matrices=False)[2][2]

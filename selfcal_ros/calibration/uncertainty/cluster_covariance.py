@@ -1,0 +1,248 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+How far from independent are the errors? What the covariance of ideal noise cannot see.
+
+Errors that the observations of one track, of one view or stretch of views, or of one region of
+the image share (drift of a patch, a jolt, a lens that the model does not describe) do not average
+out. Sums of influences
+over such clusters measure what they do to the calibration (the cluster-robust covariance; Liang
+and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011), and so do estimates
+that leave out one stretch of views each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.information import Evidence
+
+#: Number of internal parameters: only they are judged, since the axis may rest on the prior of the
+#: tilts.
+CALIBRATION = 9
+#: Image regions that errors may share, along the longer and the shorter side.
+REGIONS = (8, 6)
+#: A way of clustering counts when the variance that it finds exceeds that of independent errors
+#: by so many standard deviations of its own.
+SIGNIFICANT = 3.0
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """
+    Variance that shared errors add.
+
+    Attributes
+    ----------
+    ratios : dict of str to float
+        Sigma of the calibration with errors shared within 'track' or 'region' over
+        sigma with independent errors, mean over the estimated parameters; 1 where nothing
+        significant was found.
+    covariance : ndarray, shape (9, 9)
+        Of the internal parameters, dependence included.
+
+    """
+
+    ratios: dict
+    covariance: np.ndarray
+
+    @property
+    def inflation(self) -> float:
+        """Ratio of sigma with all dependence to sigma with none."""
+        return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
+
+    def notes(self, *names: str) -> tuple:
+        """Say what was found, a sentence each; names choose among the ratios."""
+        causes = {'track': 'within a track, as when its patch drifts',
+                  'region': 'within a region of the image, as with a lens that the distortion '
+                            'model does not describe'}
+        return tuple(f'Errors are shared {causes[name]}: sigmas are {self.ratios[name]:.1f} times '
+                     'those of independent errors for it.'
+                     for name in names or causes if self.ratios[name] > 1)
+
+
+def stretch_note(ratio: float) -> tuple:
+    """Say what `stretch_excess` found, in a sentence or none."""
+    return () if ratio <= 1 else (
+        'Errors are shared within a stretch of images, as with jolts, moving objects or a rolling '
+        f'shutter: sigmas are {ratio:.1f} times those of independent errors for it.',)
+
+
+def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
+                      size: tuple[int, int]) -> Dependence:
+    """
+    Widen a covariance by the dependence that the residuals show.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    track : ndarray of int, shape (N,)
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    Dependence
+
+    """
+    base = evidence.covariance[:CALIBRATION, :CALIBRATION]
+    whiten, unwhiten, free = _whitening(base)
+    effects = evidence.influence[:, :CALIBRATION][:, free] @ whiten.T
+    of_tracks = effects / np.sqrt(evidence.track_share)
+    effects /= np.sqrt(evidence.freedom_share)
+    widened = base.copy()
+    ratios = {}
+    # unequal noise counts with the tracks, and must not count again with the regions
+    for name, label, part, against in (
+            ('track', track, of_tracks, np.eye(len(whiten))),
+            ('region', _regions(xy, size), effects, effects.T @ effects)):
+        ratios[name], more = _cluster_excess(part, label, against)
+        widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
+    return Dependence(ratios, widened)
+
+
+def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
+                  size: tuple[int, int]) -> tuple[float, np.ndarray]:
+    """
+    Variance that errors shared within regions of the image add to a covariance.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (k, k)
+    influence : ndarray, shape (N, k)
+        Effect of every observation's residual on the estimate.
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    ratio : float
+        Of sigmas, mean over the parameters; 1 where nothing significant was found.
+    ndarray, shape (k, k)
+        Covariance to add.
+
+    """
+    whiten, unwhiten, free = _whitening(covariance)
+    effects = influence[:, free] @ whiten.T
+    ratio, more = _cluster_excess(effects, _regions(xy, size), effects.T @ effects)
+    added = np.zeros_like(covariance)
+    added[np.ix_(free, free)] = unwhiten @ more @ unwhiten.T
+    return ratio, added
+
+
+def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
+                   known: float = 1.0) -> tuple[float, np.ndarray]:
+    """
+    Variance that errors shared by stretches of views add.
+
+    With independent errors the shift of an estimate that leaves out a part of the data has the
+    covariance of that estimate less that of the one from all (Hausman 1978). Shifts larger than
+    that tell of errors that a stretch shares; linear cluster sums of few groups would miss them.
+
+    Parameters
+    ----------
+    shifts : ndarray, shape (G, k)
+        Estimates that each leave out one stretch, less the one from all.
+    covariances : ndarray, shape (G, k, k)
+        Of those estimates, for independent errors.
+    covariance : ndarray, shape (k, k)
+        Of the estimate from all, for independent errors.
+    known : float
+        Variance over that with independent errors which is accounted for already.
+
+    Returns
+    -------
+    ratio : float
+        Of sigmas, mean over the parameters; 1 where nothing significant was found.
+    ndarray, shape (k, k)
+        Covariance to add.
+
+    """
+    groups = len(shifts)
+    nothing = 1.0, np.zeros_like(covariance)
+    if groups < 4:
+        return nothing
+    # a stretch without weight in some direction must not divide by nothing there
+    expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
+    if not (np.diag(expected) > 0).any():
+        return nothing
+    whiten, unwhiten, free = _whitening(expected)
+    scatter = shifts[:, free] @ whiten.T
+    gram = scatter.T @ scatter
+    unknowns = len(whiten)
+    each = whiten @ (known * (covariances - covariance))[:, free[:, None], free] @ whiten.T
+    # variance of a sum of squares of Gaussians; the ends of a drive may weigh most
+    spread = np.sqrt(2 * np.sum(each**2)) / unknowns
+    if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
+        return nothing
+    values, vectors = np.linalg.eigh(gram)
+    # the axes of what was observed, each as long as a sigma of `covariance` in its direction
+    axes = unwhiten @ vectors
+    inverse = np.linalg.pinv(covariance[np.ix_(free, free)])
+    axes /= np.sqrt(np.einsum('ik,ij,jk->k', axes, inverse, axes))
+    more = known * (axes * np.maximum(values - 1, 0)) @ axes.T
+    added = np.zeros_like(covariance)
+    added[np.ix_(free, free)] = more
+    return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added
+
+
+def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
+    free = np.flatnonzero(sigma > 0)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)]
+                                     / np.outer(sigma[free], sigma[free]))
+    usable = values > 1e-10 * values[-1]
+    whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
+    return whiten, np.linalg.pinv(whiten), free
+
+
+def _regions(xy, size) -> np.ndarray:
+    """Return the number of the image region (N,) that every place is in."""
+    along, across = REGIONS if size[0] >= size[1] else REGIONS[::-1]
+    column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
+    row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
+    return row * along + column
+
+
+def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:
+    """
+    Return the ratio of sigmas and the covariance that clusters add to another, if significant.
+
+    In whitened unknowns, where independent errors of equal noise give the identity.
+    """
+    _, index = np.unique(label, return_inverse=True)
+    clusters = int(index.max()) + 1
+    unknowns = effects.shape[1]
+    nothing = 1.0, np.zeros((unknowns, unknowns))
+    if clusters < 4:
+        return nothing
+    sums = np.zeros((clusters, unknowns))
+    np.add.at(sums, index, effects)
+    gram = clusters / (clusters - 1) * sums.T @ sums
+    # a few clusters may carry most of the weight: what independent errors would give each
+    expected = np.bincount(index, np.sum(effects**2, axis=1))
+    spread = np.sqrt(2 / unknowns * np.sum(expected**2)) / np.sum(expected)
+    ratio = np.trace(gram) / np.trace(against)
+    if ratio < 1 + SIGNIFICANT * spread:
+        return nothing
+    values, vectors = np.linalg.eigh(gram - against)
+    more = (vectors * np.maximum(values, 0)) @ vectors.T
+    return float(np.sqrt(1 + np.trace(more) / unknowns)), more

@@ -1,0 +1,201 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A lens that is not quite what the distortion model says: a smooth field of displacements.
+
+The field is a sum of low-degree Legendre polynomials over the image, from degree two (degrees
+zero and one are the calibration matrix itself), with independent Gaussian coefficients. Their
+standard deviation is the one under which the residuals are most probable (type-II maximum
+likelihood; Bishop 2006, 3.5). Where the residuals show no field it comes out as zero and nothing
+changes; where they do, the calibration is the mean, and its covariance that, over all fields of
+the size found. One linear step at the optimum does it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import cho_factor, cho_solve, LinAlgError
+
+from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
+from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.state import BundleState, SHARED
+from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
+from selfcal_ros.geometry.optimise import huber_weights
+
+#: Degrees of the polynomials.
+LEAST_DEGREE, MOST_DEGREE = 2, 4
+#: Standard deviations of a coefficient that are tried, pixels.
+SIZES_PX = 0.003 * 2.0**np.arange(9)
+#: Least gain of the log evidence over no field: odds of 150 to 1.
+LEAST_GAIN = 5.0
+#: A step that changes the focal length by more than this share is outside the linear range.
+MOST_SHIFT = 0.1
+
+
+@dataclass(frozen=True)
+class LensField:
+    """
+    What a field that was found changes.
+
+    Attributes
+    ----------
+    size_px : float
+        Standard deviation of a coefficient.
+    rms_px : float
+        Root mean square displacement of the most probable field at the observations.
+    region_ratio : float
+        Of sigmas with errors that the regions of the image still share to those without.
+    state : BundleState
+        The optimum with the field allowed for.
+    covariance : ndarray, shape (9, 9)
+        Of the internal parameters.
+    residual : ndarray, shape (N, 2)
+        Residuals that remain beside the field, pixels.
+
+    """
+
+    size_px: float
+    rms_px: float
+    region_ratio: float
+    state: BundleState
+    covariance: np.ndarray
+    residual: np.ndarray
+
+    def note(self) -> str:
+        """Say it in a sentence."""
+        more = '' if self.region_ratio <= 1 else (
+            f' Beyond it, errors shared within regions of the image make them '
+            f'{self.region_ratio:.1f} times as wide.')
+        return (f'The lens deviates from the distortion model by {self.rms_px:.2g} px (root mean '
+                'square over the observations); the calibration and its sigmas allow for it.'
+                + more)
+
+
+def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """
+    Displacements of every coefficient at image points.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    ndarray, shape (N, 2, k)
+
+    """
+    scaled = (xy - (np.array(size) - 1) / 2) / (max(size) / 2)
+    along, across = (legendre.legvander(scaled[:, axis], MOST_DEGREE) for axis in (0, 1))
+    values = np.stack([along[:, i] * across[:, j]
+                       for i in range(MOST_DEGREE + 1) for j in range(MOST_DEGREE + 1)
+                       if LEAST_DEGREE <= i + j <= MOST_DEGREE], axis=1)
+    modes = np.zeros((len(xy), 2, 2 * values.shape[1]))
+    modes[:, 0, :values.shape[1]] = values
+    modes[:, 1, values.shape[1]:] = values
+    return modes
+
+
+def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField | None:
+    """
+    Look for a field in the residuals of an optimum.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its optimum.
+    size : (int, int)
+        Width and height of the image.
+    known : float
+        Variance of the estimate over that with independent errors (drift within tracks).
+
+    Returns
+    -------
+    LensField or None
+        None where the residuals show none.
+
+    """
+    bundle, state, line = fit.bundle, fit.state, fit.line
+    # where the points project: at the measured places the modes would carry the noise itself,
+    # and one that the rest of the adjustment all but absorbs would explain the residuals by it
+    modes = displacement_modes(bundle.xy + line.residual, size)
+    count = modes.shape[2]
+    distance = np.linalg.norm(line.residual, axis=1) / bundle.sigma_px
+    weight = huber_weights(distance, HUBER_SIGMAS) * line.ahead / (known * bundle.sigma_px**2)
+    root = np.sqrt(weight)[:, None]
+    shared = np.concatenate([line.shared, modes], axis=2)
+    system = bundle.blocks.reduce(shared * root[..., None], line.view * root[..., None],
+                                  line.point * root[..., None], line.residual * root)
+    place = np.r_[:SHARED, SHARED + count:len(system.matrix)]     # of the adjustment's unknowns
+    _, gradient, diagonal = bundle.prior_terms(state)
+    system.gradient[place] += gradient / known
+    system.matrix[place, place] += diagonal / known
+    gauge = bundle.gauge(state)
+    system.matrix[np.ix_(place, place)] += np.mean(system.diagonal[place]) * np.outer(gauge, gauge)
+
+    E = bundle.unknowns()
+    matrix = E.T @ (E.T @ system.matrix[np.ix_(place, place)]).T
+    field = np.arange(SHARED, SHARED + count)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    try:
+        factor = cho_factor(matrix / np.outer(scale, scale))
+    except (LinAlgError, ValueError):
+        return None
+    coupling = E.T @ system.matrix[np.ix_(place, field)] / scale[:, None]
+    slope = E.T @ system.gradient[place] / scale
+    solved = cho_solve(factor, coupling)
+    own = system.matrix[np.ix_(field, field)] - coupling.T @ solved
+    pull = system.gradient[field] - solved.T @ slope
+    values, vectors = np.linalg.eigh((own + own.T) / 2)
+    values = np.maximum(values, 0)
+    turned = vectors.T @ pull
+    square = SIZES_PX[:, None]**2
+    gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
+                         - np.log1p(square * values), axis=1)
+    best = int(np.argmax(gains))
+    if gains[best] < LEAST_GAIN:
+        return None
+    posterior = square[best] / (1 + square[best] * values)
+    coefficients = -vectors @ (posterior * turned)
+
+    step = np.zeros(len(system.matrix))
+    step[field] = coefficients
+    step[place] = -E @ ((cho_solve(factor, slope) + solved @ coefficients) / scale)
+    points = system.point_steps(step)
+    chosen = np.flatnonzero(bundle.free[:9])
+    unit = np.zeros((len(scale), len(chosen)))
+    unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
+    through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
+    # rows of the joint covariance of the adjustment's unknowns and the field
+    rows = np.zeros((9, len(system.matrix)))
+    rows[np.ix_(chosen, place)] = (E @ ((cho_solve(factor, unit).T
+                                         + (through * posterior) @ (solved @ vectors).T)
+                                        / scale).T).T
+    rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
+    inner = rows[:, :9]
+    found = bundle.apply(state, step[place], points)
+    if not abs(found.intrinsics[0] / state.intrinsics[0] - 1) < MOST_SHIFT:
+        return None
+    displacement = modes @ coefficients
+    change = system.predict(step, points)
+    system.residual = system.residual + change
+    ratio, added = region_excess(inner, system.influence(rows), bundle.xy, size)
+    return LensField(float(SIZES_PX[best]), float(np.sqrt(np.mean(np.sum(displacement**2, 1)))),
+                     ratio, found, (inner + inner.T) / 2 + added,
+                     line.residual + change / np.maximum(root, 1e-300))

@@ -1,0 +1,242 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Which motion would help, and by how much: from the Fisher information, not from a fixed text.
+
+Motions that the robot could add are simulated with the camera, the depths, the noise and the
+step length at hand; the information on the internal parameters that each would bring is added to
+what there is. They are compared at the same number of views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.centres import centres_from_state
+from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
+                                                  PER_VIEW)
+from selfcal_ros.calibration.observability import observability_limits
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.rotation import pad, rotation_matrix, swing_twist, twist_matrix
+
+#: Views and points of a motion that is simulated.
+VIEWS, POINTS = 12, 150
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """
+    What a motion would bring.
+
+    Attributes
+    ----------
+    motion : str
+        What to do, in words that fit after 'To'.
+    sigma : dict of str to float
+        Standard deviations that are to be expected with it.
+    worst_share : float
+        Largest of them, as a share of what makes the parameter unobservable.
+
+    """
+
+    motion: str
+    sigma: dict
+    worst_share: float
+
+
+def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float = 1.0,
+                    rng: np.random.Generator | None = None) -> list[Suggestion]:
+    """
+    Rank motions by how well they would determine some parameters.
+
+    Parameters
+    ----------
+    fit : Fit
+        The optimum at hand; where it leaves parameters open, they are taken as they came out.
+    size : (int, int)
+        Width and height of the image.
+    names : tuple of str
+        The parameters that matter, among `PARAMETER_NAMES`.
+    share : float
+        Of all observations that the fit uses.
+    rng : numpy.random.Generator, optional
+        A fixed seed by default: the same images give the same advice.
+
+    Returns
+    -------
+    list of Suggestion
+        The most helpful first; empty where none can be simulated.
+
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    state, bundle = fit.state, fit.bundle
+    depths = _depths(fit)
+    if depths is None or not names:
+        return []
+    at_hand = _information(bundle, state) / share
+    state = _plausible(state, bundle, size)
+    limits = observability_limits(state.camera(*size))
+    place = [PARAMETER_NAMES.index(name) for name in names]
+    free = np.flatnonzero(bundle.free[:9])
+
+    def rank(candidates, motion):
+        found = []
+        for words, views, near in candidates:
+            seen = _simulate(state, views, near * depths, size, bundle, motion, rng)
+            if seen is None:
+                continue
+            total = at_hand + _information(*seen, with_facts=False)
+            scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+            covariance = np.zeros((9, 9))
+            covariance[np.ix_(free, free)] = np.linalg.pinv(
+                total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
+            variance = np.diag(parameter_covariance(covariance, state.intrinsics))
+            sigma = np.sqrt(np.maximum(variance, 0))
+            found.append(Suggestion(words, dict(zip(PARAMETER_NAMES, sigma.tolist())),
+                                    float(np.max(sigma[place] / limits[place]))))
+        return sorted(found, key=lambda one: one.worst_share)
+
+    if bundle.motion.keeps_plane:
+        found = rank(_in_the_plane(state), replace(bundle.motion, parallel=()))
+        if found and found[0].worst_share < 1:
+            return found
+    return rank(_anyhow(state), MotionModel(np.inf, np.inf))
+
+
+def say(suggestions: list[Suggestion], names: tuple) -> str:
+    """Put the best one into a sentence; empty where none would determine the parameters."""
+    if not suggestions or not suggestions[0].worst_share < 1:
+        return ''
+    best = suggestions[0]
+    reached = ', '.join(f'{name} to ± {best.sigma[name]:.2g}' for name in names)
+    return (f'{VIEWS} more images in which you {best.motion} would bring {reached} (from the '
+            'Fisher information).')
+
+
+def _information(bundle: Bundle, state: BundleState, with_facts: bool = True) -> np.ndarray:
+    """Information on the free internal parameters: poses, axis and points eliminated."""
+    matrix = bundle.normal_equations(state, robust=False).matrix
+    if not with_facts:
+        matrix = matrix - np.diag(bundle.prior_terms(state)[2])
+    free = np.flatnonzero(bundle.free)
+    matrix = matrix[np.ix_(free, free)]
+    inner = int(np.count_nonzero(bundle.free[:9]))
+    rest = matrix[inner:, inner:]
+    scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
+    inverse = np.linalg.pinv(rest * np.outer(scale, scale), 1e-11, hermitian=True)
+    cross = matrix[:inner, inner:] * scale
+    return matrix[:inner, :inner] - cross @ inverse @ cross.T
+
+
+def _plausible(state: BundleState, bundle: Bundle, size: tuple[int, int]) -> BundleState:
+    """Put what the images leave open at what most cameras have, so as to simulate one."""
+    camera = state.camera(*size)
+    covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
+    unknown = bundle.free[:9] & (np.sqrt(np.diag(covariance)) > observability_limits(camera))
+    usual = np.array([max(size), 1.0, (size[0] - 1) / 2, (size[1] - 1) / 2, 0, 0, 0, 0, 0])
+    return replace(state, intrinsics=np.where(unknown, usual, state.intrinsics))
+
+
+def _depths(fit: Fit) -> np.ndarray | None:
+    """Distances along the optical axis of the observed points, or None."""
+    state, view, point = fit.state, fit.bundle.view, fit.bundle.point
+    local = np.einsum('nij,nj->ni', state.cam_from_world()[view], state.points[point])
+    with np.errstate(divide='ignore', invalid='ignore'):
+        depth = local[:, 2] / state.points[point, 3]
+    depth = depth[np.isfinite(depth) & (depth > 0)]
+    return np.quantile(depth, np.linspace(0.1, 0.9, 17)) if len(depth) > 10 else None
+
+
+def _in_the_plane(state: BundleState):
+    """Yield motions of a vehicle: words, unknowns of the views (V, 6), factor of the depths."""
+    step = state.step_length()
+    angle = state.views[:, 0]
+    forward = np.einsum('vij,vj->vi', twist_matrix(angle[:-1])[:, :2, :2],
+                        np.diff(centres_from_state(state)[:, :2], axis=0)).mean(axis=0)
+    ahead = np.arctan2(*forward[::-1]) if np.linalg.norm(forward) > 1e-9 else 0.0
+    along = np.linspace(0, 1, VIEWS)
+    for words, heading, near in (
+            ('drive an S, 20 degrees to the left and to the right',
+             np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1.0),
+            ('drive an S, 45 degrees to the left and to the right',
+             np.interp(along, [0, 0.5, 1], [0, 45, 0]), 1.0),
+            ('drive one curve of 60 degrees', 60 * along, 1.0),
+            ('drive straight on, past structure at a third of the distance', 0 * along, 1 / 3),
+            ('drive an S, 20 degrees to each side, past structure at a third of the distance',
+             np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1 / 3)):
+        heading = np.radians(heading)
+        centres = step * np.cumsum(np.column_stack([np.cos(heading + ahead),
+                                                    np.sin(heading + ahead)]), axis=0)
+        views = np.zeros((VIEWS, PER_VIEW))
+        views[:, 0] = -heading
+        turned = twist_matrix(-heading)[:, :2, :2]
+        views[:, 1:3] = -np.einsum('vij,vj->vi', turned, centres - centres[0])
+        yield words, views, near
+
+
+def _anyhow(state: BundleState):
+    """Yield motions of an arm or a hand: words, views (V, 6), factor of the depths."""
+    reach = float(np.sqrt(np.mean(np.var(centres_from_state(state), axis=0)))) or 1.0
+    phase = np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
+    turn = np.sin(phase)
+    aside = reach * np.column_stack([np.sin(2 * phase), np.cos(phase), 0.5 * np.sin(phase + 1)])
+    for words, axes in (
+            ('turn 20 degrees up and down', [[1, 0, 0]]),
+            ('turn 20 degrees to the left and to the right', [[0, 1, 0]]),
+            ('roll 20 degrees about the optical axis', [[0, 0, 1]]),
+            ('turn 20 degrees up and down, then to the left and to the right',
+             [[1, 0, 0], [0, 1, 0]]),
+            ('turn 20 degrees up and down, then roll as much', [[1, 0, 0], [0, 0, 1]]),
+            ('move without turning', [[0, 0, 0]])):
+        axis = np.array(axes, float)[np.arange(VIEWS) * len(axes) // VIEWS]
+        R = rotation_matrix(np.radians(20) * turn[:, None] * axis)
+        twist, swing = swing_twist(state.mount.T @ R @ state.mount)
+        views = np.zeros((VIEWS, PER_VIEW))
+        views[:, 0], views[:, 3:5] = twist, swing
+        world = rotation_matrix(pad(swing)) @ twist_matrix(twist)
+        views[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', world, aside - aside[0])
+        yield words, views, 1.0
+
+
+def _simulate(state: BundleState, views: np.ndarray, depths: np.ndarray, size, bundle: Bundle,
+              motion: MotionModel, rng) -> tuple[Bundle, BundleState] | None:
+    """Set up the adjustment of simulated views of points before them, at its optimum."""
+    camera = state.camera(*size)
+    moved = replace(state, views=views)
+    xy = rng.uniform((0, 0), size, (POINTS, 2))
+    rays = np.column_stack([camera.normalised(xy), np.ones(POINTS)])
+    local = rays * rng.choice(depths, POINTS)[:, None]
+    anchor = rng.integers(0, len(views), POINTS)
+    poses = moved.cam_from_world()
+    points = np.einsum('pji,pj->pi', poses[anchor, :, :3], local - poses[anchor, :, 3])
+    seen = np.einsum('vij,pj->pvi', poses[:, :, :3], points) + poses[:, :, 3]
+    pixels = camera.project(np.where(seen[..., 2:] > 0, seen, np.nan).reshape(-1, 3))
+    pixels = pixels.reshape(POINTS, len(views), 2)
+    with np.errstate(invalid='ignore'):
+        inside = ((pixels >= 0) & (pixels < size)).all(axis=2)
+    inside[inside.sum(axis=1) < 2] = False
+    point, view = np.nonzero(inside)
+    if len(np.unique(view)) < len(views):
+        return None
+    kept, index = np.unique(point, return_inverse=True)
+    homogeneous = np.column_stack([points[kept], np.ones(len(kept))])
+    homogeneous /= np.linalg.norm(homogeneous, axis=1, keepdims=True)
+    made = Bundle(view, index, pixels[inside], motion=motion, priors=bundle.priors,
+                  sigma_px=bundle.sigma_px)
+    made.free[:9] = bundle.free[:9]
+    return made, replace(moved, points=homogeneous)

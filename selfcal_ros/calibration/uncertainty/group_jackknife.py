@@ -1,0 +1,82 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What would the estimate be without a stretch of views? Cross-validation of an optimum.
+
+Nothing is optimised again: the optimum is linearised once, the stretch's observations are taken
+out of its normal equations, and one Gauss-Newton step goes to the optimum of the rest (case
+deletion; Cook and Weisberg 1982, 5.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.reprojection import Linearisation
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit
+
+#: Stretches of views that are left out in turn, and the views that this needs.
+STRETCHES, LEAST_VIEWS = 7, 6
+
+
+def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Estimate anew, to first order, without each of several stretches of views.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its optimum.
+
+    Returns
+    -------
+    shifts : ndarray, shape (G, 9)
+        Change of the internal parameters; G = 0 where too few views would remain.
+    covariances : ndarray, shape (G, 9, 9)
+        Of the estimates without a stretch, for independent errors.
+
+    """
+    views = len(fit.state.views)
+    groups = min(views, STRETCHES) if views >= LEAST_VIEWS else 0
+    stretch = (np.arange(views) * groups // views)[fit.observations.view]
+    found = [_without(fit, stretch != k) for k in range(groups)]
+    shifts, covariances = zip(*filter(None, found)) if any(found) else ((), ())
+    return np.array(shifts).reshape(-1, 9), np.array(covariances).reshape(-1, 9, 9)
+
+
+def _without(fit: Fit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Shift (9,) and covariance (9, 9) of the estimate from some observations, or None."""
+    observations = fit.observations
+    rest, points = observations.select(kept)
+    seen, view = np.unique(rest.view, return_inverse=True)
+    if len(seen) < 3:
+        return None
+    rows = kept & np.isin(observations.point, points)
+    line = Linearisation(*(getattr(fit.line, field.name)[rows] for field in fields(fit.line)))
+    state = replace(fit.state, views=fit.state.views[seen], points=fit.state.points[points])
+    bundle = bundle_of(replace(rest, view=view), fit.bundle.motion.of_views(seen),
+                       fit.bundle.priors, fit.bundle.sigma_px)
+    system, root = bundle.weighted_equations(state, line=line)
+    inverse = inverse_information(system.matrix, bundle.unknowns())
+    # the gradient's slope is not the weight where Huber's loss is no parabola
+    _, pull = bundle.loss_factors(line.residual[line.ahead])
+    step = -inverse @ system.gradient
+    change = pull * system.predict(step, system.point_steps(step))
+    # without the stretch the rest is explained better; the small difference of two covariances
+    # is what counts, so that the noise must be that of this estimate
+    there = line.residual[line.ahead] + change[line.ahead] / root[line.ahead]
+    return pull * step[:9], bundle.loss_factors(there)[0] * inverse[:9, :9]

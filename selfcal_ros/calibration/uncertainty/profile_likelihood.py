@@ -1,0 +1,143 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Where the optimum lies in a long valley, a covariance from its curvature there is too small.
+
+With little parallax, little turning or circular motion the cost rises so slowly along one bent
+curve (focal length against angles, principal point against axis) that the quadratic at the
+optimum says nothing of the far end. So the parameter that is determined worst is moved by some
+of its sigmas, everything else follows, and what the cost does there replaces the quadratic along
+the curve (profile likelihood; Venzon and Moolgavkar 1988).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit
+from selfcal_ros.calibration.bundle.state import ASPECT, F, parameter_covariance, Prior, SHARED
+from selfcal_ros.calibration.observability import LOST, observability_limits
+
+#: Sigmas that the parameter is moved by; the quadratic rises by half their square.
+REACH = 2.0
+#: The parameter determined worst is followed when its sigma exceeds this share of what makes it
+#: unobservable.
+WEAK = 0.02
+#: Most cameras have pixels of about this aspect ratio: whether it is as unlikely as the sigma says
+#: is seen from the cost there.
+LIKELY_ASPECT = 1.0
+#: Doublings of the reach before the valley counts as without an end.
+DOUBLINGS = 4
+#: A fall of the cost by more than this is another optimum.
+FALL = 0.05
+
+
+def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[Fit, np.ndarray]:
+    """
+    Compare the cost along the valley of a weak optimum with the quadratic.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its optimum.
+    size : (int, int)
+        Width and height of the image.
+    share : float
+        Of all observations that the fit uses; its own sigmas are larger than those of all by
+        the root of it, and the valley is followed so far only.
+
+    Returns
+    -------
+    Fit
+        A better optimum, if there was one in the valley.
+    ndarray, shape (9, 9)
+        Covariance to add to that of the internal parameters from all observations, for
+        independent errors.
+
+    """
+    joint = share * fit.covariance
+    covariance = joint[:9, :9]
+    limits = observability_limits(fit.state.camera(*size))
+    sigma = np.sqrt(np.diag(parameter_covariance(covariance, fit.state.intrinsics)))
+    weakest = int(np.argmax(sigma / limits))
+    if weakest == ASPECT and not fit.bundle.free[ASPECT]:
+        weakest = F
+    nothing = np.zeros((9, 9))
+    if not WEAK * limits[weakest] < sigma[weakest] < LOST * limits[weakest]:
+        return fit, nothing
+    along = joint[weakest] / np.sqrt(joint[weakest, weakest])
+    likely = LIKELY_ASPECT - fit.state.intrinsics[ASPECT] if weakest == ASPECT else 0.0
+    sides = []
+    for side in (-1, 1):
+        found = _walk(fit, weakest, side * along, share, max(side * likely, 0.0))
+        if isinstance(found, Fit):
+            return follow_valley(found, size, share)
+        sides.append(found)
+    # truths and estimates lie to either side equally often: the mean square of both ways
+    scale = np.outer(limits, limits)
+    more = (np.einsum('si,sj->ij', sides, sides) / 2 - np.outer(along[:9], along[:9])) / scale
+    values, vectors = np.linalg.eigh(more)
+    excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
+    # what is held has no variance, not even that of rounding
+    return fit, excess * np.outer(fit.bundle.free[:9], fit.bundle.free[:9])
+
+
+def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float, least: float = 0.0,
+          ) -> np.ndarray | Fit:
+    """
+    Move one parameter, let the rest follow, and compare the rise of the cost with a quadratic.
+
+    Parameters
+    ----------
+    fit : Fit
+    index : int
+        Of the parameter.
+    sigma : ndarray, shape (n,)
+        Change of all unknowns but the points where it moves by one sigma, to first order.
+    share : float
+    least : float
+        Way of the parameter that is gone in any case.
+
+    Returns
+    -------
+    ndarray, shape (9,)
+        The way to where the cost of all observations has risen by a half, as one sigma; or
+    Fit
+        where the cost is lower than at the optimum.
+
+    """
+    state, step, before = fit.state, REACH * sigma, fit.cost
+    for _ in range(DOUBLINGS):
+        start = fit.bundle.apply(state, step, np.zeros((len(state.points), 3)))
+        priors = {**fit.bundle.priors, index: Prior(start.intrinsics[index], 0.0)}
+        bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
+        moved = bundle.optimise(bundle.settle_points(start), 30, 0.02 * share)
+        # a fact with a sigma counts, also where it is about the parameter that was moved
+        rise = fit.bundle.cost(moved) - before
+        if rise < -FALL:
+            better = replace(fit, state=fit.bundle.optimise(moved, 50, 0.02))
+            if better.cost < before - FALL:
+                return better
+        # of one sigma: the quadratic rises with the square of the way
+        sigmas = np.sqrt(2 * max(rise, 1e-6) / share)
+        way = moved.intrinsics - fit.state.intrinsics
+        if sigmas > 0.7 * REACH and abs(way[index]) >= least:
+            break
+        # as far again, the way the valley went
+        step[:9] = way
+        step[SHARED:] = (moved.views - fit.state.views).ravel()
+        state = moved
+    return way / sigmas

@@ -1,0 +1,117 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What a covariance misses to second order: the ellipsoid at the estimate is tilted.
+
+Where parameters trade against each other (k1 against k2, focal length against angles) the cost is
+thin across a surface that is bent. The ellipsoid at the estimate is tangent to that surface, and
+the truth, a sigma away along it, lies off the ellipsoid by the bend. How the Fisher information
+turns along the surface says how much: its Christoffel symbols are the second derivatives of the
+model in units of sigmas, the parameter-effects curvature of Bates and Watts (1980), and the mean
+square of the bend follows in closed form.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.state import ASPECT, F
+from selfcal_ros.calibration.observability import LOST, observability_limits
+
+#: The bend is followed along what is determined worst: the directions whose sigma exceeds this
+#: share of what makes a parameter unobservable. It grows with the square of the way.
+WEAK = 0.1
+#: Whether the truth lies inside an ellipsoid is decided at its surface, where the bend is larger
+#: than on average: the one that holds this share is taken for all.
+SURFACE = 0.8
+
+
+def mean_square_bend(slopes: np.ndarray) -> np.ndarray:
+    """
+    Mean square of how far a bent model lies from its tangent, for Gaussian errors.
+
+    With the second derivatives A of the model in coordinates u in which the information is the
+    identity, the truth u off the estimate by N(0, I) lies off the tangent by ½ Aₖ(u, u).
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (p, p, p)
+        Derivative of the information along u_j, first index j; zero where it need not be known.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+        ½ Σ Aₖᵢⱼ Aₗᵢⱼ + ¼ Σ Aₖᵢᵢ Σ Aₗⱼⱼ.
+
+    """
+    A = 0.5 * (slopes.transpose(1, 0, 2) + slopes.transpose(1, 2, 0) - slopes)
+    mean = np.einsum('kii->k', A)
+    return 0.5 * np.einsum('kij,lij->kl', A, A) + 0.25 * np.outer(mean, mean)
+
+
+def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarray:
+    """
+    Covariance that the internal parameters have beyond first order.
+
+    Parameters
+    ----------
+    fit : Fit
+        At its optimum.
+    size : (int, int)
+        Width and height of the image.
+    scale : float
+        Variance of the errors, over that which the covariance of the fit is for.
+
+    Returns
+    -------
+    ndarray, shape (9, 9)
+        For errors of that variance. Zero where every direction is determined well, and where one
+        is not determined at all.
+
+    """
+    bundle, nothing = fit.bundle, np.zeros((9, 9))
+    free = np.flatnonzero(bundle.free[:9])
+    joint = scale * fit.covariance
+    limits = observability_limits(fit.state.camera(*size))
+    limits[ASPECT] /= fit.state.intrinsics[F]
+    limits = limits[free]
+    squares, vectors = np.linalg.eigh(joint[np.ix_(free, free)] / np.outer(limits, limits))
+    if not (squares[0] > 0 and WEAK**2 < squares[-1] < LOST**2):
+        return nothing
+    # columns: independent changes of the parameters, one sigma each; everything else follows
+    root = limits[:, None] * vectors * np.sqrt(squares)
+    ways = np.linalg.solve(root, joint[free]).T
+    system = bundle.normal_equations(fit.state, line=fit.line)
+    unknowns = bundle.unknowns()
+
+    def information(step):
+        there = bundle.apply(fit.state, step, system.point_steps(step))
+        inverse = inverse_information(bundle.normal_equations(there).matrix, unknowns)
+        return root.T @ np.linalg.solve(scale * inverse[np.ix_(free, free)], root)
+
+    slopes = np.zeros((len(free),) * 3)
+    try:
+        for k in np.flatnonzero(squares > WEAK**2):
+            slopes[k] = (information(ways[:, k]) - information(-ways[:, k])) / 2
+    except np.linalg.LinAlgError:
+        # a sigma away there is no camera any more
+        return nothing
+    excess = np.zeros((9, 9))
+    excess[np.ix_(free, free)] = root @ mean_square_bend(slopes) @ root.T
+    p = len(free)
+    # of |u|⁴ at the surface to its mean
+    return excess * chi2.ppf(SURFACE, p)**2 / (p * (p + 2))

@@ -1,0 +1,72 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Points with known coordinates, such as those of a board."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+
+#: Coordinates from here on are as good as infinite.
+FARTHEST = 1e12
+
+
+@dataclass(frozen=True)
+class KnownObject:
+    """
+    Points with known coordinates.
+
+    Parameters
+    ----------
+    identity : array_like of int, shape (P,)
+        What `Tracks.track` calls each point.
+    points : array_like, shape (P, 3)
+        Coordinates in a right-handed frame of the object, metres (any unit will do for the
+        calibration; the poses come out in it).
+
+    Raises
+    ------
+    InputError
+        If shapes differ, a coordinate is not finite, or an identity occurs twice.
+
+    """
+
+    identity: np.ndarray
+    points: np.ndarray
+
+    def __post_init__(self):
+        """Check the points and sort them by identity."""
+        identity = np.asarray(self.identity).ravel().astype(np.int64)
+        points = np.asarray(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) != len(identity):
+            raise InputError('A known object needs identities (P,) and points (P, 3) of one '
+                             f'length; got {identity.shape} and {points.shape}.')
+        usable = (np.abs(points) < FARTHEST).all(axis=1)
+        if not usable.all():
+            bad = int(np.flatnonzero(~usable)[0])
+            raise InputError(f'Object point {identity[bad]} is not finite; correct or remove it.')
+        order = np.argsort(identity, kind='stable')
+        identity, points = identity[order], points[order]
+        twice = np.flatnonzero(np.diff(identity) == 0)
+        if len(twice):
+            raise InputError(f'Object point {identity[twice[0]]} occurs twice; keep one.')
+        object.__setattr__(self, 'identity', identity)
+        object.__setattr__(self, 'points', points)
+
+    def __len__(self) -> int:
+        """Count the points."""
+        return len(self.identity)
