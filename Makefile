@@ -3,6 +3,7 @@
 # make demo-track  follow the recorded object through the nodes, print the errors of the poses
 # make test      set up, run every test
 # make lint      style only
+# make docs      build the site of the documents in out/site
 # make bench     print every figure that the README claims
 # make clean     remove what the others made
 
@@ -23,7 +24,7 @@ SOURCES := setup.py setup.cfg pyproject.toml package.xml README.md \
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo demo-arm demo-track test lint bench clean help
+.PHONY: demo demo-arm demo-track test lint docs bench clean help
 
 demo: $(VENV)/package
 	@$(BIN)/selfcal demo --output-dir out/demo
@@ -40,6 +41,9 @@ test: $(VENV)/package $(VENV)/test-tools
 
 lint: $(VENV)/test-tools
 	$(BIN)/python -m flake8 .
+
+docs: $(VENV)/test-tools
+	$(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/package $(VENV)/test-tools
 	$(BIN)/python -m bench

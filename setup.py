@@ -91,12 +91,17 @@ setup(
         'view': [
             'rerun-sdk>=0.23',
         ],
+        # make docs
+        'docs': [
+            'mkdocs>=1.6',
+        ],
         'test': [
             'pytest>=7',
             'pytest-xdist',
             'hypothesis',
             'flake8',
             'distributed>=2023.1',
+            'mkdocs>=1.6',
         ],
     },
     zip_safe=True,
