@@ -2,7 +2,7 @@
 # make demo-arm  the same with the recorded moves of an arm
 # make demo-track  follow the recorded object through the nodes, print the errors of the poses
 # make test      set up, run every test
-# make lint      style only
+# make lint      style and types only
 # make docs      build the site of the documents in out/site
 # make bench     print every figure that the README claims
 # make clean     remove what the others made
@@ -41,6 +41,7 @@ test: $(VENV)/package $(VENV)/test-tools
 
 lint: $(VENV)/test-tools
 	$(BIN)/python -m flake8 .
+	$(BIN)/python -m mypy
 
 docs: $(VENV)/test-tools
 	$(BIN)/python -m mkdocs build --strict
@@ -49,7 +50,7 @@ bench: $(VENV)/package $(VENV)/test-tools
 	$(BIN)/python -m bench
 
 clean:
-	rm -rf $(VENV) build out *.egg-info .pytest_cache .hypothesis
+	rm -rf $(VENV) build out *.egg-info .pytest_cache .hypothesis .mypy_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:

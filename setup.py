@@ -63,7 +63,8 @@ setup(
     maintainer_email='selfcal-ros@users.noreply.github.com',
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, PACKAGE + '.*', 'msg_adapters', 'msg_adapters.*']),
-    package_data={PACKAGE: ['report/templates/*', 'report/*.j2', 'report/*.html']},
+    package_data={PACKAGE: ['py.typed', 'report/templates/*', 'report/*.j2', 'report/*.html'],
+                  'msg_adapters': ['py.typed']},
     data_files=[(folder, files) for folder, files in data_files if files],
     python_requires='>=3.11',
     install_requires=[
@@ -100,6 +101,7 @@ setup(
             'pytest-xdist',
             'hypothesis',
             'flake8',
+            'mypy>=1.11',
             'distributed>=2023.1',
             'mkdocs>=1.6',
         ],

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Every file keeps the style that .flake8 states."""
+"""Every file keeps the style of .flake8 and the types that pyproject.toml asks for."""
 
 from pathlib import Path
 import subprocess
@@ -27,3 +27,20 @@ def test_flake8_finds_nothing():
     done = subprocess.run([sys.executable, '-m', 'flake8', '.'], cwd=ROOT, capture_output=True,
                           text=True, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.linter
+def test_mypy_finds_nothing(tmp_path):
+    pytest.importorskip('mypy')
+    # its annotations are older than what ours are checked against
+    pytest.importorskip('numpy', minversion='2')
+    done = subprocess.run([sys.executable, '-m', 'mypy', '--cache-dir', str(tmp_path)],
+                          cwd=ROOT, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize('package', ['selfcal_ros', 'msg_adapters'])
+def test_packages_say_that_they_carry_types(package):
+    assert (ROOT / package / 'py.typed').is_file()
+    text = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    assert text.count("'py.typed'") == 2, 'not installed with the packages'
