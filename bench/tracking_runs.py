@@ -25,8 +25,8 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.rorapid.estimation.initial_pose import read_pose_file
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.pose import read_pose_file
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 
 #: Beyond this mean distance of the projected corners the object is not followed.

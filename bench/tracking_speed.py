@@ -40,13 +40,12 @@ LOOP = 120
 #: The last tenth of a long run may take so much longer than the second.
 MOST_GROWTH = 1.1
 MOST_MEMORY_MB = 5.0
-#: What a module of the tracker is for, in the table of parts.
+#: What a room or module of the tracker is for, in the table of parts.
 PARTS = {'edgels': 'edges along the normals', 'visibility': 'visible primitives',
-         'silhouettes': 'visible primitives', 'visibility_table': 'visible primitives',
-         'projection': 'projection and derivatives', 'motion': 'projection and derivatives',
-         'robust': 'robust parts', 'filter': 'Kalman filter', 'texture': 'texture',
-         'recovery': 'recovery', 'modern': 'cycle', 'classic': 'cycle', 'control': 'cycle',
-         'tracker': 'cycle'}
+         'projection': 'projection and derivatives',
+         'primitive_detection': 'robust parts', 'kalman_filter': 'Kalman filter',
+         'view_memory': 'recovery', 'texture_memory': 'texture', 'robust_tracker': 'cycle',
+         'rapid_tracker': 'cycle', 'control_points': 'cycle', 'tracker': 'cycle'}
 
 
 def run(report: Report, options) -> None:
@@ -135,7 +134,8 @@ def _part_of(path: str):
     """Name the part that a source file belongs to; None outside the tracker."""
     if '/rorapid/' not in path.replace('\\', '/'):
         return None
-    return PARTS.get(path.replace('\\', '/').rsplit('/', 1)[1].removesuffix('.py'), 'other')
+    *_, room, module = path.replace('\\', '/').removesuffix('.py').split('/')
+    return PARTS.get(module) or PARTS.get(room, 'other')
 
 
 def long_run(report: Report, count: int) -> None:

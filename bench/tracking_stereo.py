@@ -22,8 +22,8 @@ import numpy as np
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.file_sources import VideoSource
+from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.pose import pose_from_clicks
 
 #: Corners of the box that were clicked in the first images, metres, and where, pixels.
 CORNERS = np.array([(0, 0, 0), (.165, 0, 0), (.165, 0, -.08), (.165, .068, 0), (0, .068, 0),

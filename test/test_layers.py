@@ -30,6 +30,13 @@ CALIBRATION_FLOOR = {
     'initialisation': 3, 'uncertainty': 3, 'structure': 3,
     'estimators': 4, 'known_object': 4, 'monitoring': 4,
     'calibrate': 5}
+#: The same of the object tracker.
+RORAPID_FLOOR = {
+    'options': 1, 'tracked_frame': 1, 'projection': 1, 'region': 1, 'visibility': 1, 'model': 1,
+    'edges': 2, 'texture': 2,
+    'estimation': 3, 'acquisition': 3,
+    'tracker': 4}
+FLOORS = {'calibration': CALIBRATION_FLOOR, 'rorapid': RORAPID_FLOOR}
 TOLERATED = {('pipeline', 'report'), ('report', 'pipeline')}
 #: The value types of the top storey that message adapters may name.
 VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera',
@@ -93,17 +100,19 @@ def test_imports_go_down_only(path):
             assert part not in ('geometry', 'calibration'), f'{path} imports {name}'
 
 
-@pytest.mark.parametrize('path', _files('selfcal_ros/calibration'),
-                         ids=lambda p: str(p.relative_to(ROOT)))
-def test_rooms_of_the_calibration_import_lower_floors_only(path):
-    room = path.relative_to(ROOT / 'selfcal_ros' / 'calibration').with_suffix('').parts[0]
+@pytest.mark.parametrize('path', [
+    path for part in FLOORS for path in _files(f'selfcal_ros/{part}')],
+    ids=lambda p: str(p.relative_to(ROOT)))
+def test_rooms_import_lower_floors_only(path):
+    part, room = path.relative_to(ROOT / 'selfcal_ros').with_suffix('').parts[:2]
     if room == '__init__':
         return
+    floor = FLOORS[part]
     for name in _imports(path):
         words = name.split('.')
-        if words[:2] == ['selfcal_ros', 'calibration'] and len(words) > 2 and words[2] != room:
-            assert CALIBRATION_FLOOR[words[2]] < CALIBRATION_FLOOR[room], \
-                f'{path} imports {name}, which does not lie below it'
+        if words[:2] == ['selfcal_ros', part] and len(words) > 2 and words[2] != room:
+            assert floor[words[2]] < floor[room], f'{path} imports {name}, which does not lie ' \
+                'below it'
 
 
 @pytest.mark.parametrize('path', _files('msg_adapters'), ids=lambda p: str(p.relative_to(ROOT)))

@@ -29,8 +29,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
-from selfcal_ros.nodes.quality_of_service import (IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE,
-                                                  STEADY)
+from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
@@ -41,7 +40,7 @@ from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.tracked_frame import TrackerState
-from selfcal_ros.rorapid.visibility import check_size
+from selfcal_ros.rorapid.visibility.visible_model import check_size
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger

@@ -39,7 +39,7 @@ from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 

@@ -31,7 +31,7 @@ from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.report.overlay import draw_overlay, OverlayVideo
 from selfcal_ros.report.poses_csv import PosesTable
-from selfcal_ros.rorapid.pose import pose_from_clicks, read_init, read_pose_file
+from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 
 #: Clicks may miss a pose by so much of the image diagonal; beyond it they are in another order.

@@ -27,9 +27,8 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
-from selfcal_ros.rorapid.tracker import (RorapidTracker, TrackedFrame, TrackerOptions,
-                                         TrackerState)
-from selfcal_ros.rorapid.visibility import check_size
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
+from selfcal_ros.rorapid.visibility.visible_model import check_size
 
 #: Smaller images than this hold no object that could be followed.
 MINIMUM_SIDE_PX = 16

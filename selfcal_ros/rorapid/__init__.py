@@ -11,4 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Image, model and camera in; the pose of a known object out."""
+"""
+The pose of an object of known shape, from image to image (thesis, chapter 7).
+
+Read `tracker` first: one image goes through prediction, measurement and judgement there. The
+rooms below it, from the lowest floor up: `projection`, `region`, `visibility` and `model`; then
+`edges` and `texture`, what is found in an image; then `estimation`, which makes poses of it, and
+`acquisition`, which makes models of objects. `options` and `tracked_frame` are what goes in and
+what comes out.
+"""

@@ -21,16 +21,17 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.rorapid.classic import ClassicCycle
-from selfcal_ros.rorapid.control import ControlModel, Measured
-from selfcal_ros.rorapid.filter import ConstantVelocityFilter
-from selfcal_ros.rorapid.modern import ModernCycle
-from selfcal_ros.rorapid.motion import completed, motion_basis, PlaneLearner, recentring
+from selfcal_ros.rorapid.edges.control_points import ControlModel, Measured
+from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.estimation.rapid_tracker import ClassicCycle
+from selfcal_ros.rorapid.estimation.robust_tracker import ModernCycle
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection import Projection
-from selfcal_ros.rorapid.region import checked_grey
+from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
+                                                          recentring)
+from selfcal_ros.rorapid.region.region_of_interest import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 

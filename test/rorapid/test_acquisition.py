@@ -22,12 +22,12 @@ import pytest
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.acquisition import acquire_model, points_from_translation
-from selfcal_ros.rorapid.image_lines import (detect_lines, find_corners, refine_lines,
-                                             refine_vertices)
-from selfcal_ros.rorapid.line_acquisition import acquire_from_images, plane_loops
+from selfcal_ros.rorapid.acquisition.image_lines import (detect_lines, find_corners, refine_lines,
+                                                         refine_vertices)
+from selfcal_ros.rorapid.acquisition.line_matching import acquire_from_images, plane_loops
+from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, points_from_translation
 from selfcal_ros.rorapid.model import read_model, write_model
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.objects import cube, tracked_object
 from selfcal_ros.synthetic.paths import look_at
 from selfcal_ros.synthetic.recordings import default_camera

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.rorapid.control import ControlModel
-from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise, sums_of
-from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
-from selfcal_ros.rorapid.projection import Projection
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.edges.edge_noise import CommonScatter, EdgeNoise, sums_of
+from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.wireframe import Conic, WireframeModel
 
 FAR = np.full(60, np.inf)

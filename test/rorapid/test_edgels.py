@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 
 
 def step_image(place, angle_rad=0.0, low=60.0, high=160.0, size=64, samples=8):

@@ -18,9 +18,9 @@ import pytest
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.filter import ConstantVelocityFilter
-from selfcal_ros.rorapid.motion import completed, motion_basis
-from selfcal_ros.rorapid.projection import Projection
+from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.projection.motion_models import completed, motion_basis
 
 PROJECTION = Projection(Camera([[540, 0, 320], [0, 540, 240], [0, 0, 1]]))
 

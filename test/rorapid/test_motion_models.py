@@ -18,7 +18,7 @@ import pytest
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.motion import completed, motion_basis, PlaneLearner
+from selfcal_ros.rorapid.projection.motion_models import completed, motion_basis, PlaneLearner
 
 AXIS = np.array([0.3, -0.8, -0.52])
 AXIS = AXIS / np.linalg.norm(AXIS)

@@ -19,7 +19,7 @@ import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
-from selfcal_ros.rorapid.pose import pose_from_clicks, read_init, read_pose_file
+from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 
 CAMERA = Camera([[540, 0, 330], [0, 530, 235], [0, 0, 1]], [-0.2, 0.05, 1e-3, 0], 640, 480)
 BOX = np.array([[0, 0, 0], [0.165, 0, 0], [0.165, 0, -0.08], [0.165, 0.068, 0]])

@@ -18,7 +18,7 @@ import pytest
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection import Projection
+from selfcal_ros.rorapid.projection.camera_models import Projection
 
 PLAIN = Camera([[540, 0, 330], [0, 520, 235], [0, 0, 1]], width=640, height=480)
 BENT = Camera([[540, 2, 330], [0, 520, 235], [0, 0, 1]], [-0.25, 0.08, 1e-3, -2e-3, 0.01])

@@ -15,8 +15,9 @@
 
 import numpy as np
 
-from selfcal_ros.rorapid.robust import (case_deletion, ransac_conics, ransac_lines, robust_sigma,
-                                        stability, tukey_weight)
+from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
+                                                                ransac_lines, stability)
 
 
 def test_ransac_keeps_the_edgels_of_the_line():

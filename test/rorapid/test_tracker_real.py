@@ -23,8 +23,8 @@ import pytest
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 
 DATA = Path(__file__).resolve().parents[2].parent / 'shared' / 'data'

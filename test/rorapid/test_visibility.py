@@ -21,8 +21,8 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.polygon import triangulate
 from selfcal_ros.rorapid.model import Conic, Cylinder, Polygon, WireframeModel
-from selfcal_ros.rorapid.visibility import VisibleModel
-from selfcal_ros.rorapid.visibility_table import VisibilityTable
+from selfcal_ros.rorapid.visibility.visibility_table import VisibilityTable
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.object_shapes import cube, spool, step_block
 from selfcal_ros.synthetic.render import Renderer, Scene
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.objects import (MOTIONS, object_poses, perturbed, pose_errors, SHAPES,
                                            tracked_object)
 from selfcal_ros.synthetic.render import Renderer, Scene

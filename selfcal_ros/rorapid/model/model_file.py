@@ -11,18 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Models of objects: the types, and reading and writing them by the file's ending."""
+"""Reading and writing models of objects, by the ending of the file name."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.rorapid.cao_file import read_cao
-from selfcal_ros.rorapid.model_file import read_model_yaml, write_model_yaml
-from selfcal_ros.values.wireframe import Conic, Cylinder, Polygon, WireframeModel
-
-__all__ = ['Conic', 'Cylinder', 'Polygon', 'WireframeModel', 'read_model', 'write_model']
+from selfcal_ros.rorapid.model.cao_file import read_cao
+from selfcal_ros.rorapid.model.yaml_file import read_model_yaml, write_model_yaml
+from selfcal_ros.values.wireframe import WireframeModel
 
 
 def read_model(path) -> WireframeModel:

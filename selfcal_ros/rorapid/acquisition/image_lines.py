@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 
 #: Edges found this far from a fitted line do not belong to it, pixels.
 _NEAR_PX = 0.7

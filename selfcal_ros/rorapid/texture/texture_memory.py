@@ -27,9 +27,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.rorapid.face_picture import alike, Face, hidden_points, lay_frame, sample_points
-from selfcal_ros.rorapid.projection import ObjectState, Projection
-from selfcal_ros.rorapid.region import Region
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.region.region_of_interest import Region
+from selfcal_ros.rorapid.texture.face_picture import (alike, Face, hidden_points, lay_frame,
+                                                      sample_points)
 
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
 _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0

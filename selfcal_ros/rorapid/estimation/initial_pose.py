@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
 
 #: Longer files are not what they claim to be.
 _MOST_BYTES = 1_000_000

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
 
 
 class ConstantVelocityFilter:

@@ -17,12 +17,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.control import ControlModel, ControlView, Measured
-from selfcal_ros.rorapid.edgels import find_edgels, sample_normals
+from selfcal_ros.geometry.robust_statistics import robust_sigma
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView, Measured
+from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
+                                                                ransac_lines, stability)
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection import ObjectState
-from selfcal_ros.rorapid.robust import (case_deletion, ransac_conics, ransac_lines, robust_sigma,
-                                        stability)
+from selfcal_ros.rorapid.projection.camera_models import ObjectState
 
 #: Edgels are not known better than this, pixels.
 _LEAST_SIGMA_PX = 0.3

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.corner_fit import LEAST_TEXTURE
+from selfcal_ros.rorapid.texture.corner_fit import LEAST_TEXTURE
 
 #: An object is recognised by so many agreeing corners, if most of those followed agree.
 CERTAIN = 10

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.rorapid.silhouettes import SolidCylinders
+from selfcal_ros.rorapid.visibility.silhouettes import SolidCylinders
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: A primitive that lies in the plane of a face up to this share of the object's diameter is

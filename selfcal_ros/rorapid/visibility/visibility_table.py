@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.rorapid.visibility import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.wireframe import WireframeModel
 
 _HIDDEN, _VISIBLE, _UNSURE = 0, 1, 2

@@ -46,7 +46,7 @@ import tempfile
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
-from selfcal_ros.rorapid.cao_file import read_text
+from selfcal_ros.rorapid.model.cao_file import read_text
 from selfcal_ros.values.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
 import yaml
 

@@ -28,8 +28,8 @@ import cv2
 import numpy as np
 
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection import ObjectState, Projection
-from selfcal_ros.rorapid.region import Region
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.region.region_of_interest import Region
 
 #: Views are remembered when their direction differs by this much, and so many at the most.
 _NEW_VIEW_RAD, _MOST_VIEWS = 0.35, 12

@@ -17,17 +17,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.confirmation import (
-    CERTAIN, confirmation, determines_pose, EDGES_DO, focal_sigma)
-from selfcal_ros.rorapid.control import ControlModel, Measured
-from selfcal_ros.rorapid.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
-from selfcal_ros.rorapid.edge_choice import uncrowded
-from selfcal_ros.rorapid.edge_search import EdgeSearch
+from selfcal_ros.rorapid.edges.control_points import ControlModel, Measured
+from selfcal_ros.rorapid.edges.edge_choice import uncrowded
+from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
+from selfcal_ros.rorapid.estimation.track_quality import (CERTAIN, confirmation, determines_pose,
+                                                          EDGES_DO, focal_sigma)
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection import ObjectState, Projection
-from selfcal_ros.rorapid.recovery import ViewMemory
-from selfcal_ros.rorapid.region import region_of_interest, Undistorter
-from selfcal_ros.rorapid.texture import TextureMemory
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
+from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
+from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
+from selfcal_ros.rorapid.texture.view_memory import ViewMemory
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5

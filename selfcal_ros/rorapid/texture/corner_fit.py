@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection import ProjectedPoints, Projection
-from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.rorapid.projection.camera_models import ProjectedPoints, Projection
 
 #: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.
 _TEXTURE_SIGMA_PX, _TUKEY = 0.1, 4.5

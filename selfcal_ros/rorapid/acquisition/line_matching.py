@@ -28,8 +28,8 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.rorapid.acquisition import acquire_model, AcquiredModel
-from selfcal_ros.rorapid.image_lines import detect_lines, find_corners, refine_lines
+from selfcal_ros.rorapid.acquisition.image_lines import detect_lines, find_corners, refine_lines
+from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, AcquiredModel
 
 #: Half side of the square that is compared around corners, pixels.
 _HALF = 9

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection import ObjectState, ProjectedPoints, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectState, ProjectedPoints, Projection
 
 #: Control points must be so far inside the image to be searched, pixels.
 _BORDER_PX = 3.0

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.rorapid.control import ControlModel, ControlView
-from selfcal_ros.rorapid.corner_fit import CornerFit
-from selfcal_ros.rorapid.edge_choice import alike, handicap
-from selfcal_ros.rorapid.edge_noise import CommonScatter, EdgeNoise, sums_of
-from selfcal_ros.rorapid.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
+from selfcal_ros.rorapid.edges.edge_choice import alike, handicap
+from selfcal_ros.rorapid.edges.edge_noise import CommonScatter, EdgeNoise, sums_of
+from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection import ObjectState
-from selfcal_ros.rorapid.robust import robust_sigma, tukey_weight
+from selfcal_ros.rorapid.projection.camera_models import ObjectState
+from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
 #: Noise of the edges in one image against what was learned, at the least.
 _LEAST_NOISE = 0.7

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Robust detection: RANSAC within a primitive, case deletion over primitives, M-estimator."""
+"""Robust detection: RANSAC within a primitive, case deletion over primitives (7.3.1)."""
 
 from __future__ import annotations
 
@@ -176,19 +176,3 @@ def case_deletion(matrices: np.ndarray, vectors: np.ndarray, squares: np.ndarray
 def stability(found: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Decaying average of how often a control point is found: w(t) = (found + w(t-1)) / 2."""
     return 0.5 * (found + before)
-
-
-def tukey_weight(residual: np.ndarray, limit) -> np.ndarray:
-    """Tukey's biweight, 1 at zero and 0 from the limit on."""
-    ratio = np.minimum(np.abs(residual) / limit, 1.0)
-    return (1 - ratio * ratio)**2
-
-
-def robust_sigma(residual: np.ndarray, least: float) -> float:
-    """Standard deviation from the median absolute residual, never below `least`."""
-    count = len(residual)
-    if not count:
-        return least
-    # np.median is slow on small arrays
-    middle = np.partition(np.abs(residual), count // 2)[count // 2]
-    return max(1.4826 * float(middle), least)

@@ -1,0 +1,24 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Models of objects as files: ViSP's .cao and our own .yaml (thesis 7.3.4).
+
+The types are those of `selfcal_ros.values.wireframe`. Read `model_file` first; it chooses the
+format by the ending of the name.
+"""
+
+from selfcal_ros.rorapid.model.model_file import read_model, write_model
+from selfcal_ros.values.wireframe import Conic, Cylinder, Polygon, WireframeModel
+
+__all__ = ['Conic', 'Cylinder', 'Polygon', 'WireframeModel', 'read_model', 'write_model']

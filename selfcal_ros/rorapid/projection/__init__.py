@@ -1,0 +1,19 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+How a pose maps object points to pixels, and which small corrections of it are allowed.
+
+Thesis 7.3.2 (perspective, zoom, weak perspective, affine) and 7.3.3 (general, translation,
+planar). Read `camera_models` first; all that measures or estimates a pose speaks its language.
+"""
