@@ -28,6 +28,7 @@ import numpy as np
 
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.resection import resect_linear
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.known_object import KnownObject
 
 #: Edge points of one side of a square, and the part of it near the corners that is left out.
@@ -315,7 +316,7 @@ def _fitted_lines(image, corners, reach: float, bend: bool) -> _Lines | None:
         b = np.einsum('lpni,lpn,lpn->lpi', basis, w, d)
         fit = np.linalg.solve(A, b[..., None])
         miss = np.abs((basis @ fit)[..., 0] - d)
-        limit = 2 * 1.4826 * np.median(miss, axis=-1, keepdims=True) + 1e-6
+        limit = 2 * robust_sigma(miss, axis=-1, keepdims=True) + 1e-6
         w = good * np.minimum(1, limit / np.maximum(miss, 1e-12))
     coefficients = np.zeros((*fit.shape[:2], 3))
     coefficients[..., :fit.shape[2]] = fit[..., 0]

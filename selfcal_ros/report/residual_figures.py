@@ -19,6 +19,7 @@ from matplotlib.colors import LinearSegmentedColormap
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.report.observed import Observed
 from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
                                       new_panel, ORANGE, PALE, SEQUENTIAL, styled)
@@ -146,7 +147,7 @@ def _round_down(value: float) -> float:
 
 def _histogram(axes, values: np.ndarray) -> None:
     """Draw the distribution of the residuals' coordinates against a Gaussian."""
-    sigma = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    sigma = float(robust_sigma(values - np.median(values)))
     sigma = sigma if sigma > 0 else float(values.std()) or 1.0
     reach = 4.5 * sigma
     edges = np.linspace(-reach, reach, 61)

@@ -35,6 +35,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.resection import resect
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.triangulation import (correct_to_epipolar_line, metric_points,
                                                 translated_points, triangulate)
 from selfcal_ros.values.tracks import Tracks
@@ -147,7 +148,7 @@ def translated_pair(tracks: Tracks, frames):
         F = data.pixels_F(refine_translation(data)[0])[0]
         epipole = np.array([F[2, 1], F[0, 2], F[1, 0]])
         moved = np.abs(correct_to_epipolar_line(epipole, a, b)[2][:, 0])
-        near = moved <= _OUTLIER_SIGMAS * max(1.4826 * np.median(moved), 1e-9)
+        near = moved <= _OUTLIER_SIGMAS * max(robust_sigma(moved), 1e-9)
         if near.all() or near.sum() < LEAST_MATCHES:
             break
         a, b = a[near], b[near]
@@ -241,7 +242,7 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
 def _plane_ratio(points, epipole, xy_a, xy_b) -> float:
     """What the best plane leaves of the displacements, in units of their noise; robust."""
     moved = correct_to_epipolar_line(epipole, xy_a, xy_b)[2]
-    noise = 1.4826 * np.median(np.abs(moved[:, 0] - moved[:, 1])) + 1e-9
+    noise = robust_sigma(moved[:, 0] - moved[:, 1]) + 1e-9
     reach = np.linalg.norm(epipole[:2] - epipole[2] * xy_b, axis=1)
     weight = reach.copy()
     # the inverse depths of a plane are linear in x and y

@@ -27,6 +27,7 @@ import numpy as np
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
 from selfcal_ros.geometry.projective import homogeneous
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.tracks import Tracks
 
 #: Pairs with fewer common points are not tested.
@@ -102,7 +103,7 @@ def general_geometry(data: PairMatches) -> tuple[PairMatches, np.ndarray]:
     F, cost, _, _ = refine_general(data, eight_point(data), tolerance=COST_TOLERANCE)
     distance = np.abs(pair_residuals(data, F)).max(axis=2)
     inside = np.where(data.weight > 0, distance, np.nan)
-    limit = _OUTLIER_SIGMAS * np.maximum(1.4826 * np.nanmedian(inside, axis=1), LEAST_RESIDUAL_PX)
+    limit = _OUTLIER_SIGMAS * np.maximum(robust_sigma(inside, axis=1), LEAST_RESIDUAL_PX)
     weight = data.weight * (distance <= limit[:, None])
     if (weight == data.weight).all():
         return data, cost

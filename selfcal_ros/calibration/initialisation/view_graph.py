@@ -27,6 +27,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import PairGeometr
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.ransac import ransac_inliers
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.two_view_tests import homography_cost
 from selfcal_ros.values.tracks import Tracks
 
@@ -229,7 +230,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
         for rows in (rows_a, rows_b):
             used[rows] += 1
             votes[rows] += inlier
-        spreads.append((1.4826 * np.median(np.abs(distance[inlier]))
+        spreads.append((robust_sigma(distance[inlier])
                         * np.sqrt(count / max(count - 7, 1)), count))
         pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
     if not pairs:

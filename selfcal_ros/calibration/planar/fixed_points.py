@@ -40,6 +40,7 @@ from selfcal_ros.geometry.planar_pairs import PlanarPairs
 from selfcal_ros.geometry.projective import canonical_transform, unit, unit_slope
 from selfcal_ros.geometry.propagation import add_up, spread
 from selfcal_ros.geometry.ransac import ransac_fundamental
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.two_view_tests import classify_pairs, PairVerdicts
 from selfcal_ros.values.tracks import Tracks
 
@@ -321,7 +322,7 @@ def _trimmed(data, F, cost, trim_sigma):
     residuals = pair_residuals(data, F)
     distance = np.sqrt((residuals ** 2).sum(axis=-1) / 2)
     used = data.weight > 0
-    sigma = 1.4826 * np.array([np.median(d[u]) for d, u in zip(distance, used)])
+    sigma = np.array([robust_sigma(d[u]) for d, u in zip(distance, used)])
     far = used & (distance > trim_sigma * np.maximum(sigma, 1e-6)[:, None])
     # never below what the eight-point start needs
     far &= ((used & ~far).sum(axis=1) >= 10)[:, None]

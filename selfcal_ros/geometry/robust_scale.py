@@ -1,0 +1,46 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Spread of noise from its median, which gross errors do not move."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+#: Standard deviation of normal noise over the median of its absolute values.
+MAD_TO_SIGMA = 1.4826
+
+
+def robust_sigma(deviations: ArrayLike, axis: int | None = None, keepdims: bool = False):
+    """
+    Standard deviation of normal noise with gross errors, by the median absolute deviation.
+
+    Parameters
+    ----------
+    deviations : array_like
+        From what they scatter about; NaN ones are left out.
+    axis : int, optional
+        Along which to take it; over all deviations by default.
+    keepdims : bool
+        Leave the axis in place with length 1.
+
+    Returns
+    -------
+    float or ndarray
+        In the deviations' unit; NaN where there is none.
+
+    """
+    size = np.abs(deviations)
+    middle = np.nanmedian if np.isnan(size).any() else np.median
+    return MAD_TO_SIGMA * middle(size, axis=axis, keepdims=keepdims)
