@@ -32,7 +32,8 @@ RECORDING = 'bags/tracked_object'
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     from selfcal_ros.cli.shared_files import shared_file
-    from selfcal_ros.pipeline.tracking_run import read_start, track_sequence
+    from selfcal_ros.cli.track import track_recording
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)
@@ -56,17 +57,18 @@ def run(args: argparse.Namespace) -> int:
             print('Tracking straight in the bag instead.')
     poses = []
 
-    def each(frame, tracked):
+    def gather(frame, tracked):
         if tracked:
             poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
 
     with ProgressBar() as progress:
-        run = track_sequence(bag, read_model(model), camera,
-                             read_start(str(start_file), None, camera),
-                             overlay=folder / 'overlay.mp4', progress=progress, each=each)
+        run, table = track_recording(bag, read_model(model), camera,
+                                     read_start(str(start_file), None, camera),
+                                     overlay=folder / 'overlay.mp4', progress=progress,
+                                     listeners=[gather])
     if poses:
         rows.append(('straight from the bag', *_errors(poses, truth)))
-    written = [run.table.write(folder / 'poses.csv'), folder / 'overlay.mp4']
+    written = [table.write(folder / 'poses.csv'), folder / 'overlay.mp4']
     print(f'\n{run.text()}\n')
     if truth:
         print(_table(rows))

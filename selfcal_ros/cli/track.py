@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
 import sys
 
@@ -74,10 +75,10 @@ def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.errors import ArgumentError
-    from selfcal_ros.pipeline.tracking_run import read_start, track_sequence
+    from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.report.files import check_writable
-    from selfcal_ros.report.overlay import check_video_path
+    from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
     from selfcal_ros.rorapid.options import TrackerOptions
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
@@ -92,12 +93,41 @@ def run(args: argparse.Namespace) -> int:
     model = read_model(args.model)
     start = read_start(args.init, args.clicks, camera)
     with ProgressBar(not args.quiet) as progress:
-        run = track_sequence(args.input, model, camera, start, options, topic=args.topic,
-                             overlay=args.overlay, seed=args.seed, progress=progress)
-    written = [run.table.write(args.output)] + ([args.overlay] if args.overlay else [])
+        run, table = track_recording(args.input, model, camera, start, options,
+                                     topic=args.topic, overlay=args.overlay, seed=args.seed,
+                                     progress=progress)
+    written = [table.write(args.output)] + ([args.overlay] if args.overlay else [])
     if not args.quiet:
         print(run.text())
         print(f'Written: {", ".join(map(str, written))}.')
     elif not run.followed:
         print(run.text(), file=sys.stderr)
     return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
+
+
+def track_recording(path, model, camera, start, options=None, *, topic=None, overlay=None, seed=0,
+                    progress=None, listeners=()):
+    """
+    Track through a recording, and write the overlay where one is wished for.
+
+    Returns
+    -------
+    TrackingRun
+    PosesTable
+        Not written yet.
+
+    """
+    from selfcal_ros.pipeline.sources import open_source
+    from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_sequence
+    from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
+    from selfcal_ros.report.poses_csv import PosesTable
+    table = PosesTable()
+    with ExitStack() as stack:
+        source = stack.enter_context(open_source(path, topic, colour=overlay is not None))
+        listeners = [table.add, *listeners]
+        if overlay:
+            video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))
+            listeners.append(drawing_into(video, model, camera))
+        run = track_sequence(source, model, camera, start, options, seed=seed, progress=progress,
+                             listeners=listeners)
+    return run, table

@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A whole recording through the tracker: poses, an overlay video, and how it went."""
+"""A whole recording through the tracker, for whoever listens, and how it went."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -27,16 +26,16 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.tracking_session import TrackingSession
-from selfcal_ros.report.overlay import draw_overlay, OverlayVideo
-from selfcal_ros.report.poses_csv import PosesTable
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
-from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
+from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.rorapid.tracker import TrackerOptions
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: Clicks may miss a pose by so much of the image diagonal; beyond it they are in another order.
 CLICK_ERROR_SHARE = 0.03
-#: A video without a clock is shown at so many images a second.
+#: Images without a clock are shown so many a second.
 RATE_HZ = 30.0
 #: Of several remarks of one kind, so many are told.
 MOST_REMARKS = 3
@@ -49,8 +48,6 @@ class TrackingRun:
 
     Attributes
     ----------
-    table : PosesTable
-        One row an image that was tracked.
     images : int
     by_state : dict of str to int
     stretches : list of (int, int, str)
@@ -66,7 +63,6 @@ class TrackingRun:
 
     """
 
-    table: PosesTable = field(default_factory=PosesTable)
     images: int = 0
     by_state: dict = field(default_factory=dict)
     stretches: list = field(default_factory=list)
@@ -158,30 +154,28 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
     return rotation, translation
 
 
-def track_sequence(path, model, camera: Camera, start, options: TrackerOptions | None = None, *,
-                   topic: str | None = None, overlay=None, seed: int = 0,
+def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, start,
+                   options: TrackerOptions | None = None, *, seed: int = 0,
                    progress: Callable | None = None,
-                   each: Callable | None = None) -> TrackingRun:
+                   listeners: Iterable[Callable[[Frame, TrackedFrame], object]] = (),
+                   ) -> TrackingRun:
     """
-    Follow an object through a recording of any kind that `open_source` knows.
+    Follow an object through a recording.
 
     Parameters
     ----------
-    path : str or Path
+    source : FrameSource
+        As `open_source` opens it.
     model : WireframeModel
     camera : Camera
     start : (ndarray (3, 3), ndarray (3,))
         Pose of the object in the first image, roughly.
     options : TrackerOptions, optional
-    topic : str, optional
-        Image topic of a bag.
-    overlay : str or Path, optional
-        Video to write.
     seed : int
     progress : callable, optional
         Called as progress(text, done, total).
-    each : callable, optional
-        Called as each(frame, tracked) after every image.
+    listeners : iterable of callable
+        Each is called as listener(frame, tracked) after every image that was tracked.
 
     Returns
     -------
@@ -193,39 +187,31 @@ def track_sequence(path, model, camera: Camera, start, options: TrackerOptions |
         If the input, the start pose or the size of the images is wrong.
 
     """
-    run, squares, edgels = TrackingRun(), 0.0, 0
+    run, squares, edgels = TrackingRun(description=source.description), 0.0, 0
     session = TrackingSession(model, options, camera, seed)
     session.start(*start)
-    with ExitStack() as stack:
-        source = stack.enter_context(open_source(path, topic, colour=overlay is not None))
-        if source.kind == 'tracks':
-            raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
-        _check_size(source, camera)
-        run.description = source.description
-        video = stack.enter_context(OverlayVideo(overlay, _rate(source))) if overlay else None
-        # images of a folder have no clock of their own
-        timed = source.clock != 'nominal'
-        for frame in source:
-            began = time.perf_counter()
-            try:
-                tracked = session.add(frame.image, frame.stamp_ns if timed else None)
-            except InputError as error:
-                run.remarks.append(f'{frame.name or f"Image {frame.index}"} was passed over: '
-                                   f'{error}')
-                continue
-            run.seconds += time.perf_counter() - began
-            run.table.add(frame.index, frame.stamp_ns, tracked)
-            _count(run, frame.index, tracked)
-            if tracked.found.any():
-                squares += float(np.sum(tracked.edge_px[tracked.found]**2))
-                edgels += int(np.count_nonzero(tracked.found))
-            if each:
-                each(frame, tracked)
-            if video is not None:
-                picture = frame.image if frame.bgr is None else frame.bgr
-                video.add(draw_overlay(picture, tracked, model, camera))
-            if progress:
-                progress('Tracking', frame.index + 1, source.count)
+    if source.kind == 'tracks':
+        raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
+    _check_size(source, camera)
+    listeners = tuple(listeners)
+    # images of a folder have no clock of their own
+    timed = source.clock != 'nominal'
+    for frame in source:
+        began = time.perf_counter()
+        try:
+            tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+        except InputError as error:
+            run.remarks.append(f'{frame.name or f"Image {frame.index}"} was passed over: {error}')
+            continue
+        run.seconds += time.perf_counter() - began
+        _count(run, frame.index, tracked)
+        if tracked.found.any():
+            squares += float(np.sum(tracked.edge_px[tracked.found]**2))
+            edgels += int(np.count_nonzero(tracked.found))
+        for listener in listeners:
+            listener(frame, tracked)
+        if progress:
+            progress('Tracking', frame.index + 1, source.count)
     run.rms_px = math.sqrt(squares / edgels) if edgels else math.nan
     return run
 
@@ -238,11 +224,11 @@ def _check_size(source, camera: Camera) -> None:
                          'calibration of this image size.')
 
 
-def _rate(source) -> float:
-    """Images a second of the overlay video."""
+def playing_rate_hz(source: FrameSource) -> float:
+    """Return at how many images a second a source is shown: `RATE_HZ` where it has no clock."""
     if source.clock in ('none', 'nominal'):
         return RATE_HZ
-    stamps = []
+    stamps: list[int] = []
     for frame in source:
         stamps.append(frame.stamp_ns)
         if len(stamps) == 3:

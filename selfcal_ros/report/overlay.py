@@ -15,16 +15,10 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-import tempfile
-
 import cv2
 import numpy as np
 
-from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.report.files import check_writable
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.values.wireframe import across_axes
 
@@ -39,8 +33,6 @@ _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 _SHIFT = 4
 #: Pieces that a straight edge is drawn in, for the lens bends it.
 _PIECES = 12
-#: Containers that a video can be written to, and their codec.
-CODECS = {'.mp4': 'mp4v', '.avi': 'MJPG'}
 
 
 def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
@@ -210,71 +202,3 @@ def _draw_text(drawn, text: str, thick: int) -> None:
 def _fixed(lines: np.ndarray) -> np.ndarray:
     """Return coordinates as OpenCV takes them, with a binary point."""
     return np.rint(lines * (1 << _SHIFT)).astype(np.int32)
-
-
-class OverlayVideo:
-    """
-    Writes a video; a context manager. The file appears when everything went well.
-
-    Parameters
-    ----------
-    path : str or Path
-        .mp4 or .avi.
-    rate_hz : float
-        Images a second.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or its name says another kind.
-
-    """
-
-    def __init__(self, path, rate_hz: float = 30.0):
-        self._path = check_video_path(path)
-        self._rate_hz = rate_hz if 0.1 <= rate_hz <= 1000 else 30.0
-        self._writer = None
-        self._temporary = None
-
-    def __enter__(self) -> OverlayVideo:
-        return self
-
-    def __exit__(self, kind, *_) -> None:
-        if self._writer is None:
-            return
-        self._writer.release()
-        self._writer = None
-        if kind is None:
-            os.replace(self._temporary, os.path.realpath(self._path))
-        else:
-            os.unlink(self._temporary)
-
-    def add(self, image: np.ndarray) -> None:
-        """Append an image (H, W, 3) uint8, bgr, of the size of the first."""
-        height, width = image.shape[:2]
-        if self._writer is None:
-            descriptor, self._temporary = tempfile.mkstemp(
-                prefix='.selfcal-', suffix=self._path.suffix.lower(),
-                dir=os.path.dirname(os.path.realpath(self._path)))
-            os.close(descriptor)
-            code = cv2.VideoWriter_fourcc(*CODECS[self._path.suffix.lower()])
-            self._writer = cv2.VideoWriter(self._temporary, code, self._rate_hz, (width, height))
-            if not self._writer.isOpened():
-                os.unlink(self._temporary)
-                self._writer = None
-                raise InputError(f'{self._path} cannot be written: this OpenCV cannot make '
-                                 f'{self._path.suffix} videos; try another suffix of '
-                                 f'{", ".join(CODECS)}.')
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(self._temporary, 0o666 & ~mask)
-        self._writer.write(image)
-
-
-def check_video_path(path) -> Path:
-    """Return the path of a video that can be written; InputError says why it cannot."""
-    path = Path(path)
-    if path.suffix.lower() not in CODECS:
-        raise InputError(f'{path} must end in {" or ".join(CODECS)}: those are the videos that '
-                         'can be written.')
-    return check_writable(path)

@@ -23,6 +23,7 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 
@@ -44,19 +45,17 @@ class PosesTable:
         """Count the rows."""
         return len(self._rows)
 
-    def add(self, index: int, stamp_ns: int, tracked: TrackedFrame) -> None:
+    def add(self, frame: Frame, tracked: TrackedFrame) -> None:
         """
-        Append the pose of one image.
+        Append the pose of one image; a listener of `track_sequence`.
 
         Parameters
         ----------
-        index : int
-            Number of the image.
-        stamp_ns : int
+        frame : Frame
         tracked : TrackedFrame
 
         """
-        row = [int(index), int(stamp_ns), tracked.state.value]
+        row = [int(frame.index), int(frame.stamp_ns), tracked.state.value]
         if tracked.state is TrackerState.LOST:
             self._rows.append(row + [''] * (len(COLUMNS) - 3))
             return

@@ -21,9 +21,11 @@ import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
-from selfcal_ros.pipeline.tracking_run import read_start, track_sequence
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.tracking_run import playing_rate_hz, read_start, track_sequence
 from selfcal_ros.pipeline.tracking_session import TrackingSession
-from selfcal_ros.report.poses_csv import read_poses
+from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
+from selfcal_ros.report.poses_csv import PosesTable, read_poses
 from selfcal_ros.rorapid.tracker import TrackerState
 from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
 from selfcal_ros.synthetic.recordings import write_image_folder
@@ -175,11 +177,15 @@ def test_other_settings_are_followed_on(session, recording):
 def test_a_folder_gives_poses_and_a_video(recording, folder, tmp_path):
     made = recording[0]
     seen = []
-    run = track_sequence(folder, made.model, made.camera, guess(made),
-                         overlay=tmp_path / 'overlay.avi', each=lambda f, t: seen.append(f.index))
+    table = PosesTable()
+    with open_source(folder) as source, \
+            OverlayVideo(tmp_path / 'overlay.avi', playing_rate_hz(source)) as video:
+        run = track_sequence(source, made.model, made.camera, guess(made), listeners=(
+            table.add, drawing_into(video, made.model, made.camera),
+            lambda frame, _: seen.append(frame.index)))
     assert run.followed and run.images == VIEWS and seen == list(range(VIEWS))
     assert run.rms_px < 1.0 and f'Tracked in {VIEWS} of {VIEWS} images' in run.text()
-    poses = read_poses(run.table.write(tmp_path / 'poses.csv'))
+    poses = read_poses(table.write(tmp_path / 'poses.csv'))
     angle, share = pose_errors(poses['rotation'], poses['translation'], made.rotations,
                                made.translations)
     assert np.median(share) < 0.005 and np.rad2deg(np.median(angle)) < 1.0
@@ -192,8 +198,9 @@ def test_a_folder_gives_poses_and_a_video(recording, folder, tmp_path):
 def test_a_calibration_of_another_size_is_refused_before_anything(recording, folder):
     made = recording[0]
     other = Camera(made.camera.K, (), 640, 480)
-    with pytest.raises(InputError, match='320x240, the calibration is for 640x480'):
-        track_sequence(folder, made.model, other, guess(made))
+    with open_source(folder) as source, \
+            pytest.raises(InputError, match='320x240, the calibration is for 640x480'):
+        track_sequence(source, made.model, other, guess(made))
 
 
 def test_starts_are_read_from_numbers_files_and_clicks(recording, tmp_path):

@@ -19,8 +19,10 @@ import pytest
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.report.overlay import (draw_overlay, FOUND, HIDDEN, MISSING, OverlayVideo,
-                                        project_tracked, REJECTED, wireframe_segments)
+from selfcal_ros.pipeline.frame_source import Frame
+from selfcal_ros.report.overlay import (draw_overlay, FOUND, HIDDEN, MISSING, project_tracked,
+                                        REJECTED, wireframe_segments)
+from selfcal_ros.report.overlay_video import OverlayVideo
 from selfcal_ros.report.poses_csv import PosesTable, read_poses
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.values.wireframe import Conic, Cylinder, WireframeModel
@@ -109,9 +111,9 @@ def test_a_video_appears_when_it_is_whole(tmp_path):
 
 
 def test_poses_come_back_as_they_were(tmp_path):
-    table = PosesTable()
-    table.add(3, 10**18, seen())
-    table.add(4, 10**18 + 1, seen(TrackerState.LOST))
+    table, image = PosesTable(), np.zeros((2, 2), np.uint8)
+    table.add(Frame(3, 10**18, image), seen())
+    table.add(Frame(4, 10**18 + 1, image), seen(TrackerState.LOST))
     poses = read_poses(table.write(tmp_path / 'poses.csv'))
     assert list(poses['frame']) == [3, 4] and list(poses['stamp_ns']) == [10**18, 10**18 + 1]
     assert list(poses['state']) == ['tracking', 'lost']
