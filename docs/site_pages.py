@@ -28,8 +28,11 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Page of the repository, and its place in the site.
 OUTSIDE = {
     'README.md': 'project/readme.md',
+    'examples/README.md': 'project/examples.md',
+    'bags/README.md': 'project/recordings.md',
     'CONTRIBUTING.md': 'project/contributing.md',
     'QUALITY_DECLARATION.md': 'project/quality.md',
+    'SECURITY.md': 'project/security.md',
     'bench/README.md': 'project/benchmarks.md',
 }
 _LINK = re.compile(r'(!?)\[([^\]]*)\]\(([^)\s#]*)(#[^)\s]*)?\)')

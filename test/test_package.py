@@ -82,7 +82,7 @@ def test_python_files_carry_the_licence_header():
     header = (ROOT / 'selfcal_ros' / '__init__.py').read_text(encoding='utf-8')[:587]
     assert header.startswith('# Copyright')
     assert header.rstrip().endswith('limitations under the License.')
-    for folder in ('selfcal_ros', 'msg_adapters', 'test', 'launch', 'bench'):
+    for folder in ('selfcal_ros', 'msg_adapters', 'test', 'launch', 'bench', 'docs', 'examples'):
         for path in (ROOT / folder).rglob('*.py'):
             assert path.read_text(encoding='utf-8').startswith(header.rstrip()), path
 
