@@ -25,6 +25,7 @@ from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, CORNERS, grid_camera,
                                                grid_neighbours, grid_sequence, random_rotations)
 
@@ -164,9 +165,14 @@ def degenerate_run(seed: int, name: str):
             answers.append(None)
             continue
         answers.append(None if found else frozenset(
-            name for name, state in (found.status or {}).items()
+            name for name, state in _status(found).items()
             if state == 'unobservable' and name in ('fx', 'fy', 'cx', 'cy')))
     return answers
+
+
+def _status(refused) -> dict:
+    """Return what is known of each parameter where a method gave no camera."""
+    return refused.values.get('status', {}) if isinstance(refused, NoEstimate) else refused.status
 
 
 def error_of(mean, spread, truth) -> float:

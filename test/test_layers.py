@@ -21,8 +21,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Storey of each part of the package; a part may import its own and lower storeys.
-STOREY = {'errors': 0, 'version': 0, 'geometry': 1, 'values': 2, 'features': 3, 'rorapid': 3,
-          'calibration': 3, 'synthetic': 3, 'pipeline': 4, 'report': 5, 'cli': 6, 'nodes': 6}
+STOREY = {'errors': 0, 'version': 0, 'findings': 0, 'geometry': 1, 'values': 2, 'features': 3,
+          'rorapid': 3, 'calibration': 3, 'synthetic': 3, 'pipeline': 4, 'report': 5, 'cli': 6,
+          'nodes': 6}
 #: Floors of the calibration: rooms of one floor do not import each other.
 CALIBRATION_FLOOR = {
     'result': 1, 'observability': 1,

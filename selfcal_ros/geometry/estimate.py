@@ -15,31 +15,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from selfcal_ros.findings.finding import Finding
 
 
-@dataclass(frozen=True)
-class NoEstimate:
+class NoEstimate(Finding):
     """
     Why there is no estimate; false in a condition.
 
-    Attributes
+    The one shape of a failure of the data: a kind with the numbers that decided. Its words come
+    from the tables in `selfcal_ros.findings`.
+
+    Parameters
     ----------
-    reason : str
-        One sentence, with the number that decided.
     kind : str
-        For programs: 'too_few', 'no_rotation', 'no_parallax', 'not_planar', 'circular',
-        'no_triplet', 'ill_conditioned', 'indefinite' or 'no_fact'.
+        One of `selfcal_ros.findings.finding.KINDS`.
+    **values
+        What the words of this kind name, and more that callers can use.
 
     """
 
-    reason: str
-    kind: str = ''
+    @property
+    def reason(self) -> str:
+        """Why, in a sentence or two."""
+        return self.sentence
 
     def __bool__(self) -> bool:
         """Be false: there is no estimate."""
         return False
 
-    def __str__(self) -> str:
-        """Say why."""
-        return self.reason
+    def saying(self, **values) -> NoEstimate:
+        """Return the same failure with more values."""
+        return NoEstimate(self.kind, **{**self.values, **values})

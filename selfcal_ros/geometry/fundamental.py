@@ -359,8 +359,8 @@ def fundamental(xy_a, xy_b, motion: str = 'general'):
     """
     needed = {'general': 8, 'translation': 3}[motion]
     if len(xy_a) < needed:
-        return NoEstimate(f'A fundamental matrix of {motion} motion needs at least {needed} '
-                          f'matches; there are {len(xy_a)}.', 'too_few')
+        return NoEstimate('too_few', what=f'fundamental matrix of {motion} motion', needed=needed,
+                          items='matches', found=len(xy_a))
     data = PairMatches.from_pixels([(xy_a, xy_b)])
     F, cost, _, dF = (refine_translation(data) if motion == 'translation'
                       else refine_general(data, eight_point(data)))

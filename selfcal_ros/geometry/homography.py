@@ -64,8 +64,7 @@ def homography(xy_a, xy_b, iterations: int = 8, huber_sigmas: float = 2.5):
     """
     a, b = np.asarray(xy_a, float), np.asarray(xy_b, float)
     if len(a) < 5:
-        return NoEstimate(f'A homography needs at least 5 matches; there are {len(a)}.',
-                          'too_few')
+        return NoEstimate('too_few', what='homography', needed=5, items='matches', found=len(a))
     T = normalising_transform(np.vstack([a, b]))
     x, uv = homogeneous(a) @ T.T, b * T[0, 0] + T[:2, 2]
     zero = np.zeros_like(x)
@@ -73,8 +72,7 @@ def homography(xy_a, xy_b, iterations: int = 8, huber_sigmas: float = 2.5):
                            np.concatenate([zero, x, -uv[:, 1:] * x], axis=1)])
     _, singular, Vt = np.linalg.svd(rows, full_matrices=False)
     if not singular[7] > 1e-9 * singular[0]:
-        return NoEstimate('The matches lie on a line; they leave the homography open.',
-                          'ill_conditioned')
+        return NoEstimate('matches_on_line')
     h = Vt[-1]
     spare = max(1 - 4 / len(x), 0.1)
     for _ in range(iterations + 1):
@@ -89,7 +87,7 @@ def homography(xy_a, xy_b, iterations: int = 8, huber_sigmas: float = 2.5):
         step = basis @ np.linalg.solve(information + 1e-14 * np.trace(information) * np.eye(8),
                                        A.T @ (residual * root).ravel())
         if not np.isfinite(step).all():
-            return NoEstimate('A point is mapped to infinity.', 'ill_conditioned')
+            return NoEstimate('point_at_infinity')
         h = h - step
         h /= np.linalg.norm(h)
         if np.linalg.norm(step) < 1e-10:

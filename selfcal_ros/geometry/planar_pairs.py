@@ -168,8 +168,8 @@ def planar_fundamental(xy_a, xy_b):
 
     """
     if len(xy_a) < 8:
-        return NoEstimate('A planar fundamental matrix needs at least 8 matches; there are '
-                          f'{len(xy_a)}.', 'too_few')
+        return NoEstimate('too_few', what='planar fundamental matrix', needed=8, items='matches',
+                          found=len(xy_a))
     data = PairMatches.from_pixels([(xy_a, xy_b)])
     state, cost, _ = refine_planar(data, refine_general(data, eight_point(data))[0])
     F, dF = _planar_model(state)

@@ -290,7 +290,7 @@ def calibration_from_iac(omega):
     """
     omega = np.asarray(omega, float)
     if not np.isfinite(omega).all():
-        return NoEstimate('The image of the absolute conic is not finite.', 'indefinite')
+        return NoEstimate('conic_not_finite')
     omega = (omega + omega.T) / 2
     if omega[0, 0] < 0:
         omega = -omega
@@ -301,7 +301,6 @@ def calibration_from_iac(omega):
         lower = np.linalg.cholesky(omega / np.outer(scale, scale))
     except np.linalg.LinAlgError:
         least = np.linalg.eigvalsh(omega / np.outer(scale, scale))[0]
-        return NoEstimate('The image of the absolute conic is not definite (least eigenvalue '
-                          f'{least:.2g} after scaling): no real camera fits.', 'indefinite')
+        return NoEstimate('conic_not_definite', least=float(least))
     K = np.linalg.inv((lower * scale[:, None]).T)
     return np.triu(K / K[2, 2])

@@ -141,8 +141,8 @@ def ransac_inliers(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: float
     xy_a, xy_b = np.asarray(xy_a, float), np.asarray(xy_b, float)
     count = len(xy_a)
     if count < 8:
-        return NoEstimate('A robust fundamental matrix needs at least 8 matches; there are '
-                          f'{count}.', 'too_few')
+        return NoEstimate('too_few', what='robust fundamental matrix', needed=8, items='matches',
+                          found=count)
     T = normalising_transform(np.vstack([xy_a, xy_b]))
     first, second = (homogeneous(xy * T[0, 0] + T[:2, 2]) for xy in (xy_a, xy_b))
     limit = threshold_px * T[0, 0]
@@ -164,6 +164,5 @@ def ransac_inliers(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: float
             share = min(max(best.mean(), 1e-3), 1 - 1e-9)
             needed = np.log(1 - confidence) / np.log1p(-share ** 7)
     if best is None or best.sum() < 8:
-        return NoEstimate('No sample of seven matches is supported by an eighth within '
-                          f'{threshold_px:g} px.', 'too_few')
+        return NoEstimate('no_agreeing_sample', threshold_px=threshold_px)
     return best, drawn

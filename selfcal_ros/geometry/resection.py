@@ -115,14 +115,13 @@ def resect_linear(points, xy):
     """
     X, xy = _homogeneous_points(points), np.asarray(xy, float)
     if len(X) < LEAST_POINTS:
-        return NoEstimate(f'A camera matrix needs at least {LEAST_POINTS} points; there are '
-                          f'{len(X)}.', 'too_few')
+        return NoEstimate('too_few', what='camera matrix', needed=LEAST_POINTS, items='points',
+                          found=len(X))
     X = X / np.linalg.norm(X, axis=1, keepdims=True)
     # any change of the points' frame will do; the one that whitens them conditions best
     values, vectors = np.linalg.eigh(X.T @ X / len(X))
     if not values[0] > 1e-13 * values[3]:
-        return NoEstimate('The points lie on a plane; they leave the camera matrix open.',
-                          'no_parallax')
+        return NoEstimate('points_on_plane')
     whiten = (vectors / np.sqrt(values)).T
     T = normalising_transform(xy)
     Y, uv = X @ whiten.T, xy * T[0, 0] + T[:2, 2]
@@ -132,8 +131,7 @@ def resect_linear(points, xy):
                            np.concatenate([zero, Y, -uv[:, 1:] * Y], axis=1)])
     _, singular, Vt = np.linalg.svd(rows, full_matrices=False)
     if not singular[-2] > 1e-10 * singular[0]:
-        return NoEstimate('The points leave the camera matrix open (two solutions fit).',
-                          'ill_conditioned')
+        return NoEstimate('camera_matrix_open')
     P = np.linalg.solve(T, Vt[-1].reshape(3, 4)) @ whiten
     P /= np.linalg.norm(P)
     return P * np.sign((X @ P[2]).sum() or 1.0)
@@ -214,7 +212,7 @@ def resect(points, xy, start=None, iterations: int = 30, huber_sigmas: float = n
             weight = np.minimum(1.0, limit / np.maximum(distance, 1e-300))
         cost = float(np.sum(weight[:, None] * r**2))
         if not np.isfinite(cost):
-            return NoEstimate('A point projects to infinity.', 'ill_conditioned')
+            return NoEstimate('point_at_infinity')
         basis = np.linalg.svd(Q.reshape(1, 12))[2][1:].T         # across vec(Q), (12, 11)
         A = (J * np.sqrt(weight)[:, None, None]).reshape(-1, 12) @ basis
         b = (r * np.sqrt(weight)[:, None]).ravel()
@@ -266,8 +264,7 @@ def decompose(P, covariance=None):
     P = np.asarray(P, float)
     M = P[:, :3]
     if not np.linalg.cond(M / np.linalg.norm(M, axis=1, keepdims=True)) < 1e10:
-        return NoEstimate('The camera matrix is that of a camera at infinity.',
-                          'ill_conditioned')
+        return NoEstimate('camera_at_infinity')
     sign = np.sign(np.linalg.det(M))
     U, R = rq(sign * M)
     inverse = np.linalg.inv(M)

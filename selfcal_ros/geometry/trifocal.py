@@ -206,15 +206,14 @@ def linear_tensor_estimate(first, second, third):
     """
     views = [np.asarray(xy, float) for xy in (first, second, third)]
     if len(views[0]) < 7:
-        return NoEstimate('A trifocal tensor needs at least 7 point triplets; there are '
-                          f'{len(views[0])}.', 'too_few')
+        return NoEstimate('too_few', what='trifocal tensor', needed=7, items='point triplets',
+                          found=len(views[0]))
     H = normalising_transform(np.vstack(views))
     views = [xy * H[0, 0] + H[:2, 2] for xy in views]
     rows = point_equations(*views).reshape(-1, 4, 27)
     _, s, Vt = np.linalg.svd(rows.reshape(-1, 27), full_matrices=False)
     if s[-2] < 1e-12 * s[0]:
-        return NoEstimate('The point triplets leave more than one trifocal tensor: points in '
-                          'one plane, or equal views.', 'ill_conditioned')
+        return NoEstimate('tensor_open')
     own = Vt[-1].reshape(3, 3, 3)
     _, noise, covariance = _propagated(rows, Vt[-1], own, views, None)
     back = np.linalg.inv(H)
@@ -299,15 +298,14 @@ def reduced_tensor(first, second, third, spreads=None):
 
     """
     if len(first) < 4:
-        return NoEstimate('The reduced trifocal tensor needs at least 4 point triplets, 3 and '
-                          f'one to spare; there are {len(first)}.', 'too_few')
+        return NoEstimate('too_few', what='reduced trifocal tensor', needed=4,
+                          items='point triplets, one to spare', found=len(first))
     equations = point_equations(first, second, third)
     i, j, k = PLANAR_ELEMENTS.T
     rows = equations[..., i, j, k]
     _, s, Vt = np.linalg.svd(rows.reshape(-1, 12), full_matrices=False)
     if not s[-2] > 1e-11 * s[0]:
-        return NoEstimate('The point triplets leave more than one reduced tensor: equal views '
-                          'or no rotation.', 'ill_conditioned')
+        return NoEstimate('reduced_tensor_open')
     T = np.zeros((3, 3, 3))
     T[i, j, k] = Vt[-1]
     return ReducedTensor(T, *_propagated(rows, Vt[-1], T, (first, second, third), spreads))
@@ -341,13 +339,12 @@ def circular_points(first, second, third, spreads=None):
         return reduced
     cubic = circular_cubic(reduced.T)
     if not abs(cubic[0]) > 1e-14:
-        return NoEstimate('The cubic of the fixed lines degenerates.', 'no_triplet')
+        return NoEstimate('cubic_degenerate')
     roots = np.roots(cubic)
     top = int(np.argmax(roots.imag))
     kappa = roots[top]
     if not kappa.imag > 1e-9 * (1 + abs(kappa)):
-        return NoEstimate('All three fixed lines of the triplet are real; it says nothing of '
-                          'the circular points.', 'no_triplet')
+        return NoEstimate('fixed_lines_real')
     fourth = float(roots[np.argmin(np.abs(roots.imag))].real)
     # d kappa = -dP / P'(kappa), P linear in the twelve elements
     basis = np.zeros((12, 3, 3, 3))

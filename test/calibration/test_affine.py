@@ -18,8 +18,8 @@ import pytest
 from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
                                                                translated_pair)
 from selfcal_ros.calibration.affine.diac import constraint_rows, linear_conic, unit_determinant
-from selfcal_ros.calibration.affine.infinite_homography_calibration import Undetermined
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, grid_camera, grid_neighbours,
                                                grid_points, grid_sequence, random_rotations)
@@ -77,14 +77,14 @@ def test_stated_covariance_is_that_of_the_estimates():
 def test_one_camera_axis_leaves_open_what_theory_says(axis, missing, noise_px, facts):
     for seed in range(5):
         found = calibrate_affine(_sequence(seed, 4, axis, noise_px).tracks, (0, 1), SIZE, facts)
-        assert isinstance(found, Undetermined) and not hasattr(found, 'K')
-        open_ones = {k for k, state in found.status.items() if state == 'unobservable'}
+        assert isinstance(found, NoEstimate) and not hasattr(found, 'K')
+        open_ones = {k for k, state in found.values['status'].items() if state == 'unobservable'}
         assert missing <= open_ones
         if facts is ZERO_SKEW:
             assert open_ones == missing
-            assert found.status['skew'] == 'held'
+            assert found.values['status']['skew'] == 'held'
         assert f"the camera's {axis} axis" in found.reason
-        assert 'turned about' in found.reason
+        assert found.kind == 'rotations_about_camera_axis' and 'turned about' in found.reason
 
 
 def test_known_aspect_ratio_settles_a_rotation_about_x():
@@ -95,7 +95,7 @@ def test_known_aspect_ratio_settles_a_rotation_about_x():
 
 def test_one_axis_without_a_fact_is_refused():
     found = calibrate_affine(_sequence(0, 1).tracks, (0, 1), SIZE)
-    assert isinstance(found, Undetermined)
+    assert found.kind == 'rotations_about_one_axis'
     assert 'state the skew or the aspect ratio' in found.reason
 
 
@@ -103,8 +103,8 @@ def test_translation_only_and_two_views_leave_everything_open():
     still = grid_sequence(np.random.default_rng(0), np.zeros((3, 3))).tracks
     for tracks, frames in ((still, (0, 1)), (still, range(5)), (still.in_frames((0, 1)), (0, 1))):
         found = calibrate_affine(tracks, frames, SIZE, ZERO_SKEW)
-        assert isinstance(found, Undetermined)
-        assert {found.status[k] for k in ('fx', 'fy', 'cx', 'cy')} == {'unobservable'}
+        assert not found
+        assert {found.values['status'][k] for k in ('fx', 'fy', 'cx', 'cy')} == {'unobservable'}
 
 
 def test_gross_errors_are_weighed_down():

@@ -60,4 +60,4 @@ def test_noise_leaves_a_start_for_the_adjustment():
 def test_three_views_or_too_few_points_are_refused():
     _, tracks = _general(0, 0.0)
     assert calibrate_modulus(tracks.in_frames((2, 3, 4)), SIZE).kind == 'too_few'
-    assert calibrate_modulus(tracks.select(tracks.track < 8), SIZE).kind == 'too_few'
+    assert calibrate_modulus(tracks.select(tracks.track < 8), SIZE).kind == 'too_few_shared'

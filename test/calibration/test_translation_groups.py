@@ -120,4 +120,4 @@ def test_recorded_arm_kept_its_orientation_where_its_notes_say():
     assert found.groups[0] == (*range(11), 24, 25)
     # a chessboard alone is a plane, which does not do
     refused = calibrate_affine(tracks, found.groups[0], (1928, 1208))
-    assert not refused and refused.kind == 'no_parallax'
+    assert not refused and refused.kind == 'translated_scene_flat'

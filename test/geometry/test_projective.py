@@ -68,7 +68,7 @@ def test_calibration_and_iac_are_inverse_to_each_other():
     omega = projective.iac_from_calibration(K)
     assert projective.calibration_from_iac(-7 * omega) == pytest.approx(K)
     refused = projective.calibration_from_iac(omega - 2 * omega[2, 2] * np.diag([0, 0, 1]))
-    assert isinstance(refused, NoEstimate) and refused.kind == 'indefinite'
+    assert isinstance(refused, NoEstimate) and refused.kind == 'conic_not_definite'
     assert not projective.calibration_from_iac(np.full((3, 3), np.nan))
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
-    camera_from_homographies, ConicCalibration, Undetermined)
+    camera_from_homographies, ConicCalibration)
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
@@ -134,10 +134,9 @@ def translated_pair(tracks: Tracks, frames):
     if not usable:
         most = max((len(a) for a, _ in matches), default=0)
         if most >= LEAST_MATCHES:
-            return NoEstimate('The translated views do not differ; there is no parallax.',
-                              'no_parallax')
-        return NoEstimate('No two translated views share enough points: at least '
-                          f'{LEAST_MATCHES} are needed, there are {most}.', 'too_few')
+            return NoEstimate('translated_views_equal')
+        return NoEstimate('too_few', what='pair of translated views', needed=LEAST_MATCHES,
+                          items='shared points', found=most)
     # the most parallax that many points show
     worth = [np.sqrt(len(matches[k][0])) * np.median(
         np.linalg.norm(matches[k][1] - matches[k][0], axis=1)) for k in usable]
@@ -188,9 +187,7 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
     size = np.median(np.abs(points[row, 3]))
     flat = _plane_ratio(points[row], epipole, xy_a, xy_b)
     if not (size > 0 and flat > _PLANE_RATIO):
-        return NoEstimate(f'One plane explains translated frames {first} and {second} to within '
-                          f'{flat:.1f} times the noise: the points lie on a plane or far away, '
-                          'and leave the cameras open.', 'no_parallax')
+        return NoEstimate('translated_scene_flat', first=first, second=second, ratio=float(flat))
     points[row, 3] /= size
     epipole = epipole * size
     standing, failure = [first, second], None
@@ -316,15 +313,13 @@ def calibrate_affine(tracks: Tracks, translated, size: tuple[int, int],
     Returns
     -------
     AffineCalibration or NoEstimate
-        `Undetermined` where the rotations leave parameters open.
+        Where the rotations leave parameters open, its values have their `status`.
 
     """
     facts = CameraFacts() if facts is None else facts
     if len(tracks.frames) < 3:
-        return Undetermined('Two views do not calibrate a camera; at least one more is needed, '
-                            'rotated against the translated ones.', 'too_few',
-                            dict.fromkeys(('fx', 'fy', 'cx', 'cy', 'skew', 'aspect_ratio'),
-                                          'unobservable'), ('everything',))
+        return NoEstimate('two_views_only', open_directions=('everything',), status=dict.fromkeys(
+            ('fx', 'fy', 'cx', 'cy', 'skew', 'aspect_ratio'), 'unobservable'))
     structure = affine_structure(tracks, translated, refine)
     if isinstance(structure, NoEstimate):
         return structure

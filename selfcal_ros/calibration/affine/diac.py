@@ -123,7 +123,7 @@ def camera_from_dual_conic(conic):
 
     """
     if not np.linalg.cond(conic) < 1e15:
-        return NoEstimate('The dual image of the absolute conic is degenerate.', 'indefinite')
+        return NoEstimate('dual_conic_degenerate')
     return calibration_from_iac(np.linalg.inv(conic))
 
 

@@ -75,25 +75,6 @@ class ConicCalibration:
     misfit: float
 
 
-@dataclass(frozen=True)
-class Undetermined(NoEstimate):
-    """
-    The views leave parameters open; false in a condition.
-
-    Attributes
-    ----------
-    status : dict
-        Of fx, fy, cx, cy, skew and aspect_ratio: 'estimated' (the views do determine it),
-        'held' or 'unobservable'. There is no number with it.
-    open_directions : tuple of str
-        Combinations of parameters that the views do not determine.
-
-    """
-
-    status: dict | None = None
-    open_directions: tuple = ()
-
-
 class _Constraints:
     """R = K^-1 H K be rotations: residuals, weights and derivatives in (log f, log ζ, ...)."""
 
@@ -215,15 +196,17 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
 
     Returns
     -------
-    ConicCalibration or Undetermined
-        Undetermined names what the rotations leave open, and which rotation would help.
+    ConicCalibration or NoEstimate
+        The failure names what the rotations leave open, and which rotation would help. Its value
+        `status` holds, for fx, fy, cx, cy, skew and aspect_ratio: 'estimated' (the views do
+        determine it), 'held' or 'unobservable'. `open_directions` names the combinations of
+        parameters that the views do not determine. There is no number with it.
 
     """
     facts = CameraFacts() if facts is None else facts
     facts = replace(facts, distortion='none')
     if not len(homographies.H):
-        return _nothing(facts, 'No view is rotated against another; pure translation says '
-                        'nothing of the camera.')
+        return _nothing(facts, 'views_not_rotated')
     scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
     T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
                   [0, 0, 1]])
@@ -232,8 +215,7 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     H = T @ homographies.H @ inverse
     constraints = _Constraints(H, carry @ homographies.covariance @ carry.T)
     if _is_identity(H, constraints.covariance):
-        return _nothing(facts, 'No view is rotated against another by more than the noise; pure '
-                        'translation says nothing of the camera.')
+        return _nothing(facts, 'views_rotated_within_noise')
     noise = float(np.sqrt(np.trace(constraints.covariance) / len(carry)))
     scaled = _scaled_facts(facts, scale, middle)
     candidates, family = linear_conic(H, noise, scaled)
@@ -270,8 +252,7 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     U, _, Vt = np.linalg.svd(np.linalg.inv(near) @ H @ near)
     rotations = rotation_vector(U @ Vt)
     if 'unobservable' in status.values():
-        return Undetermined(_explain(status, rotations, family, facts), 'ill_conditioned',
-                            status, open_directions)
+        return _explain(status, rotations, family, facts, open_directions)
     return ConicCalibration(camera.K, covariance, None if linear is None else np.triu(linear),
                             name, rotations, float(np.sqrt(misfit / freedom)))
 
@@ -284,13 +265,13 @@ def _is_identity(H, covariance) -> bool:
     return bool(statistic < _IDENTITY_SLACK * chi2.ppf(0.999, 8 * len(H)))
 
 
-def _nothing(facts, reason):
+def _nothing(facts, kind) -> NoEstimate:
     camera = Camera(np.eye(3), width=1, height=1)
     status = parameter_status(camera, np.diag(np.full(9, 1e12)), facts)
     status = {k: status[k] for k in ('fx', 'fy', 'cx', 'cy', 'skew')}
     held = facts.aspect_ratio is not None and facts.aspect_ratio_sigma == 0
     status['aspect_ratio'] = 'held' if held else 'unobservable'
-    return Undetermined(reason, 'no_rotation', status, ('everything',))
+    return NoEstimate(kind, status=status, open_directions=('everything',))
 
 
 def _scaled_facts(facts, scale, middle):
@@ -343,26 +324,25 @@ def _judge(information, free, K, scale, inflation):
     return J @ small @ J.T, float(np.sqrt(small[1, 1])), tuple(directions)
 
 
-def _explain(status, rotations, family, facts) -> str:
-    """Say what is open and which rotation would help."""
-    missing = [name for name, state in status.items() if state == 'unobservable']
+def _explain(status, rotations, family, facts, open_directions) -> NoEstimate:
+    """Tell what is open and which rotation would help."""
+    missing = tuple(name for name, state in status.items() if state == 'unobservable')
     _, spread, axes = np.linalg.svd(rotations, full_matrices=True)
-    largest = np.degrees(np.linalg.norm(rotations, axis=1).max())
+    largest = float(np.degrees(np.linalg.norm(rotations, axis=1).max()))
     along = np.degrees(np.arccos(np.clip(np.abs(axes[0]), 0, 1)))
     nearest = int(np.argmin(along))
-    about = (f'the camera\'s {"xyz"[nearest]} axis' if along[nearest] < _NEAR_AXIS_DEG
-             else 'one axis')
-    sentence = f'The rotations leave {", ".join(missing).replace("_", " ")} open'
-    turned = largest > _LEAST_TURN_DEG
-    if turned and (family or len(spread) < 2 or spread[1] < 0.2 * spread[0]):
-        near = along[nearest] < _NEAR_AXIS_DEG
-        wanted = {0: 'the y axis', 1: 'the x axis', 2: 'the x axis and about the y axis'}
-        sentence += (f': they are all about {about} (up to {largest:.2g} degrees); add views that '
-                     f'are turned about {wanted[nearest] if near else "an axis across that one"}')
-        if facts.aspect_ratio is None and not (near and nearest == 2):
-            # about x or y the skew takes no part
-            sentence += (', or state the aspect ratio' if near or facts.skew is not None
-                         else ', or state the skew or the aspect ratio')
-    else:
-        sentence += f': they reach {largest:.2g} degrees only; turn the camera further'
-    return sentence + '.'
+    near = along[nearest] < _NEAR_AXIS_DEG
+    known = {'missing': missing, 'largest_deg': largest, 'status': status,
+             'open_directions': open_directions}
+    if not (largest > _LEAST_TURN_DEG
+            and (family or len(spread) < 2 or spread[1] < 0.2 * spread[0])):
+        return NoEstimate('rotations_small', **known)
+    known['facts'] = ()
+    # about x or y the skew takes no part
+    if facts.aspect_ratio is None and not (near and nearest == 2):
+        known['facts'] = (('aspect ratio',) if near or facts.skew is not None
+                          else ('skew', 'aspect ratio'))
+    if not near:
+        return NoEstimate('rotations_about_one_axis', **known)
+    return NoEstimate('rotations_about_camera_axis', axis='xyz'[nearest],
+                      wanted=(('y',), ('x',), ('x', 'y'))[nearest], **known)

@@ -115,8 +115,8 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
     if facts.skew is not None:
         start[4], free[4] = facts.skew / scale, False
     if 2 * len(F) < free.sum():
-        return NoEstimate(f"Kruppa's equations of {len(F)} pairs are {2 * len(F)}; "
-                          f'{free.sum()} unknowns need more pairs, or facts.', 'too_few')
+        return NoEstimate('too_few', what="camera from Kruppa's equations", needed=int(free.sum()),
+                          items='equations, two a pair', found=2 * len(F))
 
     def camera(values):
         f, ratio, cx, cy, skew = np.exp(values[0]), np.exp(values[1]), *values[2:]
@@ -138,8 +138,7 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
             best = found
     singular = np.linalg.svd(best.jac, compute_uv=False)
     if not singular[-1] > _LEAST_SLOPE or np.any(best.active_mask):
-        return NoEstimate("Kruppa's equations leave the camera open: the pairs' rotations are "
-                          'too small or about one axis.', 'ill_conditioned')
+        return NoEstimate('pairs_leave_camera_open')
     values = start.copy()
     values[free] = best.x
     K = back @ camera(values)

@@ -133,7 +133,7 @@ def projective_structure(tracks: Tracks, size: tuple[int, int]):
     worth = [np.sqrt(len(m[0])) * np.median(np.linalg.norm(m[2] - m[1], axis=1))
              if len(m[0]) >= LEAST_POINTS else 0.0 for m in shared]
     if not len(worth) or max(worth) == 0:
-        return NoEstimate(f'No two views share {LEAST_POINTS} points.', 'too_few')
+        return NoEstimate('too_few_shared', views=2, needed=LEAST_POINTS, items='points')
     k = int(np.argmax(worth))
     _, xy_a, xy_b = shared[k]
     pair = fundamental(xy_a, xy_b)
@@ -207,15 +207,15 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
     """
     facts = CameraFacts() if facts is None else facts
     if len(tracks.frames) < LEAST_VIEWS:
-        return NoEstimate(f'The modulus constraint needs {LEAST_VIEWS} views; there are '
-                          f'{len(tracks.frames)}.', 'too_few')
+        return NoEstimate('too_few', what='camera from the modulus constraint', needed=LEAST_VIEWS,
+                          items='views', found=len(tracks.frames))
     structure = projective_structure(tracks, size)
     if isinstance(structure, NoEstimate):
         return structure
     frames, cameras, _ = structure
     if len(frames) < LEAST_VIEWS:
-        return NoEstimate(f'Only {len(frames)} views share {LEAST_POINTS} points; the modulus '
-                          f'constraint needs {LEAST_VIEWS}.', 'too_few')
+        return NoEstimate('too_few', what='camera from the modulus constraint', needed=LEAST_VIEWS,
+                          items=f'views that share {LEAST_POINTS} points', found=len(frames))
     # coordinates of the order of one
     scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
     T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
@@ -244,6 +244,5 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
         elif best is None or conic.misfit < best.conic.misfit:
             best = ModulusCalibration(conic, frames, pixels, homographies, residual)
     if best is None:
-        return last or NoEstimate('No plane at infinity satisfies the modulus constraint.',
-                                  'ill_conditioned')
+        return last or NoEstimate('no_plane_at_infinity')
     return best

@@ -91,7 +91,8 @@ def calibrate_repeated(objects, size: tuple[int, int], facts: CameraFacts | None
     if translated is None:
         found = translation_groups(tracks, size, radial=(0.0, 0.0))
         if not found.groups:
-            return NoEstimate(found.explain().replace('views', 'objects')
-                              .replace('frames', 'objects'), 'no_triplet')
+            none = found.finding()
+            return NoEstimate('no_translated_objects', **none.values) \
+                if none.kind == 'no_translated_pair' else none
         translated = found.groups[0]
     return calibrate_affine(tracks, translated, size, facts)

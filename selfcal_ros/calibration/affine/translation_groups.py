@@ -31,6 +31,8 @@ from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, esti
                                                             general_geometry, LEAST_MATCHES,
                                                             LEAST_RESIDUAL_PX, pairs_with_matches,
                                                             sampled_matches, undo_radial)
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 from selfcal_ros.values.tracks import Tracks
 
@@ -105,20 +107,24 @@ class TranslationGroups:
     radial: tuple[float, float]
     tests: PairTests
 
-    def explain(self) -> str:
-        """Say in one sentence what was found."""
+    def finding(self) -> Finding:
+        """What was found; a `NoEstimate` where there is no group."""
         tests = self.tests
         if not len(tests.frames):
-            return f'No two views share {LEAST_MATCHES} points.'
+            return NoEstimate('too_few_shared', views=2, needed=LEAST_MATCHES, items='points')
         if not self.groups:
             best = int(np.argmin(tests.statistic / tests.limit))
             a, b = tests.frames[best]
-            return (f'No two views are related by pure translation: of {len(tests.frames)} pairs '
-                    f'frames {a} and {b} come nearest, where F = [e]x is rejected with '
-                    f'{tests.statistic[best]:.3g} against {tests.limit[best]:.3g}.')
-        sizes = ', '.join(str(len(group)) for group in self.groups)
-        return (f'{len(self.groups)} group{"s" if len(self.groups) > 1 else ""} of translated '
-                f'views ({sizes} of {len(np.unique(tests.frames))} views).')
+            return NoEstimate('no_translated_pair', pairs=len(tests.frames), first=int(a),
+                              second=int(b), statistic=float(tests.statistic[best]),
+                              limit=float(tests.limit[best]))
+        return Finding('translation_groups', groups=len(self.groups),
+                       sizes=tuple(len(group) for group in self.groups),
+                       views=len(np.unique(tests.frames)))
+
+    def explain(self) -> str:
+        """Say what was found."""
+        return self.finding().sentence
 
 
 def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, radial=None,

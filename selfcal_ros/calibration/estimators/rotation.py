@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
-    camera_from_homographies, Undetermined)
+    camera_from_homographies)
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.robust_fit import Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.bundle.state import (BundleState, F, holding, MotionModel,
@@ -58,6 +58,7 @@ MOST_SKEW_SHARE = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Distortion models that are tried where none is stated, the richest first.
+_NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 _LENSES = ('radial2', 'radial1', 'none')
 _GENERAL = MotionModel(np.inf, np.inf)
 
@@ -136,9 +137,10 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         return refuse(f'No two images share {LEAST_MATCHES} points that a homography maps.',
                       motion='unknown')
     conic = camera_from_homographies(homographies, size, facts)
-    if isinstance(conic, Undetermined) and conic.kind == 'no_rotation':
+    if not conic and conic.kind in _NOT_ROTATED:
         return refuse('The camera did not turn, nor did it move.', 'Turn it, about two axes.',
-                      'none', {k: v for k, v in conic.status.items() if k != 'aspect_ratio'})
+                      'none', {k: v for k, v in conic.values['status'].items()
+                               if k != 'aspect_ratio'})
     kept = tracks.in_frames(frames).with_at_least(2)
     names, point = np.unique(kept.track, return_inverse=True)
     order = np.argsort(frames)
@@ -222,7 +224,7 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
     status = parameter_status(camera, covariance, facts)
     missing = [k for k in ('fx', 'fy', 'cx', 'cy', 'skew') if status[k] == 'unobservable']
     if missing:
-        reason = (conic.reason if isinstance(conic, Undetermined) else
+        reason = (conic.reason if not conic else
                   f'The rotations do not determine {", ".join(missing)}; turn the camera further '
                   'and about more than one axis.')
         return refuse(reason, status=status)

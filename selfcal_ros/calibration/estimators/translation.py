@@ -26,7 +26,6 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
-from selfcal_ros.calibration.affine.infinite_homography_calibration import Undetermined
 from selfcal_ros.calibration.affine.pair_distortion import estimate_radial, undo_radial
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion, GENERAL
@@ -81,9 +80,9 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     tracks = Tracks(tracks.frame[usable], tracks.track[usable], straight[usable], size)
     tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
     chain = calibrate_affine(tracks, translated, size, facts)
-    if isinstance(chain, Undetermined):
+    if not chain and 'status' in chain.values:
         return NotCalibrated(chain.reason, 'Turn about the axis that is missing.', 'translation',
-                             frames, facts, dict(chain.status))
+                             frames, facts, dict(chain.values['status']))
     proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
     motion = GENERAL
     if stated:

@@ -57,11 +57,10 @@ def calibrate_circular(circular_point, screw_axis, facts: CameraFacts, covarianc
 
     """
     if facts.aspect_ratio is None or facts.skew is None:
-        return NoEstimate('Circular motion leaves the vanishing point of the axis open; the '
-                          'camera needs a known aspect ratio and a known skew.', 'no_fact')
+        return NoEstimate('circular_motion_needs_facts')
     i = np.asarray(circular_point, complex)
     if not abs(i[2]) > 1e-12 * np.abs(i).max():
-        return NoEstimate('The circular points lie at infinity.', 'ill_conditioned')
+        return NoEstimate('circular_points_at_infinity')
     scale, stated = i[2], i
     i = i[:2] / scale
     shear = 0.0
@@ -145,16 +144,12 @@ def _square_pixels(i, axis, principal_point):
         axis = axis / np.linalg.norm(axis[:2])
         distance, slant = axis[:2] @ middle + axis[2], axis[:2] @ across
         if abs(distance) < OFFSET_LIMIT * reach:
-            return NoEstimate(
-                'The camera looks nearly straight at the axis of its circular motion (the '
-                f'principal point misses the image of the axis by about {abs(distance):.3g} px, '
-                f'less than {OFFSET_LIMIT * reach:.3g} px): state the principal point, or move '
-                'off the circle.', 'ill_conditioned')
+            return NoEstimate('axis_in_view', distance_px=float(abs(distance)),
+                              limit_px=float(OFFSET_LIMIT * reach))
         # v = middle + tau across on m; the principal point divides that by Thales
         offset = -reach ** 2 * slant / distance
     if not abs(offset) < reach:
-        return NoEstimate('No real focal length fits the circular points and the image of the '
-                          'rotation axis.', 'indefinite')
+        return NoEstimate('no_real_focal_length')
     focal = np.sqrt(reach ** 2 - offset ** 2)
     u, v = middle + offset * across
     return np.array([[focal, 0, u], [0, focal, v], [0, 0, 1]])

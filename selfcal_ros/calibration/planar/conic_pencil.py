@@ -195,14 +195,13 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     known = [name for name in ('aspect_ratio', 'principal_point', 'skew')
              if getattr(facts, name) is not None and only in (None, name)]
     if not known:
-        return NoEstimate('Planar motion leaves one parameter of the camera open; state the '
-                          'aspect ratio, the skew or the principal point.', 'no_fact')
+        return NoEstimate('no_fact')
     T, working = _working_frame(fixed)
     if not (np.isfinite(T).all() and np.isfinite(working.vanishing_point).all()):
-        return NoEstimate('The circular points are not finite.', 'ill_conditioned')
+        return NoEstimate('circular_points_at_infinity')
     C, ll = conic_pencil(working)
     candidates = []
-    failure = NoEstimate('The fact meets no member of the pencil.', 'ill_conditioned')
+    failure = NoEstimate('fact_meets_no_member')
     for name in known:
         for mu in _closed_form(name, C, ll, facts, T):
             K = _camera(C, ll, mu)
@@ -214,19 +213,15 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     if not candidates:
         ratio = abs(ll[0, 1]) / (ll[0, 0] + ll[1, 1])
         if known == ['skew'] and ratio < 1 / LEVERAGE_LIMIT:
-            return NoEstimate(
-                'The known skew cannot fix the camera: the horizon is inclined by only '
-                f'{np.degrees(ratio):.2g} degrees.', 'ill_conditioned')
+            return NoEstimate('skew_without_hold', tilt_deg=float(np.degrees(ratio)))
         return failure
     _, _, mu, slopes = min(candidates, key=lambda c: (c[0], c[1]) if len(known) > 1 else c[1])
     leverage = {name: _leverage(slopes[name]) for name in slopes}
     joint = _leverage(np.concatenate([slopes[name] for name in known]))
     if joint > LEVERAGE_LIMIT:
         tilt = np.degrees(np.arctan2(abs(working.horizon[0]), abs(working.horizon[1])))
-        return NoEstimate(
-            f'The known {" and ".join(known).replace("_", " ")} cannot fix the camera: an error '
-            f'in it comes out {joint:.3g} times as large, more than {LEVERAGE_LIMIT:g} (the '
-            f'horizon is inclined by {tilt:.2g} degrees).', 'ill_conditioned')
+        return NoEstimate('fact_without_hold', facts=tuple(known), factor=float(joint),
+                          limit=LEVERAGE_LIMIT, tilt_deg=float(tilt))
     if len(known) > 1:
         mu = _weighed(C, ll, mu, known, facts, T)
     K = _camera(C, ll, mu)
@@ -235,8 +230,7 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     K = np.linalg.solve(T, K)
     K = np.triu(K / K[2, 2])
     if abs(K[0, 1]) > K[0, 0]:
-        return NoEstimate(f'The only camera that fits has a skew of {K[0, 1]:.3g} px at a focal '
-                          f'length of {K[0, 0]:.3g} px, which is no camera.', 'indefinite')
+        return NoEstimate('skew_too_large', skew_px=float(K[0, 1]), focal_px=float(K[0, 0]))
     if covariance is not None:
         covariance = calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
                                             covariance)

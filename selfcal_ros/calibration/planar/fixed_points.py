@@ -132,13 +132,14 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     """
     frames, identity, xy = dense_tracks(tracks)
     if len(frames) < 3:
-        return NoEstimate(f'Three views are needed; there are {len(frames)}.', 'too_few')
+        return NoEstimate('too_few', what='calibration from planar motion', needed=3,
+                          items='views', found=len(frames))
     if triplets is None:
         chosen = choose_triplets(xy, limit, least_common)
     else:
         chosen = np.searchsorted(frames, np.asarray(triplets))
     if not len(chosen):
-        return NoEstimate(f'No three views share {least_common} tracks.', 'too_few')
+        return NoEstimate('too_few_shared', views=3, needed=least_common, items='tracks')
     wanted = np.unique(np.concatenate([chosen[:, [0, 1]], chosen[:, [1, 2]], chosen[:, [0, 2]]]),
                        axis=0)
     seen = np.isfinite(xy[..., 0])
@@ -146,7 +147,7 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     both = [t[::-(-len(t) // most_matches)] if len(t) > most_matches else t for t in both]
     enough = [k for k, tracks_of in enumerate(both) if len(tracks_of) >= 8]
     if not enough:
-        return NoEstimate('No two views share 8 tracks.', 'too_few')
+        return NoEstimate('too_few_shared', views=2, needed=8, items='tracks')
     wanted, both = wanted[enough], [both[k] for k in enough]
     data = PairMatches.from_pixels([(xy[a, t], xy[b, t]) for (a, b), t in zip(wanted, both)])
     if rng is not None:
@@ -234,9 +235,8 @@ def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
                                            count)
     general = verdicts.noise_px[kept]
     if result.noise_px > 2 * max(np.sqrt(np.mean(general ** 2)), 1e-5):
-        return NoEstimate(
-            f'The motion is not planar: planar epipolar geometry leaves {result.noise_px:.3g} px, '
-            f'general motion {np.sqrt(np.mean(general ** 2)):.3g} px.', 'not_planar')
+        return NoEstimate('pairs_not_planar', left_px=float(result.noise_px),
+                          noise_px=float(np.sqrt(np.mean(general ** 2))))
     _, l_slope, _, v_slope = planar_batch.common_frames(data, L, V)
     influence = np.zeros((total, 2, 9))
     influence[..., :3] = moved[..., :2] @ l_slope.T
@@ -262,8 +262,7 @@ def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
         influence[..., 3:6] = influence[..., 6:] @ slope.T
         result = replace(result, vanishing_point=point)
     elif len(kept) == 1:
-        return NoEstimate('Only one image pair is sound; the vanishing point needs two screw '
-                          'axes.', 'too_few')
+        return NoEstimate('one_pair_only')
     elif method == 'pairs':
         line_cov, axis_cov = line_covariances(lines)
         line, influence[..., :3] = in_pixels(data.transform.T, *mean_line(
@@ -335,12 +334,7 @@ def _trimmed(data, F, cost, trim_sigma):
 
 def _why_none(verdicts: PairVerdicts) -> NoEstimate:
     if verdicts.parallax.sum() * 2 < len(verdicts.parallax):
-        return NoEstimate(
-            'The views show no parallax: a homography explains the best pair to '
-            f'{verdicts.parallax_px.max():.3g} px at a noise of '
-            f'{np.median(verdicts.noise_px):.3g} px. Either the camera only turned, or it hardly '
-            'moved, or all points lie in one plane.', 'no_parallax')
-    return NoEstimate(
-        'The views show no rotation: a pure translation explains the best pair to '
-        f'{verdicts.translation_px.max():.3g} px at a noise of '
-        f'{np.median(verdicts.noise_px):.3g} px.', 'no_rotation')
+        return NoEstimate('pairs_without_parallax', left_px=float(verdicts.parallax_px.max()),
+                          noise_px=float(np.median(verdicts.noise_px)))
+    return NoEstimate('pairs_without_rotation', left_px=float(verdicts.translation_px.max()),
+                      noise_px=float(np.median(verdicts.noise_px)))

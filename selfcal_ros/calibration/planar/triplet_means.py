@@ -86,7 +86,9 @@ def combine_triplets(xy, H, line, point, triplets, identity, least_common: int,
     for triplet in triplets:
         common = np.flatnonzero(seen[triplet].all(axis=0))
         if len(common) < min(least_common, 5):
-            reasons.append(NoEstimate('Too few tracks in three views.', 'too_few'))
+            reasons.append(NoEstimate(
+                'too_few', what='triplet of views', needed=min(least_common, 5), items='tracks',
+                found=len(common)))
             continue
         common = common[::-(-len(common) // most_matches)]
         pixels = homogeneous(xy[triplet][:, common])
@@ -107,9 +109,8 @@ def combine_triplets(xy, H, line, point, triplets, identity, least_common: int,
         by_pixel.append(np.einsum('vmck,vmcd->vmdk', one.influence, spreads).reshape(-1, 2, 2))
         by_frame.append(np.einsum('vmck,vmcf->kf', one.influence, moved, optimize=True))
     if not used:
-        first = reasons[0].reason if reasons else 'No triplet has sound pairs.'
-        return NoEstimate(f'None of {len(triplets)} triplets gives circular points. {first}',
-                          'no_triplet')
+        first = reasons[0] if reasons else NoEstimate('no_sound_pairs')
+        return NoEstimate('no_triplet', triplets=len(triplets), why=first)
     kappas = np.array([one.kappa for one in found])
     floor = 1e-18 * np.abs(kappas).max() ** 2 * np.eye(2)
     mean, weights = robust_mean(np.column_stack([kappas.real, kappas.imag]),

@@ -92,9 +92,7 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
     a, b = _proposed(first, second, *places, allowed, largest_motion_px)
     chosen = _agreeing(camera, places[0][a], places[1][b], rng)
     if chosen is None:
-        return NoEstimate(f'Only {len(a)} corners of lines look alike in both images, and no '
-                          'four of them agree on a translation; click the vertices instead.',
-                          'too_few')
+        return NoEstimate('corners_disagree', corners=len(a))
     chosen, epipole = chosen
     a, b = _guided(first, second, camera, epipole, lines, corners, (a[chosen], b[chosen]), allowed)
     places = [places[0][a], places[1][b]]
@@ -102,8 +100,7 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
                        ([corners[0][k] for k in a], [corners[1][k] for k in b]))
     used = sorted({k for pair in pairs for k in pair})
     if len(used) < 4:
-        return NoEstimate('No lines were found that connect the same corners in both images; '
-                          'click the vertices instead.', 'too_few')
+        return NoEstimate('no_connected_lines')
     pairs = [(used.index(i), used.index(j)) for i, j in pairs]
     ends = places[0][used], places[1][used]
     acquired = acquire_model(*ends, camera, pairs, name=name, **facts)

@@ -125,36 +125,32 @@ def points_from_translation(first_px, second_px, camera: Camera, baseline_m: flo
                             f'not {len(second)} and {len(first)}.')
     scale = _scale_fact(len(first), baseline_m, known_length)
     if len(first) < 4:
-        return NoEstimate(f'Two translated views need at least 4 points; there are '
-                          f'{len(first)}.', 'too_few')
+        return NoEstimate('too_few', what='model from two translated views', needed=4,
+                          items='points', found=len(first))
     K = camera.K
     a, b = (camera.normalised(p) @ K[:2, :2].T + K[:2, 2] for p in (first, second))
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        return NoEstimate('Some points lie outside what the lens can show.', 'ill_conditioned')
+        return NoEstimate('points_outside_lens')
     found = fundamental(a, b, 'translation')
     if not found:
         return found
     noise = found.noise_px
     if noise > _TOO_FAR * sigma_px:
-        return NoEstimate(f'The points miss the translation by {noise:.2g} px where '
-                          f'{sigma_px:.2g} px of noise was expected: the camera turned, or '
-                          'some matches are wrong.', 'ill_conditioned')
+        return NoEstimate('points_miss_translation', noise_px=float(noise), sigma_px=sigma_px)
     e = np.array([found.F[2, 1], found.F[0, 2], found.F[1, 0]])
     if np.median(metric_points(K, translated_points(e, a, b))[:, 2]) < 0:
         e = -e
     points = metric_points(K, translated_points(e, a, b))
     if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
-        return NoEstimate('Some points come out at infinity or behind the camera: the camera '
-                          'moved too little, or their matches are wrong.', 'no_parallax')
+        return NoEstimate('points_behind_camera')
     covariances = _covariances(K, e, a, b, sigma_px)
     depth_sigma = np.sqrt(covariances[:, 2, 2]) / points[:, 2]
     if np.median(depth_sigma) > WORST_DEPTH:
-        return NoEstimate(f'The depths are uncertain by {100 * np.median(depth_sigma):.0f} %: '
-                          'the camera moved too little.', 'no_parallax')
+        return NoEstimate('depths_uncertain', share=float(np.median(depth_sigma)))
     moved = np.linalg.solve(K, e)
     size = scale(points, moved)
     if not (np.isfinite(size) and size > 0):
-        return NoEstimate('The two points of the known length coincide.', 'ill_conditioned')
+        return NoEstimate('known_length_zero')
     residuals = np.sqrt((found.residuals**2).sum(axis=1) / 2)
     return TwoViewPoints(size * points, size**2 * covariances, size * moved, residuals, noise)
 

@@ -1,0 +1,106 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A phrase of the tables of words, and how values are put into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from string import Formatter
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """
+    The words of one kind of finding.
+
+    Attributes
+    ----------
+    sentence : str
+        What is said, with the names of values in braces.
+    means : str
+        What lies behind it, for the page of troubleshooting.
+    advice : str
+        What to do; a refusal says it after its sentence.
+
+    """
+
+    sentence: str
+    means: str
+    advice: str
+
+
+class _Words(Formatter):
+    """
+    Formats as `str.format` does, and knows lists and some endings.
+
+    Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
+    number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
+    help), `frames`, `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `clause`
+    (another finding, without its full stop).
+    """
+
+    def get_value(self, key: int | str, args, kwargs) -> Any:
+        return kwargs[str(key)]
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec in _ENDINGS:
+            return _ENDINGS[format_spec](value)
+        if isinstance(value, (list, tuple)):
+            return ', '.join(str(one).replace('_', ' ') for one in value)
+        return 'unknown' if value is None else format(value, format_spec)
+
+
+def _frames(frames) -> str:
+    """Name up to five frames."""
+    named = ', '.join(str(frame) for frame in frames[:5])
+    return f'{"frame" if len(frames) == 1 else "frames"} {named}' + (
+        ' and others' if len(frames) > 5 else '')
+
+
+#: Motions that are suggested, in words that fit after 'in which you'.
+MOTIONS = {
+    's_20': 'drive an S, 20 degrees to the left and to the right',
+    's_45': 'drive an S, 45 degrees to the left and to the right',
+    'curve_60': 'drive one curve of 60 degrees',
+    'straight_near': 'drive straight on, past structure at a third of the distance',
+    's_20_near': 'drive an S, 20 degrees to each side, past structure at a third of the distance',
+    'pitch': 'turn 20 degrees up and down',
+    'yaw': 'turn 20 degrees to the left and to the right',
+    'roll': 'roll 20 degrees about the optical axis',
+    'pitch_yaw': 'turn 20 degrees up and down, then to the left and to the right',
+    'pitch_roll': 'turn 20 degrees up and down, then roll as much',
+    'translation': 'move without turning',
+}
+_NUMBERS = ('no', 'one', 'two', 'three', 'four', 'five')
+_ENDINGS = {
+    'percent': lambda share: f'{100 * share:.0f}',
+    'plural': lambda count: '' if count == 1 else 's',
+    'number': lambda count: _NUMBERS[count],
+    'and': lambda names: ' and '.join(name.replace('_', ' ') for name in names),
+    'motion': MOTIONS.__getitem__,
+    'axes': lambda axes: ' and about '.join(f'the {axis} axis' for axis in axes),
+    'or_state': lambda facts: f', or state the {" or the ".join(facts)}' if facts else '',
+    'frames': _frames,
+    'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
+                                      for name, value in sigma.items()),
+    'clause': lambda finding: finding.clause,
+}
+_WORDS = _Words()
+
+
+def put_in_words(text: str, values: Mapping[str, Any]) -> str:
+    """Put values into a sentence of a table."""
+    return _WORDS.vformat(text, (), values)

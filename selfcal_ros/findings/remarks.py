@@ -1,0 +1,184 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The words of every remark: what a user should know of a result or of the tracks behind it.
+
+A remark is one sentence. Its advice stands in docs/troubleshooting.md only.
+"""
+
+from __future__ import annotations
+
+from selfcal_ros.findings.phrase import Phrase
+
+REMARKS: dict[str, Phrase] = {
+    'note': Phrase(
+        '{text}',
+        'A sentence from an older result file, or from outside of the package.',
+        'Read it.'),
+    # errors that are shared
+    'errors_within_track': Phrase(
+        'Errors are shared within a track, as when its patch drifts: sigmas are {ratio:.1f} '
+        'times those of independent errors for it.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Sharper images and distinct corners drift less.'),
+    'errors_within_region': Phrase(
+        'Errors are shared within a region of the image, as with a lens that the distortion '
+        'model does not describe: sigmas are {ratio:.1f} times as wide.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Try a richer distortion model.'),
+    'errors_within_stretch': Phrase(
+        'Errors are shared within a stretch of images, as with jolts, moving objects or a '
+        'rolling shutter: sigmas are {ratio:.1f} times as wide.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Record a calmer drive, or a scene where nothing moves.'),
+    'errors_at_object_points': Phrase(
+        'Errors are shared at the same points of the object in every view, as when its '
+        'coordinates are not quite right: sigmas are {ratio:.1f} times as wide.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Measure the object anew, or use a flatter board.'),
+    'errors_within_edge': Phrase(
+        'Errors are shared by the edgels of one edge, as when the model is not quite right or '
+        'light moves it: sigmas are {ratio:.1f} times as wide.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Check the proportions of the model; light the object evenly.'),
+    'lens_deviates': Phrase(
+        'The lens deviates from the distortion model by {rms_px:.2g} px (root mean square over '
+        'the observations); the calibration and its sigmas allow for it.',
+        'The residuals change smoothly over the image. A field of corrections was estimated with '
+        'the camera.',
+        'Try a richer distortion model.'),
+    'regions_beyond_lens': Phrase(
+        'Beyond this deviation of the lens, errors shared within regions of the image make the '
+        'sigmas {ratio:.1f} times as wide.',
+        'Errors that observations share do not average out. The sigmas allow for it.',
+        'Try a richer distortion model.'),
+    # the motion
+    'circular_motion': Phrase(
+        'The camera circles one axis; the calibration rests on square pixels.',
+        'Circular motion leaves two directions of the parameters open. Facts close them.',
+        'Leave the circle, for example in an S.'),
+    'not_exactly_planar': Phrase(
+        'The motion is not exactly planar: {tilt_deg:.2f} degrees out of the plane (root mean '
+        'square), which was estimated too.',
+        'The vehicle rolls and pitches a little. Each view has a tilt of its own.',
+        'Nothing; drive on even ground for smaller sigmas.'),
+    'frames_turned_estimated': Phrase(
+        'The frames that were said to be related by translation turned by up to {turned_deg:.2g} '
+        'degrees, which was estimated too.',
+        'The images contradict the statement, by less than would matter.',
+        'Nothing; state it only of frames that kept their orientation.'),
+    'frames_said_translated': Phrase(
+        'Frames {frames} were said to be translated.',
+        'The calibration rests on this statement.',
+        'Nothing.'),
+    'translation_groups': Phrase(
+        '{groups} group{groups:plural} of translated views ({sizes} of {views} views).',
+        'The views of a group have one orientation. The closed form starts from the first group.',
+        'Nothing.'),
+    'motion_suggestion': Phrase(
+        '{images} more images in which you {motion:motion} would bring {sigma:sigmas} (from the '
+        'Fisher information).',
+        'The motion was simulated with this camera, this noise and these depths.',
+        'Drive or turn so, and calibrate from all images.'),
+    'pairs_degenerate': Phrase(
+        '{left_out} of {pairs} image pairs were degenerate and left out.',
+        'Pairs without parallax or rotation say nothing of the fixed points.',
+        'Nothing.'),
+    # facts
+    'fact_decides': Phrase(
+        'Without the stated {fact}, the images would not determine {lost}.',
+        'These parameters rest on the fact. If it is wrong, they are.',
+        'Check the fact, or move so that the images tell.'),
+    'fact_narrows': Phrase(
+        'Without the stated {fact}, the sigma of {name} would be {factor:.2g} times as large.',
+        'Most of what is known of the parameter comes from the fact.',
+        'Check the fact.'),
+    # known objects
+    'points_of_no_object': Phrase(
+        '{count} observations of points that the object does not have were left out.',
+        'The tracks have point numbers that are not in the file of object points.',
+        'Check the file of object points.'),
+    'views_left_out': Phrase(
+        '{count} views were left out: {why:clause}.',
+        'These views show too few points. The reason of the first is given.',
+        'Show more of the object in these views.'),
+    'object_misfits_frames': Phrase(
+        'The object does not fit what was seen of it in {frames:frames}, left out.',
+        'After the adjustment too few points of these views agree with the rest.',
+        'Look at these images: the object may have moved, or points were confused.'),
+    'object_seen': Phrase(
+        'The object was found anew in {views} of {images} images.',
+        'In the others it was not found, or had not moved.',
+        'Nothing.'),
+    'views_used': Phrase(
+        '{views} of these views were used.',
+        'More would cost time and tell little.',
+        'Nothing.'),
+    'object_followed': Phrase(
+        'The object was followed in {tracked} of {images} images; its edges were measured in '
+        '{measured} of them.',
+        'Images in which the tracker was unsure are not used.',
+        'Nothing.'),
+    # features
+    'few_images': Phrase(
+        '{images} images only: matched as photographs.',
+        'With so few images corners are not followed from one to the next.',
+        'Nothing.'),
+    'mode_chosen': Phrase(
+        'Corners followed between the first frames: {followed:percent} %, moving by {step:.1%} '
+        'of the image diagonal: {mode} mode.',
+        'Video mode follows corners from frame to frame. Wide mode matches descriptors.',
+        'Name the other mode if the choice is wrong.'),
+    'frames_thinned': Phrase(
+        '{frames} of the frames were used, evenly spaced.',
+        'More images than are needed were given.',
+        'Nothing.'),
+    'division_model': Phrase(
+        'Verified with division-model distortion {distortion:g}.',
+        'The lens bends epipolar lines visibly. Matches were verified with a rough model of it.',
+        'Nothing.'),
+    'static_matches': Phrase(
+        "Up to {matches} matches a pair stay still in the image while the scene moves (dirt, the "
+        "robot's body, a background); they had no vote on the geometry.",
+        'What moves with the camera says nothing of the scene.',
+        'Clean the lens, or keep the robot out of the image.'),
+    'static_tracks': Phrase(
+        "{tracks} tracks stay still in the image while the scene moves (dirt, the robot's body, "
+        "a background); they were dropped.",
+        'What moves with the camera says nothing of the scene.',
+        'Clean the lens, or keep the robot out of the image.'),
+    'tracks_contradictory': Phrase(
+        '{tracks} tracks that contradicted themselves were dropped.',
+        'Chains of matches came back to the same image at another place.',
+        'Nothing; many of them mean a repeated pattern.'),
+    'positions_unregistered': Phrase(
+        '{dropped} of {positions} positions could not be registered to sub-pixel accuracy and '
+        'were dropped.',
+        'The patches look too different, or blurred.',
+        'Nothing; sharper images lose fewer.'),
+    'positions_contradictory': Phrase(
+        '{positions} positions that contradict the epipolar geometry were dropped.',
+        'They are wrong matches, or things that move.',
+        'Nothing; many of them mean that the scene moves.'),
+    'keyframes_chosen': Phrase(
+        '{keyframes} keyframes chosen by parallax out of {frames} frames.',
+        'Neighbouring frames of a video tell the same.',
+        'Nothing.'),
+    # many recordings
+    'recordings_asked_again': Phrase(
+        '{again} of {recordings} recordings chose another distortion model than {model}; for the '
+        'joint estimate they were calibrated with that one.',
+        'Calibrations with different distortion models cannot be combined.',
+        'State the distortion model.'),
+}
