@@ -29,7 +29,7 @@ from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.parameters import FeatureTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.silence import SilenceWatch
-from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
+from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.report.tracks_overlay import TracksOverlay
 from sensor_msgs.msg import Image, PointCloud2
 
@@ -125,9 +125,10 @@ class FeatureTracker(Node):
 
     def _is_in_order(self, stamp: int, size: tuple[int, int]) -> bool:
         """Tell whether an image is newer than the last; begin anew where another stream begins."""
-        if self._newest_ns is not None and stamp < self._newest_ns:
-            if self._newest_ns - stamp < BACKWARD_JUMP_NS:
-                return False
+        order = stamp_order(stamp, self._newest_ns)
+        if order is StampOrder.OVERTAKEN:
+            return False
+        if order is StampOrder.JUMPED_BACK:
             self.get_logger().info('time jumped back; tracking starts anew')
             self._tracker.reset()
         if self._size not in (None, size):

@@ -22,10 +22,12 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.features.selection import KeyframeSelector
 from selfcal_ros.pipeline.estimate_request import EstimateRequest, Keyframe, SessionSettings
+from selfcal_ros.pipeline.session_state import (after, ESTIMATE_TRANSITIONS, EstimateState,
+                                                Schedule, SCHEDULE_TRANSITIONS, SessionEvent,
+                                                UNDER_WAY, WILL_BE_DROPPED)
+from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.values.tracks import Tracks
 
-#: A stamp this much before the newest one is a jump, not a message that was overtaken.
-BACKWARD_JUMP_NS = 200_000_000
 #: With the memory full, an estimate whose focal length and principal point move no pixel further
 #: than this share of the image diagonal (one pixel of 640x480) is not replaced by itself.
 SETTLED_SHARE = 0.00125
@@ -56,7 +58,7 @@ class CalibrationSession:
 
     Estimates follow one another while they are of use: until one rests on as many keyframes as
     are kept and is precise (`SETTLED_SHARE`). From then on the calibration stays until it is told
-    to go.
+    to go. What may follow what is a table: see `selfcal_ros.pipeline.session_state`.
 
     The session does no work of its own beyond bookkeeping: `request` packs what an estimate
     needs, `EstimateRequest.run` computes in whatever thread the caller likes, and `accept` takes
@@ -82,11 +84,16 @@ class CalibrationSession:
         self._frames = 0
         self._new_keyframes = 0
         self._estimates = 0
-        self._estimating = False
-        self._held = self._abandoned = self._settled = self._from_scratch = False
-        self._wished = False
-        self._calibration = None
-        self._failure = None
+        self._state = EstimateState.IDLE
+        self._schedule = Schedule.AUTOMATIC
+        self._calibration: Calibration | None = None
+        # where the next estimate starts: not from a calibration of other facts
+        self._start: Calibration | None = None
+        self._failure: NotCalibrated | None = None
+
+    def _happens(self, event: SessionEvent) -> None:
+        self._state = after(ESTIMATE_TRANSITIONS, self._state, event)
+        self._schedule = after(SCHEDULE_TRANSITIONS, self._schedule, event)
 
     def change(self, settings: SessionSettings) -> None:
         """
@@ -101,10 +108,10 @@ class CalibrationSession:
         self._thin_out()
         if (old.motion, old.facts) != (settings.motion, settings.facts):
             self._new_keyframes = len(self._keyframes)
-            self._abandoned = self._estimating
-            self._settled, self._from_scratch = False, True
+            self._start = None
+            self._happens(SessionEvent.OTHER_QUESTION)
         elif settings.max_keyframes > old.max_keyframes:
-            self._settled = False
+            self._happens(SessionEvent.MORE_ROOM)
 
     def reset(self) -> None:
         """Forget everything, also the estimate that may be on its way."""
@@ -188,11 +195,12 @@ class CalibrationSession:
         if self._image_size not in (None, image_size):
             reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
                       f'to {image_size[0]}x{image_size[1]}')
-        elif self._newest_ns is not None and stamp_ns < self._newest_ns:
-            if self._newest_ns - stamp_ns < BACKWARD_JUMP_NS:
-                # overtaken on its way
+        else:
+            order = stamp_order(stamp_ns, self._newest_ns)
+            if order is StampOrder.OVERTAKEN:
                 return ''
-            reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
+            if order is StampOrder.JUMPED_BACK:
+                reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
         if reason:
             self.reset()
         self._image_size, self._newest_ns = image_size, int(stamp_ns)
@@ -239,11 +247,11 @@ class CalibrationSession:
 
         """
         kept = len(self._keyframes)
-        if self._wished and not self._estimating:
+        if self._state is EstimateState.WISHED:
             return kept >= 3
-        if self._estimating or kept < self.settings.first_estimate or not self._new_keyframes:
+        if self._state is not EstimateState.IDLE or self._schedule is not Schedule.AUTOMATIC:
             return False
-        if self._held or self._settled:
+        if kept < self.settings.first_estimate or not self._new_keyframes:
             return False
         if idle or self._estimates == 0:
             return True
@@ -251,7 +259,7 @@ class CalibrationSession:
 
     def hold(self) -> None:
         """Keep the calibration until `keep_since` or `reset`: no estimate comes by itself."""
-        self._held, self._abandoned, self._wished = True, self._estimating, False
+        self._happens(SessionEvent.HOLD)
 
     def keep_since(self, index: int) -> None:
         """
@@ -265,7 +273,7 @@ class CalibrationSession:
         """
         self._keyframes = [frame for frame in self._keyframes if frame.index >= index]
         self._new_keyframes = len(self._keyframes)
-        self._held = self._settled = False
+        self._happens(SessionEvent.RELEASE)
 
     def request(self) -> EstimateRequest | None:
         """
@@ -279,19 +287,20 @@ class CalibrationSession:
 
         """
         frames = self._keyframes
-        if self._estimating or len(frames) < 3:
-            self._wished = self._abandoned and len(frames) >= 3
+        if len(frames) < 3:
+            self._happens(SessionEvent.TOO_FEW)
             return None
-        self._estimating, self._wished = True, False
+        if self._state in UNDER_WAY:
+            self._happens(SessionEvent.WISH)
+            return None
+        self._happens(SessionEvent.START)
         self._new_keyframes = 0
         tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
                         np.concatenate([f.ids for f in frames]),
                         np.concatenate([f.xy for f in frames]), self._image_size,
                         {f.index: f.stamp_ns for f in frames})
-        # a calibration from other facts is nothing to start from
-        start = None if self._from_scratch else self._calibration
-        return EstimateRequest(tracks.with_at_least(2), self.settings, start, self._generation,
-                               len(frames))
+        return EstimateRequest(tracks.with_at_least(2), self.settings, self._start,
+                               self._generation, len(frames))
 
     def accept(self, request: EstimateRequest, result: Calibration | NotCalibrated) -> bool:
         """
@@ -300,24 +309,25 @@ class CalibrationSession:
         Returns
         -------
         bool
-            Whether it was taken: not when the session was reset or held meanwhile. A failure
-            leaves the calibration that there is.
+            Whether it was taken: not when the session was reset or held meanwhile, or asked
+            something else. A failure leaves the calibration that there is.
 
         """
         if request.generation != self._generation:
             return False
-        self._estimating = False
-        if self._abandoned:
-            self._abandoned = False
+        taken = self._state is EstimateState.RUNNING
+        self._happens(SessionEvent.RESULT)
+        if not taken:
             return False
         self._estimates += 1
-        if result:
-            self._calibration, self._failure = result, None
-            self._from_scratch = False
-            self._settled = (request.keyframes >= self.settings.max_keyframes
-                             and _is_precise(result))
-        else:
+        if isinstance(result, NotCalibrated):
             self._failure = result
+            return True
+        self._calibration = self._start = result
+        self._failure = None
+        all_kept = request.keyframes >= self.settings.max_keyframes
+        self._happens(SessionEvent.PRECISE if all_kept and _is_precise(result)
+                      else SessionEvent.IMPRECISE)
         return True
 
     def snapshot(self) -> SessionSnapshot:
@@ -326,7 +336,7 @@ class CalibrationSession:
             frames=self._frames, keyframes=len(self._keyframes),
             new_keyframes=self._new_keyframes, points=self._newest_points,
             image_size=self._image_size, estimates=self._estimates, resets=self._generation,
-            estimating=self._estimating, abandoned=self._abandoned,
+            estimating=self._state in UNDER_WAY, abandoned=self._state in WILL_BE_DROPPED,
             calibration=self._calibration, failure=self._failure)
 
 

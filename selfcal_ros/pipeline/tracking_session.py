@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.pipeline.calibration_session import BACKWARD_JUMP_NS
+from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 
@@ -258,10 +258,11 @@ class TrackingSession:
         if stamp_ns is None:
             return None
         newest = self._newest_ns
-        if newest is not None and stamp_ns < newest:
-            if newest - stamp_ns < BACKWARD_JUMP_NS:
-                raise InputError(f'The image is {(newest - stamp_ns) * 1e-6:.1f} ms older than '
-                                 'the one before it; images must come in order.')
+        order = stamp_order(stamp_ns, newest)
+        if order is StampOrder.OVERTAKEN:
+            raise InputError(f'The image is {(newest - stamp_ns) * 1e-6:.1f} ms older than '
+                             'the one before it; images must come in order.')
+        if order is StampOrder.JUMPED_BACK:
             self.reset()
             newest = None
         self._newest_ns = stamp_ns
