@@ -32,9 +32,10 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
-from selfcal_ros.nodes.change_watch import ChangeWatch, prepare_estimate
+from selfcal_ros.nodes.change_watch import ChangeWatch
 from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.driver_window import DriverWindow
+from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
@@ -70,10 +71,11 @@ class Calibrator(Node):
         self._upload = CameraInfoUpload(self, self.parameters.set_camera_info_service)
         self._session = CalibrationSession(session_settings(self.parameters))
         self._scene = ScenePublisher(self, self.parameters.world_frame)
-        self._worker = worker(partial(prepare_estimate, partial(
-            prepare_scene, self.parameters.world_frame)))
-        self._watch = ChangeWatch(self._session, self._worker, self.get_logger(),
+        self._worker = worker()
+        self._watch = ChangeWatch(self._session, self.get_logger(),
                                   monitor_settings(self.parameters))
+        self._takers = {JobKind.ESTIMATE: self._take_estimate,
+                        JobKind.WINDOW_SCORE: self._watch.take}
         self._types = rclpy_types()
         self._size = (0, 0)
         self._driver = DriverWindow(self, self._begin_anew)
@@ -144,11 +146,12 @@ class Calibrator(Node):
 
     def _estimate(self):
         """Fetch a result that is ready, and start another estimate where that is worthwhile."""
-        done = self._watch.poll()
-        if done is not None and self._session.accept(*done[:2]):
-            if done[1]:
-                self._watch.watch(done[1], done[0])
-            self._take(*done[1:])
+        done = self._worker.poll()
+        if done is not None:
+            self._takers[done.job.kind](done)
+        window = self._watch.next_job()
+        if window is not None:
+            self._worker.submit(window)
         if self._session.is_due(idle=self._silence.silent_s > self.parameters.idle_s):
             self._start()
 
@@ -157,10 +160,17 @@ class Calibrator(Node):
         request = self._session.request()
         if request is None:
             return 0
-        self._worker.submit(request)
+        self._worker.submit(Job(JobKind.ESTIMATE, request,
+                                partial(prepare_scene, self.parameters.world_frame)))
         return request.keyframes
 
-    def _take(self, result, scene):
+    def _take_estimate(self, done: JobResult):
+        """Take a calibration, or the reason why there is none."""
+        request, result, scene = done.job.request, done.value, done.prepared
+        if not self._session.accept(request, result):
+            return
+        if result:
+            self._watch.watch(result, request)
         self._result.publish(String(data=result_to_json(result)))
         if not result:
             self.get_logger().info(str(result), throttle_duration_sec=5.0)

@@ -11,38 +11,30 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The monitor of a calibrator: its keyframes, its share of the worker, and what it says."""
+"""The monitor of a calibrator: its keyframes, its windows, and what it says."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 from msg_adapters.diagnostics import WARN
 
 from selfcal_ros.calibration.monitoring.camera_change import CHANGE_NAMES, MonitorSettings
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
-from selfcal_ros.pipeline.monitoring import Monitoring, ScoreRequest
+from selfcal_ros.pipeline.monitoring import Monitoring
 
 ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'
 
 
-def prepare_estimate(prepare: Callable, result, request):
-    """Prepare what follows from an estimate; nothing follows from the score of a window."""
-    return prepare(result, request) if isinstance(request, EstimateRequest) else None
-
-
 class ChangeWatch:
     """
-    Watches the calibration of a session with the worker that makes it.
+    Watches the calibration of a session.
 
     After an alarm the session is held: it neither starts nor takes an estimate by itself.
 
     Parameters
     ----------
     session : CalibrationSession
-    worker : EstimationWorker or EstimationProcess
-        It must prepare by way of `prepare_estimate`.
     logger : object
         rclpy's, for the alarm.
     settings : MonitorSettings, optional
@@ -50,11 +42,10 @@ class ChangeWatch:
 
     """
 
-    def __init__(self, session: CalibrationSession, worker, logger,
-                 settings: MonitorSettings | None):
-        self._session, self._worker, self._logger = session, worker, logger
+    def __init__(self, session: CalibrationSession, logger, settings: MonitorSettings | None):
+        self._session, self._logger = session, logger
         self._monitoring = Monitoring()
-        self._settings = None
+        self._settings: MonitorSettings | None = None
         self._scoring = False
         self._watched: tuple | None = None
         self.change(settings)
@@ -85,22 +76,21 @@ class ChangeWatch:
         if self._settings and self._session.keyframes:
             self._monitoring.add_keyframe(self._session.keyframes[-1], image_size)
 
-    def poll(self):
-        """Do what `EstimationWorker.poll` does; scores of windows stay here."""
-        done = self._worker.poll()
-        if done is not None and isinstance(done[0], ScoreRequest):
-            self._scoring = False
-            alarm = self._monitoring.accept(*done[:2])
-            if alarm is not None:
-                self._session.hold()
-                self._logger.warning(f'{alarm}; {ADVICE}')
-            done = None
-        if self._settings and not self._scoring:
-            request = self._monitoring.next_request()
-            if request is not None:
-                self._scoring = True
-                self._worker.submit(request)
-        return done
+    def next_job(self) -> Job | None:
+        """Return a window to score; None while there is none, or one is being scored."""
+        if self._settings is None or self._scoring:
+            return None
+        request = self._monitoring.next_request()
+        self._scoring = request is not None
+        return None if request is None else Job(JobKind.WINDOW_SCORE, request)
+
+    def take(self, done: JobResult) -> None:
+        """Take the score of a window; an alarm holds the session."""
+        self._scoring = False
+        alarm = self._monitoring.accept(done.job.request, done.value)
+        if alarm is not None:
+            self._session.hold()
+            self._logger.warning(f'{alarm}; {ADVICE}')
 
     def watch(self, calibration: Calibration, request: EstimateRequest) -> None:
         """Watch this calibration from here on."""

@@ -16,15 +16,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 import multiprocessing
 from multiprocessing import resource_tracker
 import os
 import signal
-import traceback
 
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.pipeline.calibration_session import EstimateRequest
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.nodes.estimation_job import Job, JobResult
 
 #: The child yields to whoever has an image to follow.
 NICENESS = 5
@@ -39,25 +37,17 @@ class EstimationProcess:
 
     The child ends with this process, however that ends: it reads from a pipe whose other end
     nobody else holds.
-
-    Parameters
-    ----------
-    prepare : callable
-        Called in the child as prepare(calibration, request), for what takes time after it. It
-        must be picklable, as a function of a module is.
-
     """
 
-    def __init__(self, prepare: Callable):
-        self._prepare = prepare
-        self._waiting: deque[EstimateRequest] = deque()
-        self._running: EstimateRequest | None = None
+    def __init__(self) -> None:
+        self._waiting: deque[Job] = deque()
+        self._running: Job | None = None
         self._start()
 
     def _start(self):
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
-        child = context.Process(target=_work, args=(theirs, self._prepare), daemon=True,
+        child = context.Process(target=_work, args=(theirs,), daemon=True,
                                 name='estimation')
         # it would be started on the way, and unblock the signals that are blocked below
         resource_tracker.ensure_running()
@@ -70,13 +60,13 @@ class EstimationProcess:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
 
-    def submit(self, request: EstimateRequest) -> None:
-        """Queue a request."""
-        self._waiting.append(request)
+    def submit(self, job: Job) -> None:
+        """Queue a job."""
+        self._waiting.append(job)
         self._send()
 
     def _send(self):
-        """Send the next request once the child is idle: it reads at once then."""
+        """Send the next job once the child is idle: it reads at once then."""
         if self._running is None and self._waiting:
             self._running = self._waiting.popleft()
             try:
@@ -85,37 +75,37 @@ class EstimationProcess:
                 # poll() finds out, too, and tells
                 pass
 
-    def poll(self) -> tuple[EstimateRequest, Calibration | NotCalibrated, object] | None:
-        """Return a request that is done, its result, and what was prepared (or None)."""
+    def poll(self) -> JobResult | None:
+        """Return what became of the next job that is done; None if none is."""
         if self._running is None or not self._pipe.poll():
             return None
-        request, self._running = self._running, None
+        job, self._running = self._running, None
         try:
-            result, prepared = self._pipe.recv()
+            result = JobResult(job, *self._pipe.recv())
         except (EOFError, OSError):
-            result, prepared = NotCalibrated(
+            result = JobResult(job, NotCalibrated(
                 'The process of the estimate ended unexpectedly (out of memory?).',
-                'The next estimate starts another one.'), None
+                'The next estimate starts another one.'))
             self._pipe.close()
             self._start()
         self._send()
-        return request, result, prepared
+        return result
 
 
-def _work(pipe, prepare: Callable) -> None:
-    """Serve requests until the other end of the pipe is closed."""
+def _work(pipe) -> None:
+    """Run jobs until the other end of the pipe is closed."""
     _yield_to_others()
-    # now, and not when the first request waits
+    # now, and not when the first job waits
     import selfcal_ros
     del selfcal_ros
     while True:
         try:
-            request = pipe.recv()
+            job = pipe.recv()
         except (EOFError, OSError):
             return
-        result, prepared = run_request(request, prepare)
+        answer = job.run()
         try:
-            pipe.send((result, prepared))
+            pipe.send(answer)
         except OSError:
             return
 
@@ -128,30 +118,3 @@ def _yield_to_others() -> None:
         # not Linux, or not permitted
         pass
     os.nice(NICENESS)
-
-
-def run_request(request: EstimateRequest, prepare: Callable) -> tuple:
-    """
-    Run one request, and prepare what follows from it.
-
-    Returns
-    -------
-    result : Calibration or NotCalibrated
-        A fault of the program is a NotCalibrated, too: who estimates must live, and the fault
-        must be seen.
-    prepared : object
-        None where there is nothing, or its making failed.
-
-    """
-    prepared = None
-    try:
-        result = request.run()
-    except Exception as error:
-        traceback.print_exc()
-        result = NotCalibrated(f'The estimate failed ({type(error).__name__}: {error}); '
-                               'please report the lines on standard error.')
-    try:
-        prepared = prepare(result, request) if result else None
-    except Exception:  # a calibration must not be lost to what is drawn from it
-        traceback.print_exc()
-    return result, prepared

@@ -15,40 +15,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import queue
 import threading
 
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.nodes.estimation_process import run_request
-from selfcal_ros.pipeline.calibration_session import EstimateRequest
+from selfcal_ros.nodes.estimation_job import Job, JobResult
 
 
 class EstimationWorker:
     """
-    Runs requests one after the other; results are fetched by polling.
+    Runs jobs one after the other; results are fetched by polling.
 
     The thread is a daemon: a process that is told to stop does not wait for an estimate.
-
-    Parameters
-    ----------
-    prepare : callable
-        Called in the thread as prepare(calibration, request), for what takes time after it.
-
     """
 
-    def __init__(self, prepare: Callable):
-        self._prepare = prepare
-        self._requests = queue.Queue()
-        self._results = queue.Queue()
+    def __init__(self) -> None:
+        self._jobs: queue.Queue[Job] = queue.Queue()
+        self._results: queue.Queue[JobResult] = queue.Queue()
         threading.Thread(target=self._work, daemon=True, name='estimation').start()
 
-    def submit(self, request: EstimateRequest) -> None:
-        """Queue a request."""
-        self._requests.put(request)
+    def submit(self, job: Job) -> None:
+        """Queue a job."""
+        self._jobs.put(job)
 
-    def poll(self) -> tuple[EstimateRequest, Calibration | NotCalibrated, object] | None:
-        """Return a request that is done, its result, and what was prepared (or None)."""
+    def poll(self) -> JobResult | None:
+        """Return what became of the next job that is done; None if none is."""
         try:
             return self._results.get_nowait()
         except queue.Empty:
@@ -56,5 +46,5 @@ class EstimationWorker:
 
     def _work(self):
         while True:
-            request = self._requests.get()
-            self._results.put((request, *run_request(request, self._prepare)))
+            job = self._jobs.get()
+            self._results.put(JobResult(job, *job.run()))

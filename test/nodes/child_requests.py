@@ -32,7 +32,3 @@ class Request:
         if self.what == 'death':
             os._exit(1)
         return NotCalibrated(f'{self.what} from {os.getpid()}')
-
-
-def prepared(result, request):
-    """Prepare nothing."""

@@ -19,7 +19,7 @@ from pathlib import Path
 import signal
 import time
 
-from child_requests import prepared, Request
+from child_requests import Request
 import image_stream
 from msg_adapters.tracks import tracks_from_message
 import pytest
@@ -27,6 +27,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.cli.demo import read_truth
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.nodes.all import DEFAULT, wanted_nodes
+from selfcal_ros.nodes.estimation_job import Job, JobKind
 from selfcal_ros.nodes.estimation_process import EstimationProcess
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
@@ -151,15 +152,15 @@ def answer(worker, timeout_s=30):
 
 
 def test_the_child_survives_faults_and_is_replaced_when_it_dies(capfd):
-    worker = EstimationProcess(prepared)
-    requests = [Request(what) for what in ('first', 'fault', 'death', 'last')]
-    for request in requests:
-        worker.submit(request)
+    worker = EstimationProcess()
+    jobs = [Job(JobKind.ESTIMATE, Request(what)) for what in ('first', 'fault', 'death', 'last')]
+    for job in jobs:
+        worker.submit(job)
     said = []
-    for request in requests:
-        back, result, scene = answer(worker)
-        assert back == request and not result and scene is None
-        said.append(str(result))
+    for job in jobs:
+        done = answer(worker)
+        assert done.job is job and not done.value and done.prepared is None
+        said.append(str(done.value))
     assert 'first from' in said[0] and str(os.getpid()) not in said[0]
     assert 'ValueError: of the program' in said[1]
     assert 'ended unexpectedly' in said[2] and 'last from' in said[3]
