@@ -75,6 +75,25 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     ArgumentError
         If `motion` is unknown.
 
+    References
+    ----------
+    M. N. Armstrong (1996), Self-Calibration from Image Sequences: chapters 4 (translation), 5 and
+    6 (planar motion). R. Hartley and A. Zisserman (2004), chapter 18: bundle adjustment.
+
+    Examples
+    --------
+    Three views of a camera that turns on a plane, in pixels with noise of 0.1:
+
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts
+    >>> from selfcal_ros.synthetic.scenes import sequence_si
+    >>> scene = sequence_si(np.random.default_rng(0), noise_px=0.1)
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, distortion='none'))
+    >>> if result:
+    ...     error = result.camera.parameters[:5] - scene.camera.parameters[:5]
+    ...     print(bool((np.abs(error[:4]) < 0.05 * scene.camera.K[0, 0]).all()))
+    True
+
     """
     if motion not in METHODS:
         raise ArgumentError(f'Motion {motion!r} is unknown; choose one of {", ".join(METHODS)}.')

@@ -75,7 +75,16 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class Measured:
-    """A value and its standard deviation, in the same unit."""
+    """
+    A value and its standard deviation, in the same unit.
+
+    Examples
+    --------
+    >>> from selfcal_ros import Measured
+    >>> Measured(value=2.0, sigma=0.01)
+    Measured(value=2.0, sigma=0.01)
+
+    """
 
     value: float
     sigma: float
@@ -183,6 +192,19 @@ class Calibration:
     measured : StructureSample, optional
         What the uncertainty means for measurements in the structure.
 
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts
+    >>> from selfcal_ros.synthetic.scenes import sequence_si
+    >>> scene = sequence_si(np.random.default_rng(0), noise_px=0.1)
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, distortion='none'))
+    >>> result.motion, result.status['fx'], result.status['k1']
+    ('planar', 'estimated', 'held')
+    >>> error = result.camera.K[0, 0] - scene.camera.K[0, 0]
+    >>> bool(abs(error) < 3 * result.sigma['fx'])
+    True
+
     """
 
     camera: Camera
@@ -231,6 +253,18 @@ class NotCalibrated:
     facts : CameraFacts
     status : dict
         Per parameter 'held' or 'unobservable', as far as it is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts
+    >>> from selfcal_ros.synthetic.special_scenes import pure_translation
+    >>> scene = pure_translation(np.random.default_rng(0))
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+    >>> bool(result), result.motion
+    (False, 'translation')
+    >>> str(result).startswith('Not calibrated: ')
+    True
 
     """
 

@@ -56,6 +56,18 @@ class Camera:
     ArgumentError
         If K is not a finite upper triangular matrix with positive focal lengths.
 
+    References
+    ----------
+    D. C. Brown (1966), Decentering distortion of lenses: the distortion.
+
+    Examples
+    --------
+    >>> from selfcal_ros import Camera
+    >>> camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], width=640, height=480)
+    >>> camera.project([[0.0, 0.0, 2.0], [1.0, 0.5, 2.0]])
+    array([[320., 240.],
+           [580., 370.]])
+
     """
 
     K: np.ndarray
@@ -188,6 +200,20 @@ class CameraFacts:
     ------
     ArgumentError
         If a value is impossible.
+
+    References
+    ----------
+    M. N. Armstrong (1996), section 5.3: what each fact determines.
+
+    Examples
+    --------
+    Square pixels, exactly, and a principal point that is known to 20 px:
+
+    >>> from selfcal_ros import CameraFacts
+    >>> facts = CameraFacts(aspect_ratio=1.0, skew=0.0, principal_point=(320, 240),
+    ...                     principal_point_sigma_px=20.0)
+    >>> facts.principal_point
+    (320.0, 240.0)
 
     """
 

@@ -75,6 +75,18 @@ class Tracks:
     InputError
         If shapes differ, a value is not finite, or a (frame, track) pair occurs twice.
 
+    Examples
+    --------
+    >>> from selfcal_ros import Tracks
+    >>> tracks = Tracks(frame=[0, 0, 1, 1], track=[7, 8, 7, 8],
+    ...                 xy=[(10, 20), (30, 40), (12, 20), (33, 40)], image_size=(640, 480))
+    >>> points, before, after = tracks.matches(0, 1)
+    >>> points
+    array([7, 8])
+    >>> after - before
+    array([[2., 0.],
+           [3., 0.]])
+
     """
 
     frame: np.ndarray

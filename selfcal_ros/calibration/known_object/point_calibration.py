@@ -92,6 +92,29 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
         Motion 'known-object'; the reconstruction holds the object's points and the pose of the
         object in every camera (units of the object).
 
+    References
+    ----------
+    M. N. Armstrong (1996), section 3.2: one image of a solid. Z. Zhang (2000): images of a plane.
+
+    Examples
+    --------
+    Four views of a board, tilted about different axes:
+
+    >>> import numpy as np
+    >>> from scipy.spatial.transform import Rotation
+    >>> from selfcal_ros import calibrate_known_object, Camera, CameraFacts, KnownObject, Tracks
+    >>> camera = Camera([[520, 0, 330], [0, 520, 236], [0, 0, 1]], width=640, height=480)
+    >>> corners = np.array([(0.04 * x, 0.04 * y, 0.0) for y in range(5) for x in range(7)])
+    >>> tilts = Rotation.from_rotvec([(0.5, 0, 0), (-0.5, 0, 0), (0, 0.5, 0), (0.2, -0.5, 0)])
+    >>> seen = corners @ tilts.as_matrix().transpose(0, 2, 1) + [-0.12, -0.08, 0.6]
+    >>> pixels = camera.project(seen) + np.random.default_rng(0).normal(0, 0.05, (4, 35, 2))
+    >>> tracks = Tracks(np.repeat(np.arange(4), 35), np.tile(np.arange(35), 4),
+    ...                 pixels.reshape(-1, 2), image_size=(640, 480))
+    >>> result = calibrate_known_object(tracks, KnownObject(range(35), corners),
+    ...                                 facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+    >>> bool(abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx'])
+    True
+
     """
     facts = CameraFacts() if facts is None else facts
     size = tracks.image_size or tuple(

@@ -51,6 +51,19 @@ def ray_angles(result: Calibration | NotCalibrated, first: np.ndarray, second: n
     ArgumentError
         If there is no calibration, or the pixels are none.
 
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts, ray_angles
+    >>> from selfcal_ros.synthetic.scenes import sequence_si
+    >>> scene = sequence_si(np.random.default_rng(0), noise_px=0.1)
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, distortion='none'))
+    >>> angle, sigma = ray_angles(result, [100, 240], [540, 240])
+    >>> a, b = np.append(scene.camera.normalised([[100, 240], [540, 240]]), [[1], [1]], axis=1)
+    >>> truth = np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+    >>> bool(abs(angle[0] - truth) < 4 * sigma[0])
+    True
+
     """
     if not isinstance(result, Calibration):
         raise ArgumentError('Angles need a Calibration to be measured with.')

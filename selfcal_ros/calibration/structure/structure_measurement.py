@@ -65,6 +65,19 @@ def length_ratio(result: Calibration | NotCalibrated, first: tuple[int, int],
     ArgumentError
         If there is no such reconstruction or track, or a length has the same point twice.
 
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts, length_ratio
+    >>> from selfcal_ros.synthetic.scenes import sequence_si
+    >>> scene = sequence_si(np.random.default_rng(0), noise_px=0.1)
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, distortion='none'))
+    >>> a, b, c = result.reconstruction.tracks[[0, 10, 20]]
+    >>> ratio = length_ratio(result, (a, b), (b, c))
+    >>> lengths = np.linalg.norm(np.diff(scene.points[[a, b, c], :3], axis=0), axis=1)
+    >>> bool(abs(ratio.value - lengths[0] / lengths[1]) < 4 * ratio.sigma)
+    True
+
     """
     shape, rows = _found(result, [(first, 2), (second, 2)])
     return distance_ratio(shape.fit, tuple(rows[:2]), tuple(rows[2:]), result.covariance,
@@ -92,6 +105,20 @@ def structure_angle(result: Calibration | NotCalibrated, corner: tuple[int, int,
     ------
     ArgumentError
         If there is no such reconstruction or track, or a point is named twice.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from selfcal_ros import calibrate, CameraFacts, structure_angle
+    >>> from selfcal_ros.synthetic.scenes import sequence_si
+    >>> scene = sequence_si(np.random.default_rng(0), noise_px=0.1)
+    >>> result = calibrate(scene.tracks, facts=CameraFacts(aspect_ratio=1.0, distortion='none'))
+    >>> a, b, c = result.reconstruction.tracks[[0, 10, 20]]
+    >>> angle = structure_angle(result, (a, b, c))
+    >>> one, other = scene.points[[a, c], :3] - scene.points[b, :3]
+    >>> truth = np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
+    >>> bool(abs(angle.value - truth) < 4 * angle.sigma)
+    True
 
     """
     shape, rows = _found(result, [(corner, 3)])
