@@ -21,10 +21,11 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.rorapid.edges.control_points import ControlModel, Measured
+from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
-from selfcal_ros.rorapid.estimation.rapid_tracker import ClassicCycle
-from selfcal_ros.rorapid.estimation.robust_tracker import ModernCycle
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
+from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
+from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
@@ -44,7 +45,7 @@ _PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 #: Share of the velocity that is lost with each frame in which nothing is seen.
 _DAMPING = 0.3
 #: Random walk of what a restricted motion does not change, per square root of a second.
-_WANDER_RAD, _WANDER_DIAMETERS = 2e-3, 1e-3
+_RANDOM_WALK_RAD, _RANDOM_WALK_DIAMETERS = 2e-3, 1e-3
 #: The plane of motion is learned when its normal is known so well, from so many poses.
 _PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
@@ -82,7 +83,7 @@ class RorapidTracker:
         self._lay_basis()
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
-        cycle = ModernCycle if options.method == 'modern' else ClassicCycle
+        cycle = RobustTracker if options.method == 'modern' else RapidTracker
         self._cycle = cycle(self._control, self._basis, options, self._rng)
         self._filter = None
         self._state, self._stamp_ns = TrackerState.LOST, None
@@ -118,7 +119,7 @@ class RorapidTracker:
 
     def adopt(self, options: TrackerOptions) -> bool:
         """
-        Go on by other settings, with all that was learned: pose, velocity, zoom, plane, looks.
+        Go on by other settings, with all that was learned: pose, velocity, plane, appearance.
 
         Returns
         -------
@@ -218,15 +219,16 @@ class RorapidTracker:
                 speed[6], turn[6] = options.zoom_rate_s, options.zoom_rate_s
         B = self._basis
         speed, turn = (np.sqrt(np.einsum('im,i->m', B**2, sigma**2)) for sigma in (speed, turn))
-        wander = np.zeros(B.shape[1])
+        random_walk = np.zeros(B.shape[1])
         if self._free < B.shape[1]:
-            wide = np.r_[[_WANDER_RAD] * 3, [_WANDER_DIAMETERS * diameter] * 3, [0.0] * (size - 6)]
+            wide = np.r_[[_RANDOM_WALK_RAD] * 3, [_RANDOM_WALK_DIAMETERS * diameter] * 3,
+                         [0.0] * (size - 6)]
             if size == 8:
-                wide = np.full(8, _WANDER_DIAMETERS * diameter * scale)
-            wander[self._free:] = np.sqrt(np.einsum('im,i->m', B**2, wide**2))[self._free:]
+                wide = np.full(8, _RANDOM_WALK_DIAMETERS * diameter * scale)
+            random_walk[self._free:] = np.sqrt(np.einsum('im,i->m', B**2, wide**2))[self._free:]
             speed[self._free:] = turn[self._free:] = 0
         self._filter = ConstantVelocityFilter(self._projection, B, state, B.T @ full @ B, speed,
-                                              turn, wander)
+                                              turn, random_walk)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
         """
@@ -254,32 +256,32 @@ class RorapidTracker:
         if self._filter is None:
             raise ArgumentError('The tracker needs a start pose before the first image.')
         image = checked_grey(image, self.camera)
-        self._control.image_size = image.shape[::-1]
+        self._control.resize(image.shape[::-1])
         seconds = self._elapsed(stamp_ns)
         lost = self._state is TrackerState.LOST
         first = self._state is TrackerState.INITIALISING
         if not (first or lost):
             self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
-        if first and self.options.method == 'modern':
+        if first:
             measured = self._cycle.settle(image, predicted, spread)
         else:
             measured = self._cycle.measure(image, predicted, spread)
-        if not first and self.options.seeks and not measured.certain and (
+        if not first and self.options.seeks and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
-            measured = self._seek(image, measured, lost)
+            measured = self._relocalise(image, measured, lost)
         return self._judge(measured, stamp_ns)
 
-    def _seek(self, image, measured: Measured, lost: bool) -> Measured:
+    def _relocalise(self, image, measured: PoseMeasurement, lost: bool) -> PoseMeasurement:
         """Try other places for the object; return the measurement that is confirmed best."""
         proposals = self._cycle.proposals(image, self._filter.state, lost,
                                           self._wide(self._filter.state))
         for state in proposals:
             other = self._cycle.measure(image, state, self._wide(state))
-            if other.determined and (other.certain, other.share) > (
-                    measured.certain, measured.share + 0.05):
+            if other.determined and (other.recognised, other.share) > (
+                    measured.recognised, measured.share + 0.05):
                 measured = other
-            if measured.certain:
+            if measured.recognised:
                 break
         return measured
 
@@ -295,7 +297,7 @@ class RorapidTracker:
             sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
         return (self._basis.T * sigma**2) @ self._basis
 
-    def _adapt(self, measured: Measured) -> None:
+    def _adapt(self, measured: PoseMeasurement) -> None:
         """Learn the plane of motion; leave a zoom that the images leave open."""
         if self.options.motion == 'planar' and self._axis is None:
             state, B = self._filter.state, self._basis
@@ -320,10 +322,10 @@ class RorapidTracker:
         self._cycle.switch(self._basis, camera_model)
         self._start_filter(kalman.state, full[:6, :6])
         B, size = self._basis, self._projection.size
-        m = B.shape[1]
-        self._filter.covariance[:m, :m] = B.T @ full[:size, :size] @ B + 1e-12 * np.eye(m)
-        self._filter.velocity = B.T @ velocity[:size]
-        self._filter.velocity[self._free:] = 0
+        moving = B.T @ velocity[:size]
+        moving[self._free:] = 0
+        self._filter.restart(kalman.state, B.T @ full[:size, :size] @ B
+                             + 1e-12 * np.eye(B.shape[1]), moving)
 
     def _elapsed(self, stamp_ns):
         """Seconds since the last image."""
@@ -332,14 +334,14 @@ class RorapidTracker:
             return 1 / self.options.frame_rate_hz
         return min((stamp_ns - before) * 1e-9, _LONGEST_S)
 
-    def _judge(self, measured: Measured, stamp_ns) -> TrackedFrame:
+    def _judge(self, measured: PoseMeasurement, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
         options = self.options
         lost = self._state is TrackerState.LOST
         accepted = measured.determined and (
-            measured.certain if lost else measured.share >= options.lost_share)
+            measured.recognised if lost else measured.share >= options.lost_share)
         innovation = float('nan')
-        if accepted and not measured.certain and measured.share <= options.lost_share:
+        if accepted and not measured.recognised and measured.share <= options.lost_share:
             # barely found, and not recognised: half a miss
             self._misses += 0.5
             accepted = self._misses < options.frames_to_lost
@@ -359,8 +361,7 @@ class RorapidTracker:
             tracking = measured.share >= options.tracking_share
             self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
             self._good = measured.state
-            if options.method == 'modern':
-                self._cycle.remember(measured, tracking or measured.certain)
+            self._cycle.remember(measured, tracking or measured.recognised)
             reason = '' if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
             if tracking and self._camera_model != options.camera_model:
@@ -394,7 +395,10 @@ class RorapidTracker:
         focal = float(self.camera.K[0, 0] * state.zoom)
         sigma = focal * float(np.sqrt(full[6, 6])) if len(full) == 7 else 0.0
         return TrackedFrame(
-            self._state, reason, state.rotation, state.translation - arm, pose[_TURN_LAST],
-            focal, sigma, self._camera_model, view.projected.pixels, view.normal, edge, found,
-            np.isfinite(edge) & ~found, ~view.searched, view.primitive, measured.texture_px, rms,
-            measured.share, innovation, stamp_ns)
+            state=self._state, reason=reason, rotation=state.rotation,
+            translation=state.translation - arm, covariance=pose[_TURN_LAST], focal_px=focal,
+            focal_sigma_px=sigma, camera_model=self._camera_model,
+            image_px=view.projected.pixels, normal=view.normal, edge_px=edge, found=found,
+            rejected=np.isfinite(edge) & ~found, hidden=~view.searched,
+            primitive=view.primitive, texture_px=measured.texture_px, rms_px=rms,
+            share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns)

@@ -25,12 +25,12 @@ from selfcal_ros.rorapid.projection.motion_models import completed, motion_basis
 PROJECTION = Projection(Camera([[540, 0, 320], [0, 540, 240], [0, 0, 1]]))
 
 
-def new(motion='general', acceleration=1.0, wander=0.0):
+def new(motion='general', acceleration=1.0, random_walk=0.0):
     basis = motion_basis(motion, 6, [0, 0, 1])
     m = basis.shape[1]
     state = PROJECTION.from_pose(rotation_matrix([0.1, 0.2, 0.3]), [0, 0, 0.5])
     return ConstantVelocityFilter(PROJECTION, basis, state, 1e-4 * np.eye(m), np.full(m, 0.5),
-                                  np.full(m, acceleration), wander)
+                                  np.full(m, acceleration), random_walk)
 
 
 @pytest.mark.parametrize('motion', ('general', 'translation', 'planar'))

@@ -15,7 +15,7 @@
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma, robust_sigma, tukey_weight
 from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
                                                                 ransac_lines, stability)
 
@@ -98,5 +98,9 @@ def test_weights():
     assert w[0] == 1 and 0 < w[1] < 1 and w[2] == w[3] == 0
     residual = np.random.default_rng(7).normal(0, 2.0, 4000)
     residual[:400] = 100
-    assert abs(robust_sigma(residual, 0.1) - 2.0) < 0.4
-    assert robust_sigma(np.zeros(0), 0.3) == 0.3
+    assert abs(fast_robust_sigma(residual, 0.1) - 2.0) < 0.4
+    assert fast_robust_sigma(np.zeros(0), 0.3) == 0.3
+    np.testing.assert_allclose(robust_sigma(residual), fast_robust_sigma(residual, 0.1), rtol=0.1)
+    rows = np.stack([residual, np.where(np.arange(len(residual)) < 5, np.nan, residual)])
+    np.testing.assert_allclose(robust_sigma(rows, axis=1),
+                               [robust_sigma(residual), robust_sigma(residual[5:])])

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, ProjectedPoints, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
 
 #: Control points must be so far inside the image to be searched, pixels.
 _BORDER_PX = 3.0
@@ -90,7 +90,11 @@ class ControlModel:
         self._towards = self._step * visible_model.bends / np.maximum(self._bend, 1e-12)[:, None]
         self._curved = bool(conic.any())
 
-    def view(self, state: ObjectState) -> ControlView:
+    def resize(self, image_size: tuple[int, int]) -> None:
+        """Take images of another size: width and height."""
+        self.image_size = image_size
+
+    def view(self, state: ObjectPose) -> ControlView:
         """Return the control points that a state shows."""
         # hidden parts are those of the full perspective view, whatever the camera model
         seen = self.visible_model.control_points(
@@ -99,7 +103,7 @@ class ControlModel:
         return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
                            seen.contour, state)
 
-    def again(self, view: ControlView, state: ObjectState) -> ControlView:
+    def again(self, view: ControlView, state: ObjectPose) -> ControlView:
         """Return the same control points in a state nearby."""
         return self._place(view.points, view.tangents, view.primitive, view.ids, view.searched,
                            view.contour, state)
@@ -132,51 +136,3 @@ class ControlModel:
                                  / np.maximum(length[curved], 1e-12)**2)
         return ControlView(points, tangents, primitive, ids, searched, contour, projected,
                            normal, self._end[ids] * length, curvature)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """
-    Attributes of one measurement of the state.
-
-    Attributes
-    ----------
-    state : ObjectState
-    covariance : ndarray, shape (m, m)
-        Of the correction p of that state; of the posterior if `with_prior`, else of the
-        measurement alone.
-    with_prior : bool
-    view : ControlView
-        Control points at `state`.
-    edge_px : ndarray, shape (C,)
-        Distance of each control point to its edgel along the normal, NaN without one.
-    found : ndarray of bool, shape (C,)
-    texture_px : ndarray, shape (T, 2)
-    share : float
-        Share of what should be seen and is confirmed.
-    determined : bool
-        Whether the measurement determines all of the correction.
-    certain : bool
-        Whether it would do to recognise an object that was lost.
-    focal_sigma : float
-        Relative standard deviation of the focal length from this image alone (zoom).
-    reason : str
-        Why not, or why the share is low; one sentence.
-    evidence : tuple
-        What the cycle remembers of this measurement if it is accepted; its own affair.
-
-    """
-
-    state: ObjectState
-    covariance: np.ndarray
-    with_prior: bool
-    view: ControlView
-    edge_px: np.ndarray
-    found: np.ndarray
-    texture_px: np.ndarray
-    share: float
-    determined: bool
-    certain: bool = False
-    focal_sigma: float = 0.0
-    reason: str = ''
-    evidence: tuple = ()

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Control points with another primitive so close alongside count little.
-_CROWD_PX, _CROWD_LENGTH_PX, _CROWDED = 5.0, 15.0, 0.1
+_CLUTTER_PX, _CLUTTER_LENGTH_PX, _CLUTTERED = 5.0, 15.0, 0.1
 #: Cosine of the angle between primitives that run alongside, at the least.
 _ALONGSIDE = 0.94
 #: The contrast of an edge changes by this factor at the most while it is the same edge.
@@ -29,7 +29,7 @@ _WEAK_PX = 5.0
 _WRONG_SIGN_PX = 3.0
 
 
-def handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def contrast_penalty(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """
     Pixels by which an edge seems further away than it is, for it does not look right.
 
@@ -50,17 +50,17 @@ def handicap(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.where(contrast * wanted[:, None] < 0, _WRONG_SIGN_PX, weak)
 
 
-def alike(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def contrast_matches(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
     ratio = contrast / np.where(wanted == 0, 1.0, wanted)
     return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
 
 
-def uncrowded(view) -> np.ndarray:
+def clutter_weight(view) -> np.ndarray:
     """
     Weight of control points by how near other primitives run alongside, (C,).
 
-    Where lines of a face seen from its edge crowd together, an edgel may be that of the next.
+    Where lines of a face seen from its edge lie close together, an edgel may be that of the next.
     Points that are not searched have weight 1.
     """
     at = np.flatnonzero(view.searched)
@@ -82,10 +82,10 @@ def uncrowded(view) -> np.ndarray:
     along = pixels @ np.stack([-across[:, 1], across[:, 0]])
     line = np.arange(len(head))
     one, other = along[head, line], along[tail, line]
-    crowd = np.abs(pixels @ across.T - np.einsum('hi,hi->h', pixels[head], across)) < _CROWD_PX
-    crowd &= primitive[:, None] != primitive[head]
-    crowd &= along > np.minimum(one, other) - _CROWD_LENGTH_PX
-    crowd &= along < np.maximum(one, other) + _CROWD_LENGTH_PX
-    crowd &= np.abs(normal @ across.T) > _ALONGSIDE
-    weight[at[crowd.any(axis=1)]] = _CROWDED
+    clutter = np.abs(pixels @ across.T - np.einsum('hi,hi->h', pixels[head], across)) < _CLUTTER_PX
+    clutter &= primitive[:, None] != primitive[head]
+    clutter &= along > np.minimum(one, other) - _CLUTTER_LENGTH_PX
+    clutter &= along < np.maximum(one, other) + _CLUTTER_LENGTH_PX
+    clutter &= np.abs(normal @ across.T) > _ALONGSIDE
+    weight[at[clutter.any(axis=1)]] = _CLUTTERED
     return weight

@@ -19,13 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
-from selfcal_ros.rorapid.edges.edge_choice import alike, handicap
+from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_penalty
 from selfcal_ros.rorapid.edges.edge_noise import CommonScatter, EdgeNoise, sums_of
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import ObjectState
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
 #: Noise of the edges in one image against what was learned, at the least.
@@ -48,7 +48,7 @@ class EdgeFit:
 
     Attributes
     ----------
-    state : ObjectState
+    state : ObjectPose
     edges, measured, solved : ndarray, shape (m, m)
         Information of the edges, edgels taken as independent; the same with the corners; with
         the prior as well, the matrix of the last solution.
@@ -64,7 +64,7 @@ class EdgeFit:
 
     """
 
-    state: ObjectState
+    state: ObjectPose
     edges: np.ndarray
     measured: np.ndarray
     solved: np.ndarray
@@ -116,12 +116,20 @@ class EdgeSearch:
         self._common.forget()
         self._noise.forget()
 
+    def switch(self, basis: np.ndarray) -> None:
+        """Go on with another basis of corrections."""
+        self.basis = basis
+
+    def adopt(self, options: TrackerOptions, nearest: np.ndarray) -> None:
+        """Go on by other settings; each control point remembers what the nearest one did."""
+        self.options, self.contrast = options, self.contrast[nearest]
+
     def found_share(self, fit: EdgeFit, found: np.ndarray) -> float:
         """Share of the edges searched that were found (C,) and look as they are remembered."""
         if not len(fit.at):
             return 0.0
-        same = found & alike(fit.contrast, self.contrast[fit.view.ids[fit.at]])
-        # in a crowd the edge of one is that of another: it speaks for no line
+        same = found & contrast_matches(fit.contrast, self.contrast[fit.view.ids[fit.at]])
+        # in clutter the edge of one is that of another: it speaks for no line
         return float(fit.alone @ same / fit.alone.sum())
 
     def scatter(self, fit: EdgeFit):
@@ -190,7 +198,7 @@ class EdgeSearch:
         image : ndarray, shape (H, W), uint8
         view : ControlView
             At `state`.
-        state, predicted : ObjectState
+        state, predicted : ObjectPose
         prior : ndarray, shape (m, m)
             Information of the prediction.
         reach : int
@@ -223,7 +231,7 @@ class EdgeSearch:
             offset = contrast = np.zeros((0, options.candidates))
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
-        further = handicap(contrast, wanted)
+        further = contrast_penalty(contrast, wanted)
         alone = alone[at]
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
@@ -241,8 +249,8 @@ class EdgeSearch:
             near = distance[line, best] < limit
             if limit == limits[-1]:
                 own = self._noise.sigma(contrast[line, best], view.end_px[at])
-                share = robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
-                                     _LEAST_NOISE)
+                share = fast_robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
+                                          _LEAST_NOISE)
                 sigma = share * own
                 limit = np.minimum(_TUKEY * sigma, limit)
             else:

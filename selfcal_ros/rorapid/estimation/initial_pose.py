@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
 #: Longer files are not what they claim to be.
 _MOST_BYTES = 1_000_000
@@ -157,7 +157,7 @@ def pose_from_clicks(object_points, image_points, camera: Camera):
         flat = (local @ rotation.T)[:, :2]
         seen = np.sqrt((flat**2).sum(axis=1).mean())
         depth = max(seen, 0.2 * radius) / size
-        state = ObjectState(rotation, depth * np.array([*middle, 1.0]))
+        state = ObjectPose(rotation, depth * np.array([*middle, 1.0]))
         state, cost = _refine(projection, state, local, pixels, steps=8)
         if cost < best_cost:
             best, best_cost = state, cost

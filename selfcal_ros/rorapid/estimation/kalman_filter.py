@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
 
 class ConstantVelocityFilter:
@@ -32,21 +32,21 @@ class ConstantVelocityFilter:
     projection : Projection
     basis : ndarray, shape (size, m)
         Corrections that the motion model allows.
-    state : ObjectState
+    state : ObjectPose
     covariance : ndarray, shape (m, m)
         Of the first state.
     velocity_sigma, acceleration_sigma : ndarray, shape (m,)
         Standard deviations of the unknown first velocity, per second, and of the white
         acceleration, per second squared.
-    wander : ndarray, shape (m,), optional
+    random_walk : ndarray, shape (m,), optional
         Standard deviations of a random walk of the state itself, per square root of a second.
-        A direction with a wander and no velocity nor acceleration is one in which the object
+        A direction with a random walk and no velocity nor acceleration is one in which the object
         does not move: it is estimated from all images together.
 
     """
 
-    def __init__(self, projection: Projection, basis, state: ObjectState, covariance,
-                 velocity_sigma, acceleration_sigma, wander=0.0):
+    def __init__(self, projection: Projection, basis, state: ObjectPose, covariance,
+                 velocity_sigma, acceleration_sigma, random_walk=0.0):
         """Start at rest, with a velocity as uncertain as stated."""
         self.projection, self.basis = projection, np.asarray(basis, float)
         self.state = state
@@ -57,13 +57,14 @@ class ConstantVelocityFilter:
         self._velocity = np.square(np.asarray(velocity_sigma, float))
         self.covariance[m:, m:] = np.diag(self._velocity)
         self._acceleration = np.square(np.asarray(acceleration_sigma, float))
-        self._wander = np.square(np.broadcast_to(np.asarray(wander, float), (m,)))
+        self._random_walk = np.square(np.broadcast_to(np.asarray(random_walk, float), (m,)))
 
-    def restart(self, state: ObjectState, covariance: np.ndarray) -> None:
-        """Begin again at rest at a state with covariance (m, m)."""
+    def restart(self, state: ObjectPose, covariance: np.ndarray,
+                velocity: np.ndarray | None = None) -> None:
+        """Begin again at a state with covariance (m, m), at rest or with a first velocity (m,)."""
         m = self.basis.shape[1]
         self.state = state
-        self.velocity = np.zeros(m)
+        self.velocity = np.zeros(m) if velocity is None else velocity
         self.covariance = np.zeros((2 * m, 2 * m))
         self.covariance[:m, :m] = covariance
         self.covariance[m:, m:] = np.diag(self._velocity)
@@ -74,7 +75,7 @@ class ConstantVelocityFilter:
         m = self.basis.shape[1]
         return self.covariance[:m, :m]
 
-    def predict(self, seconds: float, damping: float = 0.0) -> ObjectState:
+    def predict(self, seconds: float, damping: float = 0.0) -> ObjectPose:
         """
         Move the state on by so many seconds.
 
@@ -86,7 +87,7 @@ class ConstantVelocityFilter:
 
         Returns
         -------
-        ObjectState
+        ObjectPose
 
         """
         m = self.basis.shape[1]
@@ -96,7 +97,7 @@ class ConstantVelocityFilter:
         P[:m, m:] = cross
         P[m:, :m] = cross.T
         at = np.arange(m)
-        P[at, at] += self._acceleration * dt**4 / 4 + self._wander * dt
+        P[at, at] += self._acceleration * dt**4 / 4 + self._random_walk * dt
         P[at, m + at] += self._acceleration * dt**3 / 2
         P[m + at, at] += self._acceleration * dt**3 / 2
         P[m + at, m + at] += self._acceleration * dt**2
@@ -105,7 +106,7 @@ class ConstantVelocityFilter:
         self.velocity *= 1 - damping
         return self.state
 
-    def update(self, measured: ObjectState, noise: np.ndarray) -> None:
+    def update(self, measured: ObjectPose, noise: np.ndarray) -> None:
         """Take in a measured state with its covariance (m, m)."""
         m = self.basis.shape[1]
         innovation = self.basis.T @ self.projection.difference(measured, self.state)
@@ -116,13 +117,13 @@ class ConstantVelocityFilter:
         self.covariance = self.covariance - gain @ self.covariance[:m]
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
 
-    def absorb(self, state: ObjectState, covariance: np.ndarray) -> None:
+    def absorb(self, state: ObjectPose, covariance: np.ndarray) -> None:
         """
         Take over the posterior of a measurement that already contained the prediction.
 
         Parameters
         ----------
-        state : ObjectState
+        state : ObjectPose
             Maximum of the posterior.
         covariance : ndarray, shape (m, m)
             Of the posterior.
@@ -141,7 +142,7 @@ class ConstantVelocityFilter:
         new[m:, m:] = 0.5 * (velocity + velocity.T)
         self.covariance, self.state = new, state
 
-    def innovation_share(self, state: ObjectState, noise: np.ndarray) -> float:
+    def innovation_share(self, state: ObjectPose, noise: np.ndarray) -> float:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)
         return float(step @ np.linalg.solve(self.spread + noise, step) / len(step))

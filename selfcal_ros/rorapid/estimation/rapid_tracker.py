@@ -11,25 +11,29 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The thesis's own cycles: RAPiD (algorithm 7.1) and RoRAPiD (7.2), one correction a frame."""
+"""The thesis's own trackers: RAPiD (algorithm 7.1), RoRAPiD (7.2); one correction a frame."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from selfcal_ros.geometry.robust_statistics import robust_sigma
-from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView, Measured
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
                                                                 ransac_lines, stability)
+from selfcal_ros.rorapid.estimation.track_quality import RANK_TOLERANCE
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import ObjectState
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
 #: Edgels are not known better than this, pixels.
 _LEAST_SIGMA_PX = 0.3
 
 
-class ClassicCycle:
+class RapidTracker:
     """
     One measurement per image by the thesis's algorithms.
 
@@ -80,7 +84,19 @@ class ClassicCycle:
         self._weight = self._weight[nearest]
         self._reach = self._reach.clip(options.search_least_px, options.search_most_px)
 
-    def measure(self, image: np.ndarray, predicted: ObjectState, spread=None) -> Measured:
+    def settle(self, image: np.ndarray, guess: ObjectPose, spread=None) -> PoseMeasurement:
+        """Measure from a first guess as from a prediction."""
+        return self.measure(image, guess, spread)
+
+    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
+                  spread) -> Iterator[ObjectPose]:
+        """Propose nothing: the thesis's trackers do not search for a lost object."""
+        return iter(())
+
+    def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
+        """Learn nothing of the object's appearance."""
+
+    def measure(self, image: np.ndarray, predicted: ObjectPose, spread=None) -> PoseMeasurement:
         """Search from the predicted state and correct it once."""
         options, control = self.options, self.control
         view = control.view(predicted)
@@ -154,26 +170,30 @@ class ClassicCycle:
         g = rows.T @ (w * length)
         scale = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
         determined = found.sum() >= rows.shape[1] and \
-            np.linalg.eigvalsh(H / np.outer(scale, scale))[0] > 1e-6
+            np.linalg.eigvalsh(H / np.outer(scale, scale))[0] > RANK_TOLERANCE
         searched = max(int(view.searched.sum()), 1)
         share = float(found.sum() / searched)
         if not determined:
-            return Measured(predicted, np.eye(len(g)), False, view, offset, found,
-                            np.zeros((0, 2)), share, False, False,
-                            np.inf, 'The edges found do not determine the pose.')
+            return PoseMeasurement(
+                state=predicted, covariance=np.eye(len(g)), with_prior=False, view=view,
+                edge_px=offset, found=found, texture_px=np.zeros((0, 2)), share=share,
+                determined=False, focal_sigma=np.inf,
+                reason='The edges found do not determine the pose.')
         q = np.linalg.solve(H, g)
         control = self.control
         state = control.projection.moved(predicted, self.basis @ q)
         after = control.again(view, state)
         residual = offset - rows @ q
-        sigma = robust_sigma(residual[found], _LEAST_SIGMA_PX)
+        sigma = fast_robust_sigma(residual[found], _LEAST_SIGMA_PX)
         # weights are confidence, not precision: the spread is that of the weighted mean
         inverse = np.linalg.inv(H)
         covariance = sigma**2 * inverse @ ((rows * (w * w)[:, None]).T @ rows) @ inverse
         focal = np.sqrt((self.basis @ covariance @ self.basis.T)[6, 6]) if (
             control.projection.model == 'zoom') else 0.0
-        return Measured(state, covariance, False, after, residual, found, np.zeros((0, 2)), share,
-                        True, share >= self.options.tracking_share, float(focal))
+        return PoseMeasurement(
+            state=state, covariance=covariance, with_prior=False, view=after, edge_px=residual,
+            found=found, texture_px=np.zeros((0, 2)), share=share, determined=True,
+            recognised=share >= self.options.tracking_share, focal_sigma=float(focal))
 
     def _remember(self, view, offset, found):
         """Stability weights, and the search range of each primitive (8 to 24 px)."""

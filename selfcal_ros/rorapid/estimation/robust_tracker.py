@@ -11,19 +11,21 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Our cycle: texture first, then edges with several candidates, all in one robust estimate."""
+"""Our tracker: texture first, then edges with several candidates, in one robust estimate."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.rorapid.edges.control_points import ControlModel, Measured
-from selfcal_ros.rorapid.edges.edge_choice import uncrowded
+from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
-from selfcal_ros.rorapid.estimation.track_quality import (CERTAIN, confirmation, determines_pose,
-                                                          EDGES_DO, focal_sigma)
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
+from selfcal_ros.rorapid.estimation.track_quality import (
+    determines_pose, EDGES_SUFFICIENT, focal_sigma, RECOGNISED_CORNERS, RECOGNISED_FOLLOWED,
+    track_quality)
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
 from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
 from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
@@ -46,9 +48,9 @@ _SETTLE_ROUNDS, _WIDE_ROUNDS = 4, 2
 _EDGE_SEARCH_EVERY = 3
 
 
-class ModernCycle:
+class RobustTracker:
     """
-    One measurement per image by our method.
+    One measurement per image by our method (`modern` in the settings).
 
     Parameters
     ----------
@@ -72,7 +74,9 @@ class ModernCycle:
         self.texture = TextureMemory(faces, corners, self._pinhole, options.texture_points)
         self._distorted = bool(self.projection.camera.distortion.any())
         self._use_texture = options.texture and options.camera_model != 'affine'
-        self._turn = 0
+        self._lost_images = 0
+        #: Whether much of the object is hidden by other things: then more corners are followed.
+        self._much_hidden = False
         self._outline = np.asarray(model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._edges = EdgeSearch(control, basis, options, self._corners)
@@ -86,25 +90,26 @@ class ModernCycle:
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
-        self.basis = self._corners.basis = self._edges.basis = basis
+        self.basis = basis
+        self._corners.switch(basis)
+        self._edges.switch(basis)
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
     def adopt(self, options: TrackerOptions, control: ControlModel) -> None:
         """Go on by other settings, and with control points that may lie elsewhere."""
-        self.options = self._edges.options = options
+        self._edges.adopt(options, control.visible_model.nearest_in(self.control.visible_model))
+        self.options, self.control = options, control
         self._use_texture = options.texture and options.camera_model != 'affine'
-        nearest = control.visible_model.nearest_in(self.control.visible_model)
-        self.control, self._edges.contrast = control, self._edges.contrast[nearest]
 
-    def proposals(self, image: np.ndarray, state: ObjectState, everywhere: bool, spread):
+    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool, spread):
         """
         Propose other states, one at a time, the cheapest first.
 
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
-        state : ObjectState
+        state : ObjectPose
             Expected.
         everywhere : bool
             Search the whole image, not only around the expected state.
@@ -113,7 +118,7 @@ class ModernCycle:
 
         Yields
         ------
-        ObjectState
+        ObjectPose
 
         """
         if self.options.camera_model == 'affine':
@@ -130,24 +135,25 @@ class ModernCycle:
             size = np.array(image.shape[::-1])
             yield from self._views.recognised(self._lens.part(image, 0 * size, size))
             # without texture there are the edges alone; a slow search, and not in every image
-            self._turn += 1
-            if self._turn % _EDGE_SEARCH_EVERY == 0:
+            self._lost_images += 1
+            if self._lost_images % _EDGE_SEARCH_EVERY == 0:
                 yield self._best_start(image, state, spread)
 
-    def measure(self, image: np.ndarray, predicted: ObjectState, spread: np.ndarray) -> Measured:
+    def measure(self, image: np.ndarray, predicted: ObjectPose,
+                spread: np.ndarray) -> PoseMeasurement:
         """
         Find the object near a predicted state.
 
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
-        predicted : ObjectState
+        predicted : ObjectPose
         spread : ndarray, shape (m, m)
             Covariance of the prediction.
 
         Returns
         -------
-        Measured
+        PoseMeasurement
 
         """
         prior = np.linalg.inv(spread)
@@ -161,12 +167,13 @@ class ModernCycle:
         led = count >= LEAST_TEXTURE
         measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
                                 led)
-        if led and (count < CERTAIN or count < 0.6 * matches.followed.sum()):
+        if led and (count < RECOGNISED_CORNERS
+                    or count < RECOGNISED_FOLLOWED * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
             alone = self._search(image, region, predicted, spread, prior, predicted, matches,
                                  near, False)
-            if (alone.evidence[-1], alone.share) > (measured.evidence[-1], measured.share):
+            if _quality(alone) > _quality(measured):
                 measured = alone
         return measured
 
@@ -174,7 +181,7 @@ class ModernCycle:
         """Search the edges about a state, in some rounds, and conclude."""
         edges, rounds = self._edges, self.options.rounds
         view = self.control.view(state)
-        alone = uncrowded(view)
+        weights = clutter_weight(view)
         reach = int(np.ceil(self.options.search_least_px)) if led else edges.reach(
             state, view, spread)
         for turn in range(rounds):
@@ -184,8 +191,8 @@ class ModernCycle:
                 if not led and matches is not None:
                     agree = self._corners.near(state, matches)
             limits = edges.limits(reach, turn == 0 and not led, turn + 1 == rounds)
-            fit = edges.fit(image, view, state, predicted, prior, reach, limits, alone, matches,
-                            agree)
+            fit = edges.fit(image, view, state, predicted, prior, reach, limits, weights,
+                            matches, agree)
             state = fit.state
         return self._conclude(region, fit, matches, agree)
 
@@ -200,7 +207,7 @@ class ModernCycle:
             if reduced and best[1].followed.mean() < 0.5:
                 break                 # not blurred but hidden
             matches = self.texture.follow(region.halved() if reduced else region, predicted,
-                                          levels)
+                                          levels, self._much_hidden)
             if matches is None:
                 break
             near = AGREE_PX * (1.5 if reduced else 1.0)
@@ -210,28 +217,29 @@ class ModernCycle:
                 best = state, matches, agree
             if agree.mean() > 0.4:
                 break
-        self.texture.hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
+        self._much_hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
 
-    def settle(self, image: np.ndarray, guess: ObjectState, spread: np.ndarray) -> Measured:
+    def settle(self, image: np.ndarray, guess: ObjectPose,
+               spread: np.ndarray) -> PoseMeasurement:
         """
         Find the object from a guess: from many starts around it, the one with the best edges.
 
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
-        guess : ObjectState
+        guess : ObjectPose
         spread : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
         -------
-        Measured
+        PoseMeasurement
 
         """
         return self.measure(image, self._best_start(image, guess, spread), spread)
 
-    def _best_start(self, image, guess, spread) -> ObjectState:
+    def _best_start(self, image, guess, spread) -> ObjectPose:
         """Try starts around a guess; return the state with the strongest edges."""
         values, vectors = np.linalg.eigh(spread)
         shifts = vectors * np.sqrt(values)
@@ -246,7 +254,7 @@ class ModernCycle:
                 wide = turn < _WIDE_ROUNDS
                 state = self._edges.fit(
                     image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
-                    self._edges.limits(reach, wide, not wide), uncrowded(view)).state
+                    self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
                 view = self.control.view(state)
             score = self._edges.score(image, view)
             if score > best_score:
@@ -259,26 +267,39 @@ class ModernCycle:
         edge_px[fit.at] = fit.residual
         found = np.abs(edge_px) < _FOUND_PX
         edges = self._edges.found_share(fit, found[fit.at])
-        share, certain = confirmation(self.options, edges, matches, agree)
+        share, recognised = track_quality(self.options, edges, matches, agree)
         determined = determines_pose(self.projection, self.basis, fit.measured)
         focal = focal_sigma(self.projection, self.basis, fit.measured, determined)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
             texture_px = self.projection.camera.pixels(self._lens.pinhole.normalised(texture_px))
         posterior, sums = self._edges.scatter(fit)
-        return Measured(fit.state, np.linalg.inv(posterior), True,
-                        self.control.again(fit.view, fit.state), edge_px, found, texture_px, share,
-                        determined, certain, focal,
-                        evidence=(region, fit, found, matches, agree, sums, edges))
+        return PoseMeasurement(
+            state=fit.state, covariance=np.linalg.inv(posterior), with_prior=True,
+            view=self.control.again(fit.view, fit.state), edge_px=edge_px, found=found,
+            texture_px=texture_px, share=share, determined=determined, recognised=recognised,
+            focal_sigma=focal, details=SearchDetails(region, fit, matches, agree, sums, edges))
 
-    def remember(self, measured: Measured, confirmed: bool) -> None:
+    def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
         """Take over contrasts and pictures of a state that was accepted."""
-        region, fit, found, matches, agree, sums, edges = measured.evidence
-        self._edges.learn(fit, found[fit.at], edges, sums)
-        if region is not None and self._use_texture:
-            if measured.certain and matches is not None:
-                self.texture.judge(matches, agree)
-            if measured.certain or (edges > EDGES_DO and measured.share > EDGES_DO):
+        details = measured.details
+        if details is None:
+            return
+        region, matches = details.region, details.matches
+        self._edges.learn(details.fit, measured.found[details.fit.at], details.edge_share,
+                          details.scatter)
+        if region is None:
+            return
+        if self._use_texture:
+            if measured.recognised and matches is not None:
+                self.texture.judge(matches, details.agree)
+            if measured.recognised or min(details.edge_share, measured.share) > EDGES_SUFFICIENT:
                 self.texture.learn(region, measured.state, confirmed)
-        if region is not None and confirmed:
+        if confirmed:
             self._views.remember(region, measured.state)
+
+
+def _quality(measured: PoseMeasurement) -> tuple[float, float]:
+    """Edges first: of two measurements in one image the one with more of them is right."""
+    edges = 0.0 if measured.details is None else measured.details.edge_share
+    return edges, measured.share

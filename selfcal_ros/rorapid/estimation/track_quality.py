@@ -11,63 +11,97 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How far edges and corners of the texture determine and confirm a pose."""
+"""Track quality: how far edges and corners of the texture determine and confirm a pose."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.texture.corner_fit import LEAST_TEXTURE
+from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
 
-#: An object is recognised by so many agreeing corners, if most of those followed agree.
-CERTAIN = 10
-#: ... and by so many of those looked for: of more, more agree by chance.
-CERTAIN_SHARE = 0.15
-#: With so many edges found the texture may be wrong.
-EDGES_DO = 0.65
-#: A texture of so many corners is rich enough to be the judge.
-_RICH = 24
-#: An object is recognised by so many edges, if they look as they are remembered.
-_EDGES_CERTAIN = 0.75
+#: A lost object is recognised by so many agreeing corners: fewer agree on a wrong pose by chance.
+RECOGNISED_CORNERS = 10
+#: ... by this share of the corners looked for: of more corners, more agree by chance ...
+_RECOGNISED_SHARE = 0.15
+#: ... and by this share of those that were followed: a wrong pose has the larger part against it.
+RECOGNISED_FOLLOWED = 0.6
+#: With this share of the edges found the texture may be wrong.
+EDGES_SUFFICIENT = 0.65
+#: A lost object is recognised by this share of the edges, if they look as they are remembered.
+_RECOGNISED_EDGES = 0.75
+#: A texture of so many corners is rich enough to have the last word.
+_RICH_TEXTURE = 24
+#: The texture denies a pose where less of the corners followed agree with it.
+_DENIED_FOLLOWED = 0.4
+#: What edges count for where a rich texture denies the pose: all of them are less than the usual
+#: `tracking_share` of 0.5.
+_EDGES_AGAINST_RICH = 0.45
+#: ... and where a poor texture does: sufficient edges track on (0.65 x 0.75 is nearly 0.5), fewer
+#: are hardly more than the usual `lost_share` of 0.25.
+_SUFFICIENT_AGAINST_POOR, _FEW_AGAINST_POOR = 0.75, 0.4
+#: Less of the edges than this, and few corners: what is found may be found by chance, and counts
+#: for half.
+_FEW_EDGES, _BY_CHANCE = 0.3, 0.5
+#: Smallest eigenvalue of an information matrix scaled to a unit diagonal; below, rounding decides.
+RANK_TOLERANCE = 1e-6
 
 
-def confirmation(options, edges: float, matches, agree) -> tuple[float, bool]:
+def track_quality(options: TrackerOptions, edges: float, matches: TextureMatches | None,
+                  agree: np.ndarray) -> tuple[float, bool]:
     """
     Judge from edges and corners how far a pose is confirmed.
+
+    Parameters
+    ----------
+    options : TrackerOptions
+    edges : float
+        Share of the edges searched that were found.
+    matches : TextureMatches or None
+        Corners of the texture that were looked for.
+    agree : ndarray of bool, shape (N,)
+        Which of them agree with the pose.
 
     Returns
     -------
     share : float
-    certain : bool
+        Share of what should be seen and is confirmed.
+    recognised : bool
         Whether this would do to recognise a lost object.
 
     """
-    if matches is None or len(agree) < 2 * LEAST_TEXTURE:
-        return float(edges), edges >= max(options.tracking_share, EDGES_DO)
+    looked_for = len(agree)
+    if matches is None or looked_for < 2 * LEAST_TEXTURE:
+        return float(edges), edges >= max(options.tracking_share, EDGES_SUFFICIENT)
     count, followed = int(agree.sum()), int(matches.followed.sum())
-    if count < LEAST_TEXTURE or count < 0.4 * followed:
-        # edges alone, where the texture says no; a rich texture has the last word
-        if len(agree) >= _RICH:
-            return 0.45 * float(edges), False
-        return ((0.75 if edges > EDGES_DO else 0.4) * float(edges),
-                edges > _EDGES_CERTAIN)
-    share = max(count / len(agree), 0.5 * (count / len(agree) + edges),
-                options.lost_share)
-    if count < CERTAIN and edges < 0.3:
-        share *= 0.5
-    return float(share), (edges > _EDGES_CERTAIN and len(agree) < _RICH) or (
-        count >= max(CERTAIN, CERTAIN_SHARE * len(agree)) and count >= 0.6 * followed)
+    rich = looked_for >= _RICH_TEXTURE
+    by_edges = edges > _RECOGNISED_EDGES and not rich
+    if count < LEAST_TEXTURE or count < _DENIED_FOLLOWED * followed:
+        if rich:
+            return _EDGES_AGAINST_RICH * float(edges), False
+        sufficient = edges > EDGES_SUFFICIENT
+        return (_SUFFICIENT_AGAINST_POOR if sufficient else _FEW_AGAINST_POOR) * float(
+            edges), by_edges
+    corners = count / looked_for
+    share = max(corners, 0.5 * (corners + edges), options.lost_share)
+    if count < RECOGNISED_CORNERS and edges < _FEW_EDGES:
+        share *= _BY_CHANCE
+    by_corners = (count >= max(RECOGNISED_CORNERS, _RECOGNISED_SHARE * looked_for)
+                  and count >= RECOGNISED_FOLLOWED * followed)
+    return float(share), by_edges or by_corners
 
 
-def determines_pose(projection, basis: np.ndarray, information: np.ndarray) -> bool:
+def determines_pose(projection: Projection, basis: np.ndarray, information: np.ndarray) -> bool:
     """Whether the information (m, m) of one image determines the pose; the focal may stay open."""
     if projection.model == 'zoom':
         information = (basis @ information @ basis.T)[:6, :6]
     scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > 1e-6)
+    return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > RANK_TOLERANCE)
 
 
-def focal_sigma(projection, basis: np.ndarray, information: np.ndarray,
+def focal_sigma(projection: Projection, basis: np.ndarray, information: np.ndarray,
                 determined: bool) -> float:
     """Relative standard deviation of the focal length from one image; 0 where it is known."""
     if projection.model != 'zoom':

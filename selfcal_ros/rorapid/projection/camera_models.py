@@ -34,7 +34,7 @@ NEAREST_M = 1e-6
 
 
 @dataclass(frozen=True)
-class ObjectState:
+class ObjectPose:
     """
     What the tracker estimates.
 
@@ -111,13 +111,13 @@ class Projection:
         self.model = model
         self.size = {'perspective': 6, 'weak': 6, 'zoom': 7, 'affine': 8}[model]
 
-    def project(self, state: ObjectState, points: np.ndarray) -> ProjectedPoints:
+    def project(self, state: ObjectPose, points: np.ndarray) -> ProjectedPoints:
         """
         Project object points.
 
         Parameters
         ----------
-        state : ObjectState
+        state : ObjectPose
         points : ndarray, shape (C, 3)
             Object frame, metres.
 
@@ -141,7 +141,7 @@ class Projection:
         return ProjectedPoints(image @ (state.zoom * self._pixel.T) + self._centre, xy, turned,
                                inverse)
 
-    def rows(self, state: ObjectState, seen: ProjectedPoints, normal: np.ndarray) -> np.ndarray:
+    def rows(self, state: ObjectPose, seen: ProjectedPoints, normal: np.ndarray) -> np.ndarray:
         """
         Motion of projected points along given directions per unit of correction.
 
@@ -150,7 +150,7 @@ class Projection:
 
         Parameters
         ----------
-        state : ObjectState
+        state : ObjectPose
         seen : ProjectedPoints
         normal : ndarray, shape (C, 2)
             Directions in the image (pixels).
@@ -197,38 +197,38 @@ class Projection:
         out[:, 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
         return out
 
-    def moved(self, state: ObjectState, correction: np.ndarray) -> ObjectState:
+    def moved(self, state: ObjectPose, correction: np.ndarray) -> ObjectPose:
         """Apply a correction (size,) to a state."""
         if self.model == 'affine':
             affine = state.affine.copy()
             affine[:, :3] += correction[:6].reshape(2, 3)
             affine[:, 3] += correction[6:8]
             return nearest_pose(affine, state)
-        rotation = _turn(correction[:3]) @ state.rotation
+        rotation = _rotation_matrix(correction[:3]) @ state.rotation
         zoom = state.zoom * float(np.exp(np.clip(correction[6], -1, 1))) \
             if self.model == 'zoom' else state.zoom
-        return ObjectState(rotation, state.translation + correction[3:6], zoom)
+        return ObjectPose(rotation, state.translation + correction[3:6], zoom)
 
-    def renewed(self, state: ObjectState) -> ObjectState:
+    def renewed(self, state: ObjectPose) -> ObjectPose:
         """Return a state without the rounding of its rotation, which grows from frame to frame."""
         rotation = state.rotation
         # one step towards the nearest rotation
         rotation = 1.5 * rotation - 0.5 * rotation @ (rotation.T @ rotation)
-        return ObjectState(rotation, state.translation, state.zoom, state.affine)
+        return ObjectPose(rotation, state.translation, state.zoom, state.affine)
 
-    def difference(self, there: ObjectState, here: ObjectState) -> np.ndarray:
+    def difference(self, there: ObjectPose, here: ObjectPose) -> np.ndarray:
         """Return the correction (size,) that takes `here` to `there`."""
         if self.model == 'affine':
             change = there.affine - here.affine
             return np.concatenate([change[:, :3].ravel(), change[:, 3]])
         out = np.empty(self.size)
-        out[:3] = _turn_vector(there.rotation @ here.rotation.T)
+        out[:3] = _rotation_vector(there.rotation @ here.rotation.T)
         out[3:6] = there.translation - here.translation
         if self.size == 7:
             out[6] = np.log(there.zoom / here.zoom)
         return out
 
-    def from_pose(self, rotation, translation, zoom: float = 1.0) -> ObjectState:
+    def from_pose(self, rotation, translation, zoom: float = 1.0) -> ObjectPose:
         """Return the state of a pose."""
         rotation = np.array(rotation, float)
         translation = np.array(translation, float)
@@ -236,9 +236,9 @@ class Projection:
         if self.model == 'affine':
             scale = 1 / max(translation[2], NEAREST_M)
             affine = scale * np.column_stack([rotation[:2], translation[:2]])
-        return ObjectState(rotation, translation, zoom, affine)
+        return ObjectPose(rotation, translation, zoom, affine)
 
-    def covariance_of_pose(self, state: ObjectState, covariance: np.ndarray) -> np.ndarray:
+    def covariance_of_pose(self, state: ObjectPose, covariance: np.ndarray) -> np.ndarray:
         """
         Carry a covariance of the correction (size, size) to the pose (theta, Delta), (6, 6).
 
@@ -254,7 +254,7 @@ class Projection:
         return slope @ covariance @ slope.T
 
 
-def _turn(vector: np.ndarray) -> np.ndarray:
+def _rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Return `rotation_matrix` of one vector; ten times as fast as the stacked one."""
     x, y, z = (float(v) for v in vector)
     square = x * x + y * y + z * z
@@ -268,7 +268,7 @@ def _turn(vector: np.ndarray) -> np.ndarray:
                      [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)]])
 
 
-def _turn_vector(rotation: np.ndarray) -> np.ndarray:
+def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Return `rotation_vector` of one matrix, fast while the angle is small."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     cosine = 0.5 * (a + e + i - 1)
@@ -280,7 +280,7 @@ def _turn_vector(rotation: np.ndarray) -> np.ndarray:
     return np.array([factor * x, factor * y, factor * z])
 
 
-def nearest_pose(affine: np.ndarray, before: ObjectState) -> ObjectState:
+def nearest_pose(affine: np.ndarray, before: ObjectPose) -> ObjectPose:
     """
     Pose whose weak perspective image comes nearest to an affine camera (2, 4).
 
@@ -292,4 +292,4 @@ def nearest_pose(affine: np.ndarray, before: ObjectState) -> ObjectState:
     rotation = np.vstack([two, np.cross(two[0], two[1])])
     depth = 1 / max(values.mean(), 1e-12)
     translation = np.array([affine[0, 3] * depth, affine[1, 3] * depth, depth])
-    return ObjectState(rotation, translation, before.zoom, affine)
+    return ObjectPose(rotation, translation, before.zoom, affine)

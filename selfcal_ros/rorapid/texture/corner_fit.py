@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_statistics import robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.projection.camera_models import ProjectedPoints, Projection
 
 #: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.
@@ -49,6 +49,10 @@ class CornerFit:
         """Take the camera and the motion model."""
         self.projection, self.basis, self.rng = projection, basis, rng
 
+    def switch(self, basis: np.ndarray) -> None:
+        """Go on with another basis of corrections."""
+        self.basis = basis
+
     def agreement(self, matches, predicted, prior, near_px):
         """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
         good = np.flatnonzero(matches.followed)
@@ -69,7 +73,7 @@ class CornerFit:
         for _ in range(2):
             rows, residual = self._rows(state, points, pixels)
             distance = np.sqrt((residual**2).sum(axis=0))
-            sigma = max(robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
+            sigma = max(fast_robust_sigma(distance[distance < 6] / 1.5, _TEXTURE_SIGMA_PX), 0.5)
             w = tukey_weight(distance, min(_TUKEY * sigma, 6.0)) * score
             both = rows.reshape(-1, m)
             wide = np.concatenate([w, w])
@@ -118,7 +122,7 @@ class CornerFit:
         rows, residual = self._rows(state, matches.object_points[agree],
                                     matches.pixels[agree])
         distance = np.sqrt((residual**2).sum(axis=0))
-        sigma = robust_sigma(distance / 1.5, float(np.interp(
+        sigma = fast_robust_sigma(distance / 1.5, float(np.interp(
             edge_share, _EDGE_SHARES, _BESIDE_EDGES_PX)))
         w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
         w *= np.minimum(2 * matches.score[agree], 1.0)

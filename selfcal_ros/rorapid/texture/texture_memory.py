@@ -27,9 +27,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
-from selfcal_ros.rorapid.texture.face_picture import (alike, Face, hidden_points, lay_frame,
+from selfcal_ros.rorapid.texture.face_picture import (Face, LEAST_SCORE, hidden_points, lay_frame,
                                                       sample_points)
 
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
@@ -38,21 +38,12 @@ _LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
 _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
 _LEAST_CORRELATION = 0.6
-#: Block of the corner detector, pixels, and its answer where grey levels change by 1.5 a pixel in
-#: every direction (its scale: Sobel's 8 over 4 x block x 255, squared, summed over the block).
-_BLOCK = 5
-_FAINT = (8 * 1.5 / (4 * _BLOCK * 255))**2 * _BLOCK**2
 #: Share of a face that must lie inside the image to be learned.
 _LEAST_SEEN = 0.25
-#: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
-_LEAST_SCORE, _DOUBTS = 0.12, 12
-#: Grey levels by which the surroundings of a texel have changed, and below which they stay what
-#: they changed to; texels across those surroundings.
-_CHANGED, _STEADY, _AROUND = 12, 6, 9
-#: Share by which a score follows what is seen, and while the corner is not seen at all.
-_LEARN, _LEARN_HIDDEN = 0.07, 0.0
 #: Score of a new corner beside a face that was seen often enough.
 _UNPROVEN, _PROVEN = 0.2, 8
+#: A picture of so much more area replaces the one before.
+_BETTER = 1.7
 _GRID = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(
     -1, 2).astype(np.float32)
 
@@ -109,9 +100,7 @@ class TextureMemory:
         self._pixel = projection.camera.K
         self._view = None
         self._visible = np.zeros(len(self._faces), bool)
-        #: Whether much of the object is hidden by other things: then more corners are followed.
-        self.hidden = False
-        self._turn = 0
+        self._learned = 0
         if self._faces:
             self._origins = np.array([f.corners.mean(axis=0) for f in self._faces])
             self._normals = np.array([f.normal for f in self._faces])
@@ -120,16 +109,14 @@ class TextureMemory:
     @property
     def known(self) -> bool:
         """Whether any face has a picture."""
-        return any(face.picture is not None for face in self._faces)
+        return any(face.seen for face in self._faces)
 
     def forget(self) -> None:
         """Drop all pictures."""
         for face in self._faces:
-            face.picture = face.points = face.texels = face.score = face.doubt = None
-            face.known, face.all_known = None, False
-            face.seen, face.quality = 0, 0.0
+            face.forget()
 
-    def _see(self, state: ObjectState) -> np.ndarray:
+    def _see(self, state: ObjectPose) -> np.ndarray:
         """Which faces are turned to the camera and not behind others, (F,) bool."""
         if not self._faces:
             return self._visible
@@ -145,7 +132,7 @@ class TextureMemory:
         self._visible = self._open & (cosine > _LEAST_COSINE)
         return self._visible
 
-    def _homography(self, face: Face, state: ObjectState, region: Region) -> np.ndarray:
+    def _homography(self, face: Face, state: ObjectPose, region: Region) -> np.ndarray:
         """Map texels (x, y, 1) of a face to pixels of a region (undistorted camera)."""
         plane = np.column_stack([state.rotation @ face.axes,
                                  state.rotation @ face.origin + state.translation])
@@ -158,17 +145,20 @@ class TextureMemory:
         pixel[:2] *= region.scale
         return pixel @ plane
 
-    def follow(self, region: Region, state: ObjectState, levels: int = 3):
+    def follow(self, region: Region, state: ObjectPose, levels: int = 3,
+               much_hidden: bool = False) -> TextureMatches | None:
         """
         Follow the corners of all visible known faces into an image.
 
         Parameters
         ----------
         region : Region
-        state : ObjectState
+        state : ObjectPose
             Predicted.
         levels : int
             Of the pyramid; each doubles the range.
+        much_hidden : bool
+            Much of the object is hidden by other things: then more corners are followed.
 
         Returns
         -------
@@ -177,7 +167,7 @@ class TextureMemory:
 
         """
         visible = self._see(state)
-        faces = [k for k in np.flatnonzero(visible) if self._faces[k].picture is not None]
+        faces = [k for k in np.flatnonzero(visible) if self._faces[k].seen]
         drawing, points, und, owner = self._draw(faces, state, region)
         if not len(points):
             return None
@@ -187,7 +177,7 @@ class TextureMemory:
         if inside.sum() < 4:
             return None
         pick = np.flatnonzero(inside)
-        most = self.most_points * (2 if self.hidden else 1)
+        most = self.most_points * (2 if much_hidden else 1)
         if len(pick) > most:
             # every face has its share, each its best corners first
             rank = np.argsort(owner[pick, 1], kind='stable')[:most]
@@ -234,7 +224,7 @@ class TextureMemory:
                 mask = cv2.warpPerspective(face.mask & face.known, H, (width, height),
                                            flags=cv2.INTER_NEAREST)
                 cv2.copyTo(drawn, mask, drawing)
-            good = np.flatnonzero(face.score > _LEAST_SCORE)
+            good = np.flatnonzero(face.score > LEAST_SCORE)
             at = face.texels[good] @ H[:, :2].T + H[:, 2]
             points.append(face.points[good])
             pixels.append(at[:, :2] / at[:, 2:])
@@ -250,40 +240,34 @@ class TextureMemory:
         return scores
 
     def judge(self, matches: TextureMatches, agree: np.ndarray) -> None:
-        """Remember which corners agreed with a pose that is certain."""
+        """Remember which corners agreed with a pose that is recognised."""
         for k in np.unique(matches.face):
             face, here = self._faces[k], matches.face == k
-            at = matches.corner[here]
-            # one that is not even alike is hidden, more likely than wrong
-            rate = np.where(matches.followed[here], _LEARN, _LEARN_HIDDEN)[at < len(face.score)]
-            at, right = at[at < len(face.score)], agree[here][at < len(face.score)]
-            face.score[at] += rate * (right - face.score[at])
-            if (face.score > _LEAST_SCORE).sum() < 0.4 * len(face.score):
-                # most of what was learned there is not on the object
+            if not face.judge(matches.corner[here], matches.followed[here], agree[here]):
                 self._choose(face)
 
-    def learn(self, region: Region, state: ObjectState, confirmed: bool) -> None:
+    def learn(self, region: Region, state: ObjectPose, confirmed: bool) -> None:
         """
         Take the picture of visible faces: new ones at once, known ones little by little.
 
         Parameters
         ----------
         region : Region
-        state : ObjectState
+        state : ObjectPose
             The pose as measured in this image.
         confirmed : bool
             Whether new faces may be learned: their surroundings are well tracked.
 
         """
         visible = self._see(state)
-        self._turn += 1
+        self._learned += 1
         faces = [(k, f) for k, f in enumerate(self._faces) if visible[k]]
         for order, (k, face) in enumerate(faces):
             # one known face a frame, in turn; the unknown and the young at once
-            young = face.picture is None or face.seen < 3
+            young = face.young
             if young and not confirmed:
                 continue
-            if not young and self._turn % len(faces) != order:
+            if not young and self._learned % len(faces) != order:
                 continue
             H = self._homography(face, state, region)
             size = face.mask.shape[::-1]
@@ -309,71 +293,20 @@ class TextureMemory:
 
     def _take(self, face: Face, picture: np.ndarray, area: float, seen) -> None:
         """Blend a picture into the face's memory, or start anew; `seen` masks it or is None."""
-        if face.picture is None or face.seen < 3 or area > 1.7 * face.quality:
-            if face.picture is None or face.seen < 3 or alike(face, picture):
-                face.picture, face.quality = picture, area
-                face.known = np.full_like(picture, 255) if seen is None else seen
-                face.all_known = seen is None
-                face.seen += 1
+        if face.young or area > _BETTER * face.quality:
+            if face.renew(picture, area, seen):
                 self._choose(face)
             return
-        if not face.all_known:
-            fresh = cv2.bitwise_not(face.known)
-            if seen is not None:
-                fresh &= seen
-            if cv2.countNonZero(fresh) > 0.05 * fresh.size:
-                cv2.copyTo(picture, fresh, face.picture)
-                face.known |= fresh
-                face.all_known = seen is None
-                self._choose(face)
-        # texels that changed are something before the object: they stay as they were
-        same = _mean_change(picture, face.picture, _CHANGED)
-        # ... unless they stay changed, and stay as they changed to: what passes before the
-        # object slides over it, what belongs to it does not
-        steady = _mean_change(picture, face.other, _STEADY)
-        if seen is not None:
-            same &= seen
-            steady &= seen
-        cv2.add(face.doubt, 1, dst=face.doubt)
-        face.doubt &= steady & cv2.bitwise_not(same)
-        face.other = picture
-        for_good = cv2.compare(face.doubt, _DOUBTS - 1, cv2.CMP_GT)
-        if cv2.countNonZero(for_good):
-            cv2.copyTo(picture, for_good, face.picture)
-            face.doubt &= cv2.bitwise_not(for_good)
-        blended = cv2.addWeighted(face.picture, 0.9, picture, 0.1, 0.5)
-        cv2.copyTo(blended, same, face.picture)
-        face.seen += 1
+        if face.extend(picture, seen):
+            self._choose(face)
+        face.blend(picture, seen)
 
     def _choose(self, face: Face) -> None:
         """Choose the corners of a face that can be followed."""
-        inner = self._inner(face)
-        _, strongest, _, _ = cv2.minMaxLoc(cv2.cornerMinEigenVal(face.picture, _BLOCK), mask=inner)
-        quality = max(0.03, _FAINT / max(strongest, 1e-12))
-        corners = None
-        if quality < 1:               # else the face is plain, and what is seen in it is noise
-            corners = cv2.goodFeaturesToTrack(face.picture, 3 * self.most_points // 4, quality, 6,
-                                              mask=inner, blockSize=_BLOCK)
-        face.texels = np.zeros((0, 2)) if corners is None else corners[:, 0].astype(float)
-        face.points = face.origin + face.texels @ face.axes.T
         # what is learned while other faces are known must prove itself: it may be something
         # that happens to be before the object
         others = any(f is not face and f.seen > _PROVEN for f in self._faces)
-        face.score = np.full(len(face.texels), _UNPROVEN if others else 0.5)
-        face.doubt = np.zeros(face.picture.shape, np.uint8)
-        face.other = face.picture.copy()
-
-    @staticmethod
-    def _inner(face: Face) -> np.ndarray:
-        """Texels of a face that lie well inside of what is known of it."""
-        if face.all_known:
-            return face.mask
-        return face.mask & cv2.erode(face.known, np.ones((13, 13), np.uint8), borderValue=255)
-
-
-def _mean_change(one: np.ndarray, other: np.ndarray, limit: float) -> np.ndarray:
-    """Where two pictures differ by less than a limit on average around a texel, 255 or 0."""
-    return cv2.compare(cv2.blur(cv2.absdiff(one, other), (_AROUND, _AROUND)), limit, cv2.CMP_LT)
+        face.choose_corners(3 * self.most_points // 4, _UNPROVEN if others else 0.5)
 
 
 def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,

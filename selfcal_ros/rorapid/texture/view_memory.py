@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.projection.camera_models import ObjectState, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
 
 #: Views are remembered when their direction differs by this much, and so many at the most.
@@ -46,7 +46,7 @@ class _View:
     """A remembered view; its features are computed when they are first needed."""
 
     region: Region
-    state: ObjectState
+    state: ObjectPose
     direction: np.ndarray
     outline: np.ndarray
     pixels: np.ndarray | None = None
@@ -78,9 +78,9 @@ class ViewMemory:
         """Drop all views."""
         self._views: list[_View] = []
         self._last: _View | None = None
-        self._turn = 0
+        self._searches = 0
 
-    def remember(self, region: Region, state: ObjectState) -> None:
+    def remember(self, region: Region, state: ObjectPose) -> None:
         """Keep a well-tracked view: always the last one, and each new direction."""
         direction = -state.rotation.T @ state.translation
         direction /= np.linalg.norm(direction)
@@ -91,7 +91,7 @@ class ViewMemory:
         if len(self._views) < _MOST_VIEWS:
             self._views.append(self._last)
 
-    def shifted(self, region: Region, state: ObjectState) -> list[ObjectState]:
+    def shifted(self, region: Region, state: ObjectPose) -> list[ObjectPose]:
         """
         Propose states shifted in the image to where the last view correlates best.
 
@@ -99,12 +99,12 @@ class ViewMemory:
         ----------
         region : Region
             To search in.
-        state : ObjectState
+        state : ObjectPose
             Only its shift is changed.
 
         Returns
         -------
-        list of ObjectState
+        list of ObjectPose
             The best place, if any.
 
         """
@@ -136,15 +136,15 @@ class ViewMemory:
             + there.mean(axis=0) - expected.mean(axis=0)
         return [self._moved_in_image(state, shift)]
 
-    def _moved_in_image(self, state: ObjectState, shift: np.ndarray) -> ObjectState:
+    def _moved_in_image(self, state: ObjectPose, shift: np.ndarray) -> ObjectPose:
         """Shift a state by pixels."""
         K = self.projection.camera.K
         y = shift[1] / (K[1, 1] * state.zoom)
         x = (shift[0] / state.zoom - K[0, 1] * y) / K[0, 0]
         step = np.array([x, y, 0.0]) * state.translation[2]
-        return ObjectState(state.rotation, state.translation + step, state.zoom)
+        return ObjectPose(state.rotation, state.translation + step, state.zoom)
 
-    def recognised(self, image: np.ndarray) -> list[ObjectState]:
+    def recognised(self, image: np.ndarray) -> list[ObjectPose]:
         """
         Propose states anywhere in the image, from features of the remembered views.
 
@@ -155,7 +155,7 @@ class ViewMemory:
 
         Returns
         -------
-        list of ObjectState
+        list of ObjectPose
             The best supported first.
 
         """
@@ -170,9 +170,9 @@ class ViewMemory:
         if descriptors is None or len(points) < _LEAST_AGREEING:
             return []
         pixels = (np.array([p.pt for p in points]) + 0.5) / step - 0.5
-        self._turn += 1
+        self._searches += 1
         others = [view for view in self._views if view is not self._last]
-        turn = self._turn % max(len(others), 1)
+        turn = self._searches % max(len(others), 1)
         views = [self._last] + (others[turn:] + others[:turn])[:_VIEWS_A_FRAME - 1]
         found = []
         for view in views:
@@ -221,7 +221,7 @@ class ViewMemory:
         if not np.isfinite(xy).all():
             return None
         rotation = rotation_matrix([0, 0, turn]) @ state.rotation
-        return support, ObjectState(rotation, depth * np.array([*xy, 1.0]), state.zoom)
+        return support, ObjectPose(rotation, depth * np.array([*xy, 1.0]), state.zoom)
 
     def _similarity(self, old, new, limit):
         """Similarity from old to new pixels with most agreement, from samples of two."""

@@ -1,0 +1,103 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What one image says of the pose of the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.rorapid.edges.control_points import ControlView
+from selfcal_ros.rorapid.estimation.edge_search import EdgeFit
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.region.region_of_interest import Region
+from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
+
+
+@dataclass(frozen=True)
+class SearchDetails:
+    """
+    What the robust tracker learns from a measurement, if it is accepted.
+
+    Attributes
+    ----------
+    region : Region or None
+        Part of the image around the object; None outside of the image.
+    fit : EdgeFit
+        Last round of the search for edges.
+    matches : TextureMatches or None
+    agree : ndarray of bool, shape (N,)
+        Which of the matches agree with the pose.
+    scatter : ndarray, shape (4,)
+        Sums of `edges.edge_noise.CommonScatter`.
+    edge_share : float
+        Share of the edges searched that were found.
+
+    """
+
+    region: Region | None
+    fit: EdgeFit
+    matches: TextureMatches | None
+    agree: np.ndarray
+    scatter: np.ndarray
+    edge_share: float
+
+
+@dataclass(frozen=True)
+class PoseMeasurement:
+    """
+    One measurement of the pose.
+
+    Attributes
+    ----------
+    state : ObjectPose
+    covariance : ndarray, shape (m, m)
+        Of the correction p of that state; of the posterior if `with_prior`, else of the
+        measurement alone.
+    with_prior : bool
+    view : ControlView
+        Control points at `state`.
+    edge_px : ndarray, shape (C,)
+        Distance of each control point to its edgel along the normal, NaN without one.
+    found : ndarray of bool, shape (C,)
+    texture_px : ndarray, shape (T, 2)
+    share : float
+        Share of what should be seen and is confirmed.
+    determined : bool
+        Whether the measurement determines all of the correction.
+    recognised : bool
+        Whether it would do to recognise an object that was lost.
+    focal_sigma : float
+        Relative standard deviation of the focal length from this image alone (zoom).
+    reason : str
+        Why not, or why the share is low; one sentence.
+    details : SearchDetails or None
+        Of the robust tracker.
+
+    """
+
+    state: ObjectPose
+    covariance: np.ndarray
+    with_prior: bool
+    view: ControlView
+    edge_px: np.ndarray
+    found: np.ndarray
+    texture_px: np.ndarray
+    share: float
+    determined: bool
+    recognised: bool = False
+    focal_sigma: float = 0.0
+    reason: str = ''
+    details: SearchDetails | None = None
