@@ -13,15 +13,11 @@
 # limitations under the License.
 """Every test of the command line writes into a folder of its own; tracks of a drive for all."""
 
-from pathlib import Path
-import sys
-
 import numpy as np
 import pytest
 from selfcal_ros.synthetic.special_scenes import drive
 
 # for what tests of this folder share
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(scope='session')

@@ -20,7 +20,6 @@ import subprocess
 import sys
 import time
 
-from command_line import selfcal, SIZE
 import numpy as np
 import pytest
 from selfcal_ros import CameraFacts
@@ -29,6 +28,7 @@ from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import pure_translation
+from test_support.command_line import selfcal, SIZE
 
 ROOT = Path(__file__).resolve().parents[2]
 

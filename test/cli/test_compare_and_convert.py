@@ -16,13 +16,13 @@
 import json
 from pathlib import Path
 
-from command_line import selfcal, SIZE
 import numpy as np
 import pytest
 from selfcal_ros import Camera
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.report.comparison import compare_cameras
+from test_support.command_line import selfcal, SIZE
 
 
 def test_compare_says_in_pixels_and_words_how_far_apart(capsys):

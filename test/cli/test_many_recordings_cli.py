@@ -16,10 +16,10 @@
 import json
 from pathlib import Path
 
-from command_line import selfcal, SIZE
 import numpy as np
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive, pure_translation
+from test_support.command_line import selfcal, SIZE
 
 
 def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys, driven):

@@ -18,11 +18,11 @@ import json
 from pathlib import Path
 import re
 
-from command_line import selfcal, SIZE
 import numpy as np
 import pytest
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.synthetic.special_scenes import pure_translation
+from test_support.command_line import selfcal, SIZE
 
 
 @pytest.mark.parametrize('verb', ['one', 'many', 'refused'])

@@ -16,7 +16,6 @@
 import json
 from pathlib import Path
 
-from command_line import selfcal
 import cv2
 import numpy as np
 import pytest
@@ -26,6 +25,7 @@ from selfcal_ros.report.poses_csv import read_poses
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.objects import pose_errors, tracked_object
 from selfcal_ros.synthetic.recordings import write_image_folder
+from test_support.command_line import selfcal
 
 ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / 'bags' / 'tracked_object'

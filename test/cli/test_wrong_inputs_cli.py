@@ -15,11 +15,11 @@
 
 from pathlib import Path
 
-from command_line import selfcal, SIZE
 import numpy as np
 import pytest
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
+from test_support.command_line import selfcal, SIZE
 
 
 @pytest.mark.parametrize('arguments, words', [

@@ -14,11 +14,11 @@
 """From images to tracks, both ways, and what is refused."""
 
 import cv2
-from feature_scenes import drive, Room, transfer_errors
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.extraction import extract_tracks
+from test_support.feature_scenes import drive, Room, transfer_errors
 
 
 def _stream(images):

@@ -13,11 +13,11 @@
 # limitations under the License.
 """Corners followed through a rendered drive, compared with where they must appear."""
 
-from feature_scenes import drive, Room, transfer_errors
 import numpy as np
 import pytest
 from selfcal_ros.features.klt import corners, followed_share, KltTracker
 from selfcal_ros.values.tracks import Tracks
+from test_support.feature_scenes import drive, Room, transfer_errors
 
 
 @pytest.fixture(scope='module')

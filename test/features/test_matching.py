@@ -14,7 +14,6 @@
 """Wide-baseline matching against known geometry."""
 
 import cv2
-from feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
 import numpy as np
 import pytest
 from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
@@ -22,6 +21,7 @@ from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental
 from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import (detect, Features, match_pairs, moving_part,
                                            PairMatches, propose_pairs)
+from test_support.feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
 
 SIZE = (WIDTH, HEIGHT)
 

@@ -14,9 +14,9 @@
 """Registration of patches against shifts and deformations that are known."""
 
 import cv2
-from feature_scenes import texture
 import numpy as np
 from selfcal_ros.features.registration import PatchRegistration
+from test_support.feature_scenes import texture
 
 
 def _scene(affine, shift, gain=1.0, offset=0.0):

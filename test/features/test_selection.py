@@ -13,11 +13,11 @@
 # limitations under the License.
 """Keyframes, static points and epipolar verification on exact point scenes."""
 
-from feature_scenes import drive, HEIGHT, Room, WIDTH
 import numpy as np
 import pytest
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.values.tracks import Tracks
+from test_support.feature_scenes import drive, HEIGHT, Room, WIDTH
 
 
 @pytest.fixture(scope='module')

@@ -26,8 +26,6 @@ import time
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# for what tests of this folder share
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 class LeftOut(pytest.File):

@@ -19,8 +19,6 @@ from pathlib import Path
 import signal
 import time
 
-from child_requests import Request
-import image_stream
 from msg_adapters.tracks import tracks_from_message
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -31,6 +29,8 @@ from selfcal_ros.nodes.estimation_job import Job, JobKind
 from selfcal_ros.nodes.estimation_process import EstimationProcess
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
+from test_support import image_stream
+from test_support.child_requests import Request
 
 BAG = Path(__file__).resolve().parents[2] / 'bags' / 'agv_drive'
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

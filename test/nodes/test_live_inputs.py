@@ -16,7 +16,6 @@
 import json
 import signal
 
-import image_stream
 from msg_adapters.stamps import stamp_ns
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
@@ -27,6 +26,7 @@ from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
+from test_support import image_stream
 
 pytestmark = pytest.mark.ros
 

@@ -13,13 +13,13 @@
 # limitations under the License.
 """The tracks drawn over the images, for viewers."""
 
-import image_stream
 from msg_adapters.image import image_to_bgr
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
 from sensor_msgs.msg import Image, PointCloud2
 
 from selfcal_ros.nodes.tracker_node import FeatureTracker
+from test_support import image_stream
 
 
 def test_the_overlay_has_colour_at_the_points_and_the_header_of_its_image(graph):

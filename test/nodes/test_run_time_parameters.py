@@ -16,7 +16,6 @@
 import json
 import time
 
-import image_stream
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message
 from msg_adapters.tracks import tracks_from_message, tracks_message
@@ -33,6 +32,7 @@ from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
+from test_support import image_stream
 
 pytestmark = pytest.mark.ros
 

@@ -16,10 +16,10 @@
 import threading
 from types import SimpleNamespace
 
-import image_stream
 import pytest
 from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.tracking_worker import TrackingWorker
+from test_support import image_stream
 
 
 class SlowSession:

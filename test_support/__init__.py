@@ -11,9 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Let the tests of this folder import the scenes beside them."""
-
-from pathlib import Path
-import sys
-
-sys.path.insert(0, str(Path(__file__).parent))
+"""What tests of several files share; not installed."""
