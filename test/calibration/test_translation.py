@@ -13,6 +13,7 @@
 # limitations under the License.
 """Translated views: the chain as a start, the frames named or found, refusals."""
 
+from dataclasses import replace
 import re
 
 import numpy as np
@@ -53,11 +54,13 @@ def test_truth_is_found_from_translated_views(frames):
     assert result.sigma['fx'] < 9
 
 
-def test_stated_translation_is_evidence():
+@pytest.mark.parametrize('distortion', ['auto', 'none'])
+def test_stated_translation_is_evidence(distortion):
     """Views that are stated to be parallel stay so, and make the calibration more certain."""
+    facts = replace(FACTS, distortion=distortion)
     sequence = arm(np.random.default_rng(3), TURNS[:2])
-    general = calibrate(sequence.tracks, motion='general', facts=FACTS)
-    stated = calibrate(sequence.tracks, motion='translation', facts=FACTS,
+    general = calibrate(sequence.tracks, motion='general', facts=facts)
+    stated = calibrate(sequence.tracks, motion='translation', facts=facts,
                        translation_frames=(0, 1, 2))
 
     R = stated.reconstruction.cam_from_world[:3, :, :3]

@@ -102,9 +102,9 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
 
         fit, facts = choose_distortion(fit, facts, determined)
     else:
-        fit = replace(fit, bundle=bundle_of(fit.observations, problem.motion,
+        fit = replace(fit, bundle=bundle_of(fit.observations, fit.bundle.motion,
                                             priors_from_facts(facts), fit.bundle.sigma_px))
-        fit = refit(fit, problem.motion)
+        fit = refit(fit, fit.bundle.motion)
     known = dependence_of(fit, problem.size).inflation**2
     exact = False
     if problem.motion.keeps_plane:
