@@ -17,8 +17,6 @@ import numpy as np
 import pytest
 from selfcal_ros.synthetic.special_scenes import drive
 
-# for what tests of this folder share
-
 
 @pytest.fixture(scope='session')
 def driven(tmp_path_factory):
