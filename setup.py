@@ -28,7 +28,7 @@ EXECUTABLES = {
     'rorapid_tracker': 'selfcal_ros.nodes.rorapid_tracker:main',
     'bag_player': 'selfcal_ros.nodes.bag_player:main',
     'camera_info_publisher': 'selfcal_ros.nodes.camera_info_publisher:main',
-    'all_nodes': 'selfcal_ros.nodes.all:main',
+    'all_nodes': 'selfcal_ros.nodes.composition:main',
     'selfcal': 'selfcal_ros.cli.main:main',
 }
 

@@ -75,7 +75,7 @@ class Room:
         """Render an image, uint8, with the mean over 2x2 samples of each pixel."""
         x, y = np.meshgrid(np.arange(2 * WIDTH) / 2 - 0.25, np.arange(2 * HEIGHT) / 2 - 0.25)
         points, plane = self.hit(np.stack([x.ravel(), y.ravel()], axis=1), camera)
-        gray = np.zeros(len(points), np.float32)
+        grey = np.zeros(len(points), np.float32)
         for k, (axis, _) in enumerate(_PLANES):
             rows = plane == k
             u, v = (points[rows][:, [i for i in range(3) if i != axis]]
@@ -85,11 +85,11 @@ class Room:
                 pad = np.zeros(side * 30000 - len(u), np.float32)
                 u, v = (np.concatenate([w, pad]).reshape(side, -1) for w in (u, v))
                 sampled = cv2.remap(self.textures[k], u, v, cv2.INTER_LINEAR).ravel()
-                gray[rows] = sampled[:rows.sum()]
-        gray = cv2.resize(gray.reshape(2 * HEIGHT, 2 * WIDTH), (WIDTH, HEIGHT),
+                grey[rows] = sampled[:rows.sum()]
+        grey = cv2.resize(grey.reshape(2 * HEIGHT, 2 * WIDTH), (WIDTH, HEIGHT),
                           interpolation=cv2.INTER_AREA)
-        gray += self.rng.normal(0, noise, gray.shape)
-        return np.clip(np.round(gray), 0, 255).astype(np.uint8)
+        grey += self.rng.normal(0, noise, grey.shape)
+        return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
     def transfer(self, xy, camera, other):
         """Return where the points seen at pixels xy by one camera appear in another."""

@@ -162,7 +162,8 @@ def _text(summary) -> str:
         for row in rows:
             name = row.name if len(row.name) <= wide else f'...{row.name[3 - wide:]}'
             lines.append(f'{name:<{wide}}' + ''.join(f' {value:>17}' for value in row.values)
-                         + f' {row.rms:>6} {row.apart_px:>5} {row.deviation:>6}  {row.status}')
+                         + f' {row.rms:>6} {row.max_difference_px:>5} {row.deviation:>6}'
+                         f'  {row.status}')
         lines += ['', verdict_of(camera), *camera.notes, '']
     if summary.failures:
         lines += ['Cannot be used:', *(f'  {outcome.error}' for outcome in summary.failures), '']

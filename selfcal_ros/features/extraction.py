@@ -100,7 +100,7 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     frames = _checked(frames)
     if mode == 'auto':
         probe = list(itertools.islice(frames, _PROBE_FRAMES))
-        mode, why = _choose_mode([gray for _, gray, _ in probe])
+        mode, why = _choose_mode([grey for _, grey, _ in probe])
         frames = itertools.chain(probe, frames)
         notes = [why]
     else:
@@ -114,20 +114,20 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
 def _checked(frames):
     """Pass images on, and stop at the first that cannot be used."""
     size = None
-    for index, gray, stamp_ns in frames:
-        gray = np.asarray(gray)
-        if gray.ndim != 2 or gray.dtype != np.uint8:
+    for index, grey, stamp_ns in frames:
+        grey = np.asarray(grey)
+        if grey.ndim != 2 or grey.dtype != np.uint8:
             raise InputError(f'Frame {index} must be a grey image of 8 bits, not '
-                             f'{gray.dtype} {gray.shape}.')
-        if min(gray.shape) < 64:
-            raise InputError(f'Frame {index} is {gray.shape[1]}x{gray.shape[0]} pixels; at least '
+                             f'{grey.dtype} {grey.shape}.')
+        if min(grey.shape) < 64:
+            raise InputError(f'Frame {index} is {grey.shape[1]}x{grey.shape[0]} pixels; at least '
                              '64x64 are needed.')
-        if size is not None and gray.shape != size:
-            raise InputError(f'Frame {index} is {gray.shape[1]}x{gray.shape[0]} pixels, but the '
+        if size is not None and grey.shape != size:
+            raise InputError(f'Frame {index} is {grey.shape[1]}x{grey.shape[0]} pixels, but the '
                              f'frames before are {size[1]}x{size[0]}; calibrate one size at a '
                              'time.')
-        size = gray.shape
-        yield int(index), gray, int(stamp_ns)
+        size = grey.shape
+        yield int(index), grey, int(stamp_ns)
 
 
 def _choose_mode(images):
@@ -147,13 +147,13 @@ def _wide(frames, report, max_keyframes, seed, notes):
     indices, stamps, images, features = [], {}, [], []
     stride, last = 1, None
     limit = max(_MOST_IMAGES, max_keyframes)
-    for count, (index, gray, stamp_ns) in enumerate(frames):
-        last = gray.shape
+    for count, (index, grey, stamp_ns) in enumerate(frames):
+        last = grey.shape
         if count % stride:
             continue
         indices.append(index)
         stamps[index] = stamp_ns
-        images.append(gray)
+        images.append(grey)
         if len(images) > limit:
             stride *= 2
             indices, images = indices[::2], images[::2]
@@ -202,11 +202,11 @@ def _video(frames, report, max_keyframes, seed, notes):
     """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
     tracker, selector, kept, stamps = KltTracker(), None, [], {}
     size = None
-    for count, (index, gray, stamp_ns) in enumerate(frames):
-        ids, xy = tracker.add(gray)
+    for count, (index, grey, stamp_ns) in enumerate(frames):
+        ids, xy = tracker.add(grey)
         report('tracking', count + 1)
         if selector is None:
-            size = gray.shape[::-1]
+            size = grey.shape[::-1]
             selector = KeyframeSelector(_KEYFRAME_STEP * float(np.hypot(*size)))
         if not selector.offer(ids, xy):
             continue

@@ -27,14 +27,14 @@ _FLOW = {'winSize': (15, 15), 'maxLevel': 4,
 _SIGMA_LIMIT_PX = 0.25
 
 
-def corners(gray: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
+def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
             quality: float = 0.002, border_px: int = 10) -> np.ndarray:
     """
     Find the best Shi-Tomasi corner of every free cell of a grid.
 
     Parameters
     ----------
-    gray : ndarray of uint8, shape (H, W)
+    grey : ndarray of uint8, shape (H, W)
     cell_px : int
         Side of a cell.
     occupied : ndarray, shape (M, 2), optional
@@ -50,8 +50,8 @@ def corners(gray: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
         Whole pixels.
 
     """
-    response = cv2.cornerMinEigenVal(gray, 5, ksize=3)
-    rows, columns = gray.shape[0] // cell_px, gray.shape[1] // cell_px
+    response = cv2.cornerMinEigenVal(grey, 5, ksize=3)
+    rows, columns = grey.shape[0] // cell_px, grey.shape[1] // cell_px
     if not rows or not columns:
         return np.empty((0, 2))
     # the strongest few pixels must not decide for the whole image
@@ -71,8 +71,8 @@ def corners(gray: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
     xy = np.stack([cell % columns * cell_px + best[cell] % cell_px,
                    cell // columns * cell_px + best[cell] // cell_px], axis=1).astype(float)
     if occupied is not None and len(occupied) and len(xy):
-        mask = np.ones(gray.shape, np.uint8)
-        near = np.clip(np.round(occupied).astype(int), 0, np.array(gray.shape[::-1]) - 1)
+        mask = np.ones(grey.shape, np.uint8)
+        near = np.clip(np.round(occupied).astype(int), 0, np.array(grey.shape[::-1]) - 1)
         mask[near[:, 1], near[:, 0]] = 0
         reach = cell_px // 2 | 1
         mask = cv2.erode(mask, np.ones((reach, reach), np.uint8))
@@ -148,7 +148,7 @@ class KltTracker:
 
     def reset(self) -> None:
         """Forget everything but the counter of ids: ids never come twice."""
-        self._gray = None
+        self._grey = None
         self._ids = np.empty(0, np.int64)
         self._next = getattr(self, '_next', 0)
         self._xy = np.empty((0, 2))
@@ -156,13 +156,13 @@ class KltTracker:
         self._residue = np.empty((0, 2))
         self._templates: Templates | None = None
 
-    def add(self, gray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def add(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Take the next image.
 
         Parameters
         ----------
-        gray : ndarray of uint8, shape (H, W)
+        grey : ndarray of uint8, shape (H, W)
             A change of size starts anew.
 
         Returns
@@ -173,18 +173,18 @@ class KltTracker:
             Pixels.
 
         """
-        if self._gray is not None and self._gray.shape != gray.shape:
+        if self._grey is not None and self._grey.shape != grey.shape:
             self.reset()
-        smooth = cv2.GaussianBlur(gray.astype(np.float32), (5, 5), 0.7)
+        smooth = cv2.GaussianBlur(grey.astype(np.float32), (5, 5), 0.7)
         if len(self._ids):
-            self._follow(gray, smooth)
-        self._replenish(gray, smooth)
-        self._gray = gray
+            self._follow(grey, smooth)
+        self._replenish(grey, smooth)
+        self._grey = grey
         return self._ids.copy(), self._xy.copy()
 
-    def _follow(self, gray, smooth):
+    def _follow(self, grey, smooth):
         """Predict by optical flow, then register the first appearance."""
-        there, followed = flow(self._gray, gray, self._xy)
+        there, followed = flow(self._grey, grey, self._xy)
         self._keep(followed)
         there = there[followed]
         if not len(there):
@@ -198,7 +198,7 @@ class KltTracker:
         good = ((correlation > self.least_correlation) & (step < 0.1) & (sigma < _SIGMA_LIMIT_PX)
                 & (np.linalg.norm(found - there, axis=1) < 2.0) & (size > 0.4) & (size < 2.5))
         margin = self._registration.half_px
-        limit = np.array(gray.shape[::-1]) - 1 - margin
+        limit = np.array(grey.shape[::-1]) - 1 - margin
         good &= ((found >= margin) & (found <= limit)).all(axis=1)
         self._xy, self._affine = found, affine
         self._keep(good)
@@ -226,12 +226,12 @@ class KltTracker:
         self._residue[rows] = self._xy[rows] - whole
         self._affine[rows] = np.eye(2)
 
-    def _replenish(self, gray, smooth):
+    def _replenish(self, grey, smooth):
         """Fill empty cells with new corners."""
-        cell = max(12, int(np.sqrt(gray.size / self.most)))
+        cell = max(12, int(np.sqrt(grey.size / self.most)))
         if len(self._ids) > 0.9 * self.most:
             return
-        xy = corners(gray, cell, self._xy)
+        xy = corners(grey, cell, self._xy)
         if not len(xy):
             return
         fresh = self._registration.templates(smooth, xy)

@@ -120,7 +120,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     refined, registered = xy.copy(), np.zeros(len(xy), bool)
     registered[reference] = True
     sigma = np.zeros(len(xy))
-    smooth = [_pyramid(gray) for gray in images]
+    smooth = [_pyramid(grey) for grey in images]
     for level in range(_LEVELS):
         scale = 2.0 ** level
         tracks = np.flatnonzero(coarseness == level)
@@ -152,9 +152,9 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     return refined, registered, sigma
 
 
-def _pyramid(gray):
+def _pyramid(grey):
     """Slightly smoothed levels (cv2.pyrDown keeps the centre of pixel (0, 0) in place)."""
-    levels = [cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)]
+    levels = [cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.7)]
     for _ in range(_LEVELS - 1):
         levels.append(cv2.pyrDown(levels[-1]))
     return levels

@@ -122,13 +122,13 @@ def _sift_offset_px() -> float:
     return float(np.round(4 * (np.median(near) - at)) / 4)
 
 
-def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
+def detect(grey: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
     """
     Find SIFT keypoints, evenly spread.
 
     Parameters
     ----------
-    gray : ndarray of uint8, shape (H, W)
+    grey : ndarray of uint8, shape (H, W)
     most : int
         Keypoints kept at most.
     cells : int
@@ -139,9 +139,9 @@ def detect(gray: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
     Features
 
     """
-    halved = gray.size > _FULL_SIZE_PIXELS
-    image = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
-        else gray
+    halved = grey.size > _FULL_SIZE_PIXELS
+    image = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
+        else grey
     sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
     points, descriptors = sift.detectAndCompute(image, None)
     if len(points) > most:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 
-from selfcal_ros.nodes.running import run_node
+from selfcal_ros.nodes.entry_point import run_node
 
 
 def make_node(**options):

@@ -33,15 +33,15 @@ from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
 from selfcal_ros.nodes.change_watch import ChangeWatch
-from selfcal_ros.nodes.declaration import declare, follow
-from selfcal_ros.nodes.driver_window import DriverWindow
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
+from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
-from selfcal_ros.nodes.scene import prepare_scene, ScenePublisher
+from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
+from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
-from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
 from selfcal_ros.pipeline.calibration_session import CalibrationSession
 from selfcal_ros.report.result_json import result_to_json
@@ -78,13 +78,13 @@ class Calibrator(Node):
                         JobKind.WINDOW_SCORE: self._watch.take}
         self._types = rclpy_types()
         self._size = (0, 0)
-        self._driver = DriverWindow(self, self._begin_anew)
+        self._driver = SensorRoi(self, self._begin_anew)
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
-        self._silence = SilenceWatch(self, 'tracks', lambda: [self.tracks.topic_name]
-                                     if self.tracks else [], self.parameters.silence_s)
+        self._watchdog = InputWatchdog(self, 'tracks', lambda: [self.tracks.topic_name]
+                                       if self.tracks else [], self.parameters.silence_s)
         self.create_service(Trigger, '~/calibrate', self._on_calibrate)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/save', self._on_save)
@@ -100,7 +100,7 @@ class Calibrator(Node):
 
     def _change(self, new: CalibratorParameters, old: CalibratorParameters):
         """Do what changed parameters say, from the next estimate on."""
-        self._silence.limit_s = new.silence_s
+        self._watchdog.limit_s = new.silence_s
         self._file = CalibrationFile(new.camera_name, new.output)
         if new.set_camera_info_service != old.set_camera_info_service:
             self._upload.close()
@@ -109,7 +109,7 @@ class Calibrator(Node):
         self._watch.change(monitor_settings(new))
 
     def _on_tracks(self, msg: PointCloud2):
-        self._silence.heard()
+        self._watchdog.heard()
         try:
             frame = tracks_from_message(msg)
         except InputError as error:
@@ -127,7 +127,7 @@ class Calibrator(Node):
 
     def announce(self, header, image_size: tuple[int, int]) -> None:
         """Publish the CameraInfo of an image whose tracks will follow (`TracksListener`)."""
-        self._silence.heard()
+        self._watchdog.heard()
         self._size = image_size
         reason = self._session.expect(stamp_ns(header.stamp), image_size)
         if reason:
@@ -152,7 +152,7 @@ class Calibrator(Node):
         window = self._watch.next_job()
         if window is not None:
             self._worker.submit(window)
-        if self._session.is_due(idle=self._silence.silent_s > self.parameters.idle_s):
+        if self._session.is_due(idle=self._watchdog.silent_s > self.parameters.idle_s):
             self._start()
 
     def _start(self) -> int:
@@ -249,8 +249,8 @@ class Calibrator(Node):
     def _diagnose(self):
         level, text, values = self._watch.judge(
             *calibration_status(self._session.snapshot()))
-        if self._silence.too_long_s:
-            level, text = WARN, f'no tracks for {self._silence.silent_s:.0f} s; {text}'
+        if self._watchdog.too_long_s:
+            level, text = WARN, f'no tracks for {self._watchdog.silent_s:.0f} s; {text}'
         status = status_message(f'{self.get_name()}: calibration', level, text, self._types,
                                 values, self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)

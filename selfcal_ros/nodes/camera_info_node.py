@@ -27,12 +27,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
-from selfcal_ros.nodes.declaration import declare, follow
-from selfcal_ros.nodes.driver_window import DRIVER_TOPIC
 from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
-from selfcal_ros.nodes.silence import SilenceWatch
+from selfcal_ros.nodes.sensor_roi import DRIVER_TOPIC
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
@@ -59,7 +59,7 @@ class CameraInfoPublisher(Node):
             images = ImageInputs(self, self._on_image, reliability='auto',
                                  transport='raw' if source == 'image' else source)
             self._topics = lambda: images.topics
-        self._silence = SilenceWatch(self, 'messages', self._topics, self.parameters.silence_s)
+        self._watchdog = InputWatchdog(self, 'messages', self._topics, self.parameters.silence_s)
         self.create_service(SetCameraInfo, '~/set_camera_info', self._on_set)
         self._look()
         self.create_timer(1.0, self._look, clock=STEADY)
@@ -72,7 +72,7 @@ class CameraInfoPublisher(Node):
 
     def _change(self, new: CameraInfoPublisherParameters, old: CameraInfoPublisherParameters):
         """Do what changed parameters say."""
-        self._silence.limit_s = new.silence_s
+        self._watchdog.limit_s = new.silence_s
         if new.camera_info_url != old.camera_info_url:
             self._file = CalibrationFile(new.camera_name, new.camera_info_url)
             # the calibration in force was that of another file
@@ -102,7 +102,7 @@ class CameraInfoPublisher(Node):
         self.get_logger().info(f'calibration from {self._file.path}')
 
     def _on_driver(self, msg: CameraInfo):
-        self._silence.heard()
+        self._watchdog.heard()
         try:
             window = window_of(msg)
         except InputError as error:
@@ -114,7 +114,7 @@ class CameraInfoPublisher(Node):
                                                     size if any(size) else None, window))
 
     def _on_image(self, msg: Image | CompressedImage):
-        self._silence.heard()
+        self._watchdog.heard()
         # a compressed image does not tell its size before it is decoded
         size = (int(msg.width), int(msg.height)) if isinstance(msg, Image) else (0, 0)
         self._publisher.publish(camera_info_message(self._fitting(size), msg.header, self._types,

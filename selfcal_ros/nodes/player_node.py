@@ -25,8 +25,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from selfcal_ros.errors import InputError
-from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.image_topics import compressed_topic
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import BagPlayerParameters
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
 from selfcal_ros.pipeline.replay import ImageRecording

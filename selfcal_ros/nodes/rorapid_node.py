@@ -26,11 +26,11 @@ from msg_adapters.stamps import header_message
 import numpy as np
 from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE, STEADY
-from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
 from selfcal_ros.pipeline.tracking_run import read_start
@@ -93,8 +93,8 @@ class RorapidNode(Node):
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, IMAGES_IN)
         self.create_subscription(PoseWithCovarianceStamped, 'initialpose', self._on_initialpose,
                                  PER_IMAGE)
-        self._silence = SilenceWatch(self, 'images', lambda: self._inputs.topics,
-                                     p.silence_s)
+        self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
+                                       p.silence_s)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_timer(1.0, self._diagnose, clock=STEADY)
@@ -123,7 +123,7 @@ class RorapidNode(Node):
 
     def _change(self, new: RorapidTrackerParameters, old: RorapidTrackerParameters):
         """Do what changed parameters say; the tracker goes on with all that it has learned."""
-        self._silence.limit_s = new.silence_s
+        self._watchdog.limit_s = new.silence_s
         options = tracker_options(new)
         if options != tracker_options(old):
             self._worker.command(lambda session: session.set_options(options))
@@ -134,7 +134,7 @@ class RorapidNode(Node):
     # what comes in
 
     def _on_image(self, msg):
-        self._silence.heard()
+        self._watchdog.heard()
         self._frame_id = msg.header.frame_id
         self._worker.submit(msg, self._overlay.get_subscription_count() > 0)
 
@@ -259,7 +259,7 @@ class RorapidNode(Node):
 
     def _diagnose(self):
         level, text, values = tracking_status(
-            self._newest, self._info_problem, self._worker.dropped, self._silence.too_long_s)
+            self._newest, self._info_problem, self._worker.dropped, self._watchdog.too_long_s)
         status = status_message(f'{self.get_name()}: tracking', level, text, self._types, values,
                                 self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)

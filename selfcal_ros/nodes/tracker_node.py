@@ -24,11 +24,11 @@ from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.klt import KltTracker
-from selfcal_ros.nodes.declaration import declare, follow
 from selfcal_ros.nodes.image_topics import ImageInputs
+from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import FeatureTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
-from selfcal_ros.nodes.silence import SilenceWatch
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.report.tracks_overlay import TracksOverlay
 from sensor_msgs.msg import Image, PointCloud2
@@ -54,7 +54,7 @@ class FeatureTracker(Node):
     Attributes
     ----------
     listeners : list of TracksListener
-        They are told before anybody else; see `selfcal_ros.nodes.all`.
+        They are told before anybody else; see `selfcal_ros.nodes.composition`.
 
     """
 
@@ -73,8 +73,8 @@ class FeatureTracker(Node):
         self._inputs = ImageInputs(self, self._on_image, self._is_heard,
                                    transport=self.parameters.image_transport,
                                    reliability=self.parameters.reliability)
-        self._silence = SilenceWatch(self, 'images', lambda: self._inputs.topics,
-                                     self.parameters.silence_s)
+        self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
+                                       self.parameters.silence_s)
         self._idle = self.create_timer(1.0, self._say_idle, clock=STEADY)
         follow(self, lambda new: None, self._change)
 
@@ -87,7 +87,7 @@ class FeatureTracker(Node):
     def _change(self, new: FeatureTrackerParameters, old: FeatureTrackerParameters):
         """Do what changed parameters say, from the next image on."""
         self._tracker.most = new.max_features
-        self._silence.limit_s = new.silence_s
+        self._watchdog.limit_s = new.silence_s
         self._inputs.choose(new.image_transport, new.reliability)
 
     def _say_idle(self):
@@ -98,13 +98,13 @@ class FeatureTracker(Node):
                                    f'{self.tracks.topic_name} (parameter lazy)')
 
     def _on_image(self, msg):
-        self._silence.heard()
+        self._watchdog.heard()
         try:
-            gray = self._decoder.grey(msg)
+            grey = self._decoder.grey(msg)
         except InputError as error:
             self.get_logger().warning(f'image dropped: {error}', throttle_duration_sec=5.0)
             return
-        size = (gray.shape[1], gray.shape[0])
+        size = (grey.shape[1], grey.shape[0])
         if min(size) < MINIMUM_SIDE_PX:
             self.get_logger().warning(
                 f'image dropped: {size[0]}x{size[1]} pixels are too few; '
@@ -114,13 +114,13 @@ class FeatureTracker(Node):
             return
         for listener in self.listeners:
             listener.announce(msg.header, size)
-        ids, xy = self._tracker.add(gray)
+        ids, xy = self._tracker.add(grey)
         for listener in self.listeners:
             listener.take(msg.header, size, ids, xy)
         if not self.listeners or self.tracks.get_subscription_count():
             self.tracks.publish(tracks_message(ids, xy, size, msg.header, self._types))
         if self._overlay.get_subscription_count():
-            self._overlay.publish(image_message(self._drawing.draw(gray, ids, xy), msg.header,
+            self._overlay.publish(image_message(self._drawing.draw(grey, ids, xy), msg.header,
                                                 self._types))
 
     def _is_in_order(self, stamp: int, size: tuple[int, int]) -> bool:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.pipeline.feature_session import Reading
+from selfcal_ros.pipeline.feature_session import ExtractedTracks
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class CalibrationSettings:
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
-                    ) -> tuple[Calibration | NotCalibrated, Reading]:
+                    ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Read an input of any kind that `open_source` knows, and calibrate from it.
 
@@ -70,7 +70,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     Returns
     -------
     Calibration or NotCalibrated
-    Reading
+    ExtractedTracks
         The tracks that it comes from.
 
     Raises

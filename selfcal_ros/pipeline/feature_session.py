@@ -24,7 +24,7 @@ from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)
-class Reading:
+class ExtractedTracks:
     """
     Tracks of an input, and how they came about.
 
@@ -48,7 +48,7 @@ class Reading:
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
-                progress: Callable | None = None) -> Reading:
+                progress: Callable | None = None) -> ExtractedTracks:
     """
     Read an input of any kind that `open_source` knows, and find point tracks in it.
 
@@ -68,7 +68,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
 
     Returns
     -------
-    Reading
+    ExtractedTracks
 
     Raises
     ------
@@ -79,7 +79,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
             tracks = source.tracks()
-            return Reading(tracks, source.description)
+            return ExtractedTracks(tracks, source.description)
         # OpenCV loads here, not where the command line starts
         from selfcal_ros.features.extraction import extract_tracks
         total = source.count
@@ -94,4 +94,4 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
                              'texture and overlap.')
-        return Reading(found.tracks, source.description, found.notes, source.clock)
+        return ExtractedTracks(found.tracks, source.description, found.notes, source.clock)

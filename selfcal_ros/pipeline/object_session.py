@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.feature_session import Reading
+from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -37,7 +37,7 @@ NEW_VIEW_SHARE = 0.01
 def read_object_views(path, target: Target, topic: str | None = None,
                       max_keyframes: int | None = None,
                       image_size: tuple[int, int] | None = None,
-                      progress: Callable | None = None) -> Reading:
+                      progress: Callable | None = None) -> ExtractedTracks:
     """
     Find a known object in an input of any kind that `open_source` knows.
 
@@ -52,7 +52,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
 
     Returns
     -------
-    Reading
+    ExtractedTracks
         Tracks whose identities are those of `target.known`.
 
     Raises
@@ -64,7 +64,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
     most = MOST_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            return Reading(source.tracks(), source.description)
+            return ExtractedTracks(source.tracks(), source.description)
         if target.find is None:
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '
@@ -94,7 +94,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
         frame = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
         tracks = Tracks(frame, np.concatenate([identity for _, identity, _ in views]),
                         np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
-        return Reading(tracks, source.description, notes, source.clock)
+        return ExtractedTracks(tracks, source.description, notes, source.clock)
 
 
 def _moved(last, now, step_px: float) -> bool:

@@ -34,7 +34,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
-from selfcal_ros.pipeline.feature_session import Reading
+from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
@@ -77,7 +77,7 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
                              start: Camera | None = None, topic: str | None = None,
                              max_keyframes: int | None = None, seed: int = 0,
                              progress: Callable | None = None,
-                             ) -> tuple[Calibration | NotCalibrated, Reading]:
+                             ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Calibrate a camera from a recording in which an object of known shape can be followed.
 
@@ -102,7 +102,7 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
     Returns
     -------
     result : Calibration or NotCalibrated
-    reading : Reading
+    reading : ExtractedTracks
         The edgels as tracks, one a control point.
 
     Raises
@@ -315,12 +315,12 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
     return _Passage(views, images, good, reason)
 
 
-def _reading(source, passage: _Passage, edges: EdgeViews | None) -> Reading:
+def _reading(source, passage: _Passage, edges: EdgeViews | None) -> ExtractedTracks:
     """Return the edgels as tracks, one a control point, for the report."""
     notes = (f'The object was followed in {passage.tracked} of {passage.images} images; its edges '
              f'were measured in {len(passage.views)} of them.',)
     if edges is None:
         nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
-        return Reading(nothing, source.description, notes)
-    return Reading(Tracks(edges.frame, edges.point, edges.xy, edges.image_size),
-                   source.description, notes)
+        return ExtractedTracks(nothing, source.description, notes)
+    return ExtractedTracks(Tracks(edges.frame, edges.point, edges.xy, edges.image_size),
+                           source.description, notes)

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
-from selfcal_ros.report.observed import observed
+from selfcal_ros.report.observations import observations
 from selfcal_ros.report.path_figure import path_figure
 from selfcal_ros.report.residual_figures import coverage_figure, residual_figure
 from selfcal_ros.report.style import Drawing
@@ -53,7 +53,7 @@ def draw_figures(result: Calibration | NotCalibrated,
         drawings = [coverage_figure(tracks.xy, size) if size else None]
     else:
         size = (result.camera.width, result.camera.height)
-        seen = observed(result, tracks) if tracks is not None else None
+        seen = observations(result, tracks) if tracks is not None else None
         drawings = [fixed_points_figure(result, seen), projection_figure(result),
                     sigma_figure(result), residual_figure(result, seen), path_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]

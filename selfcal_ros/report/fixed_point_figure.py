@@ -20,7 +20,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.report.observed import Observed
+from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry, single_pairs
 from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_panel,
                                       ORANGE, PAPER, PURPLE, RED, styled)
@@ -33,14 +33,15 @@ MOST_LINES = 60
 SIGMAS_95 = 2.4477
 
 
-def fixed_points_figure(result: Calibration, seen: Observed | None = None) -> Drawing | None:
+def fixed_points_figure(result: Calibration,
+                        seen: ObservationTable | None = None) -> Drawing | None:
     """
     Draw horizon, epipoles, screw axes, vanishing point and principal point.
 
     Parameters
     ----------
     result : Calibration
-    seen : Observed, optional
+    seen : ObservationTable, optional
         With it, every pair's epipoles and screw axis come from its matches alone; without, from
         the reconstruction.
 

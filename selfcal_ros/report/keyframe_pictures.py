@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
-from selfcal_ros.report.observed import Observed, observed
+from selfcal_ros.report.observations import ObservationTable, observations
 from selfcal_ros.report.ply import point_colours
 from selfcal_ros.values.tracks import Tracks
 
@@ -118,7 +118,7 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     except (InputError, OSError):
         # the calibration is done: a report without pictures is better than none
         return [], {}
-    seen = observed(result, tracks) if result else _all_used(tracks)
+    seen = observations(result, tracks) if result else _all_used(tracks)
     pictures = _draw(result, seen, frames, images)
     return pictures, dict(zip(ids.tolist(), map(tuple, paint.tolist())))
 
@@ -135,13 +135,13 @@ def _until(source, used: set, wanted: set, images: dict):
             return
 
 
-def _all_used(tracks: Tracks) -> Observed:
+def _all_used(tracks: Tracks) -> ObservationTable:
     """Return the observations as they are: nothing is known that could contradict them."""
-    return Observed(np.searchsorted(tracks.frames, tracks.frame), tracks.track, tracks.xy,
-                    np.zeros_like(tracks.xy), np.ones(len(tracks), bool))
+    return ObservationTable(np.searchsorted(tracks.frames, tracks.frame), tracks.track, tracks.xy,
+                            np.zeros_like(tracks.xy), np.ones(len(tracks), bool))
 
 
-def _draw(result, seen: Observed, frames: np.ndarray, images: dict) -> list[Picture]:
+def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict) -> list[Picture]:
     pictures = []
     for index, image in sorted(images.items()):
         view = int(np.flatnonzero(frames == index)[0])

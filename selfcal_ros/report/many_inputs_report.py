@@ -27,7 +27,7 @@ import numpy as np
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.comparison import compare_cameras, SAME_PX
 from selfcal_ros.report.files import atomic_write
-from selfcal_ros.report.result_json import plain, result_to_dict
+from selfcal_ros.report.result_json import result_to_dict, to_jsonable
 from selfcal_ros.report.wording import with_sigma
 
 #: Columns of the table between the name and the status.
@@ -45,7 +45,7 @@ class HistoryRow:
     start: str
     values: tuple[str, ...]
     rms: str
-    apart_px: str
+    max_difference_px: str
     deviation: str
     status: str
     good: bool
@@ -53,7 +53,7 @@ class HistoryRow:
 
 def rows_of(camera: CameraSummary) -> list[HistoryRow]:
     """Return the table of a camera, a row a recording."""
-    rows, apart = [], apart_px(camera)
+    rows, apart = [], max_difference_px(camera)
     for number, outcome in enumerate(camera.outcomes):
         result, deviation, status = outcome.result, '', 'not calibrated'
         if result:
@@ -96,7 +96,7 @@ def _value(result, name: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def apart_px(camera: CameraSummary) -> dict[int, float]:
+def max_difference_px(camera: CameraSummary) -> dict[int, float]:
     """Return the largest difference over the image from the joint estimate, by recording."""
     if camera.joint is None:
         return {}
@@ -108,7 +108,7 @@ def apart_px(camera: CameraSummary) -> dict[int, float]:
 def is_settled(camera: CameraSummary) -> bool:
     """Tell whether the recordings agree, by chance or because nobody would notice."""
     return camera.joint is not None and (
-        camera.joint.agree or max(apart_px(camera).values()) < SAME_PX)
+        camera.joint.agree or max(max_difference_px(camera).values()) < SAME_PX)
 
 
 def verdict_of(camera: CameraSummary) -> str:
@@ -139,7 +139,7 @@ def _comparison(camera: CameraSummary) -> str:
         return f'{sentence} With one recording nothing can be compared.'
     chance = f'p = {joint.p_value:.2g}' if joint.p_value >= 1e-6 else 'p < 1e-6'
     test = f'chi2 {joint.chi2:.4g} with {joint.freedom} degrees of freedom, {chance}'
-    left, most = int((~joint.used).sum()), max(apart_px(camera).values())
+    left, most = int((~joint.used).sum()), max(max_difference_px(camera).values())
     if not joint.agree and most < SAME_PX:
         return (f'{sentence} The recordings scatter {joint.scatter:.2f} times as much as their '
                 f'sigmas say ({test}), but by {most:.2g} px at most over the image, which nobody '
@@ -173,7 +173,7 @@ def summary_to_dict(summary: Summary) -> dict:
         'recordings'), 'failures' ('path', 'topic', 'error') and 'seconds'.
 
     """
-    return plain({
+    return to_jsonable({
         'cameras': [_camera_to_dict(camera) for camera in summary.cameras],
         'failures': [{'path': outcome.path, 'topic': outcome.topic, 'error': outcome.error}
                      for outcome in summary.failures],
@@ -188,7 +188,7 @@ def _camera_to_dict(camera: CameraSummary) -> dict:
         recordings.append({
             'path': outcome.path, 'start_ns': outcome.start_ns, 'seconds': outcome.seconds,
             'result': result_to_dict(outcome.result), 'notes': outcome.notes,
-            'apart_px': apart_px(camera).get(number),
+            'apart_px': max_difference_px(camera).get(number),
             'deviation_sigmas': None if place is None else joint.deviation[place],
             'used': place is not None and bool(joint.used[place])})
     tested = joint is not None and joint.freedom > 0

@@ -27,7 +27,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, Reconstruction
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.planar_pairs import decompose_planar
-from selfcal_ros.report.observed import Observed
+from selfcal_ros.report.observations import ObservationTable
 
 #: Pairs that turn by less than this, or come as close to half a turn, show no usable screw axis.
 LEAST_TURN_RAD = np.radians(2.0)
@@ -87,7 +87,8 @@ def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
     return PairGeometry(pairs, epipoles, _screw_axes(K, R, t, a, b))
 
 
-def single_pairs(result: Calibration, seen: Observed, most_pairs: int = 150) -> PairGeometry:
+def single_pairs(result: Calibration, seen: ObservationTable,
+                 most_pairs: int = 150) -> PairGeometry:
     """
     Estimate the epipoles and the screw axis of pairs, each from its own matches alone.
 
@@ -95,7 +96,7 @@ def single_pairs(result: Calibration, seen: Observed, most_pairs: int = 150) -> 
     ----------
     result : Calibration
         Its camera removes the distortion.
-    seen : Observed
+    seen : ObservationTable
     most_pairs : int
 
     Returns

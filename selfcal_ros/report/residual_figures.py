@@ -20,7 +20,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.robust_scale import robust_sigma
-from selfcal_ros.report.observed import Observed
+from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
                                       new_panel, ORANGE, PALE, SEQUENTIAL, styled)
 
@@ -32,14 +32,14 @@ _SURPRISE = LinearSegmentedColormap.from_list('surprise', ['#9aa3ad', '#d98a1e',
 LEAST_IN_CELL = 5
 
 
-def residual_figure(result: Calibration, seen: Observed | None) -> Drawing | None:
+def residual_figure(result: Calibration, seen: ObservationTable | None) -> Drawing | None:
     """
     Draw the mean residual in cells of the image, and the histogram of all.
 
     Parameters
     ----------
     result : Calibration
-    seen : Observed or None
+    seen : ObservationTable or None
         None: the histogram alone.
 
     Returns

@@ -57,7 +57,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     """
     good = isinstance(result, Calibration)
     fixed = result.fixed_points if good else None
-    return plain({
+    return to_jsonable({
         'status': 'calibrated' if good else 'not_calibrated',
         'reason': '' if good else result.reason,
         'advice': '' if good else result.advice,
@@ -176,14 +176,14 @@ def _sigma(result: Calibration) -> dict:
             for name, value in zip(PARAMETER_NAMES, sigma)}
 
 
-def plain(value):
+def to_jsonable(value):
     """Convert to what strict JSON knows; what is not finite becomes None."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_jsonable(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return to_jsonable(value.tolist())
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
+        return [to_jsonable(item) for item in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):
@@ -191,5 +191,5 @@ def plain(value):
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, (complex, np.complexfloating)):
-        return [plain(float(value.real)), plain(float(value.imag))]
+        return [to_jsonable(float(value.real)), to_jsonable(float(value.imag))]
     return None if value is None else str(value)

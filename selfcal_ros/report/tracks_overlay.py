@@ -37,13 +37,13 @@ class TracksOverlay:
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
         self._age: dict[int, int] = {}
 
-    def draw(self, gray: np.ndarray, ids: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    def draw(self, grey: np.ndarray, ids: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """
         Return the image with its tracks.
 
         Parameters
         ----------
-        gray : ndarray of uint8, shape (H, W)
+        grey : ndarray of uint8, shape (H, W)
         ids : ndarray of int, shape (N,)
             Ascending.
         xy : ndarray, shape (N, 2)
@@ -57,8 +57,8 @@ class TracksOverlay:
         """
         self._age = {point: self._age.get(point, -1) + 1 for point in ids.tolist()}
         self._past = [*self._past[1 - TRAIL_IMAGES:], (ids, xy)]
-        image = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
-        thickness = max(1, round(max(gray.shape) / 800))
+        image = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        thickness = max(1, round(max(grey.shape) / 800))
         for (ids_a, xy_a), (ids_b, xy_b) in zip(self._past[:-1], self._past[1:]):
             _, a, b = np.intersect1d(ids_a, ids_b, assume_unique=True, return_indices=True)
             # the ways of points that are lost by now would only hide the others
@@ -72,8 +72,8 @@ class TracksOverlay:
             cv2.circle(image, centre, 3 * thickness << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
         text, font, scale = f'{len(ids)} points', cv2.FONT_HERSHEY_SIMPLEX, 0.5 * thickness
         (width, height), _ = cv2.getTextSize(text, font, scale, thickness)
-        bottom = gray.shape[0] - 8
-        cv2.rectangle(image, (0, bottom - height - 8), (width + 16, gray.shape[0]), (0, 0, 0), -1)
+        bottom = grey.shape[0] - 8
+        cv2.rectangle(image, (0, bottom - height - 8), (width + 16, grey.shape[0]), (0, 0, 0), -1)
         cv2.putText(image, text, (8, bottom), font, scale, (255, 255, 255), thickness, cv2.LINE_AA)
         return image
 

@@ -24,7 +24,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.cli.demo import read_truth
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.nodes.all import DEFAULT, wanted_nodes
+from selfcal_ros.nodes.composition import DEFAULT, wanted_nodes
 from selfcal_ros.nodes.estimation_job import Job, JobKind
 from selfcal_ros.nodes.estimation_process import EstimationProcess
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2

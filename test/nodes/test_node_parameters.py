@@ -22,12 +22,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.nodes.declaration import declare, follow
+from selfcal_ros.nodes.entry_point import run_nodes
 from selfcal_ros.nodes.interfaces import INTERFACES
+from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import (BagPlayerParameters, FeatureTrackerParameters,
                                           RorapidTrackerParameters)
 from selfcal_ros.nodes.parameters_table import PARAMETERS, parameters_table
-from selfcal_ros.nodes.running import run_nodes
 
 
 @pytest.mark.parametrize('name', sorted(PARAMETERS))

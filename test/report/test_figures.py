@@ -21,7 +21,7 @@ import pytest
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.figures import draw_figures
-from selfcal_ros.report.observed import observed
+from selfcal_ros.report.observations import observations
 from selfcal_ros.report.pair_geometry import pair_geometry, single_pairs
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.residual_figures import cells, coverage_figure
@@ -67,13 +67,13 @@ def test_a_pair_without_rotation_has_no_screw_axis(calibration):
 def test_single_pairs_find_the_fixed_points_by_themselves(calibration, sequence):
     exact = replace(sequence.tracks, xy=sequence.true_pixels[sequence.tracks.frame,
                                                              sequence.tracks.track])
-    pairs = single_pairs(calibration, observed(calibration, exact))
+    pairs = single_pairs(calibration, observations(calibration, exact))
     assert len(pairs.pairs) == 13      # steps 1, 2, 3 and 5 of six views
     truth = pair_geometry(calibration.reconstruction, calibration.camera.K)
     order = [np.flatnonzero((truth.pairs == pair).all(axis=1))[0] for pair in pairs.pairs]
     for found, true in ((pairs.epipoles, truth.epipoles), (pairs.screw_axes, truth.screw_axes)):
         assert np.abs(np.cross(found, true[order])).max() < 1e-5
-    noisy = single_pairs(calibration, observed(calibration, sequence.tracks))
+    noisy = single_pairs(calibration, observations(calibration, sequence.tracks))
     line = sequence.horizon / np.linalg.norm(sequence.horizon[:2])
     near = noisy.epipoles[..., :2] / noisy.epipoles[..., 2:]
     near = near[np.abs(near).max(axis=-1) < 2000]
@@ -86,7 +86,7 @@ def test_many_pairs_are_thinned(calibration):
 
 
 def test_residuals_are_the_noise(calibration, sequence):
-    seen = observed(calibration, sequence.tracks)
+    seen = observations(calibration, sequence.tracks)
     truth = sequence.true_pixels[sequence.tracks.frame, sequence.tracks.track]
     assert np.allclose(seen.residual, truth - sequence.tracks.xy, atol=1e-9)
     assert seen.used.mean() > 0.998
@@ -103,16 +103,16 @@ def test_signs_of_homogeneous_points_and_strange_observations_do_not_matter(cali
     tracks = sequence.tracks
     more = Tracks(np.append(tracks.frame, [0, 77]), np.append(tracks.track, [999, 0]),
                   np.vstack([tracks.xy, [[1, 1], [2, 2]]]), tracks.image_size)
-    seen = observed(flipped, more)
+    seen = observations(flipped, more)
     assert len(seen.xy) == len(tracks)
-    assert np.allclose(seen.residual, observed(calibration, tracks).residual, atol=1e-9)
+    assert np.allclose(seen.residual, observations(calibration, tracks).residual, atol=1e-9)
 
 
 def test_what_a_lens_field_displaces_is_no_outlier(calibration, sequence):
     # a bend of half a pixel, five times the noise, which the calibration has allowed for
     xy = sequence.tracks.xy + 0.5 * np.sin(sequence.tracks.xy[:, ::-1] / 150)
     tracks = replace(sequence.tracks, xy=xy)
-    seen = observed(calibration, tracks)
+    seen = observations(calibration, tracks)
     assert calibration.observation_count == len(tracks) and seen.used.all()
     drawings = {drawing.name: drawing for drawing in draw_figures(calibration, tracks)}
     assert 'deviates' in drawings['residuals'].caption

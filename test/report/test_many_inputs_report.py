@@ -74,7 +74,7 @@ def test_rows_say_what_became_of_each():
     assert [row.good for row in rows] == [True] * 4 + [False] * 2
     assert rows[4].status == 'contradicts the others' and float(rows[4].deviation) > 5
     # 1 % of the focal length, 400 px from the middle
-    assert float(rows[4].apart_px) == pytest.approx(6 / 520 * 400, rel=0.3)
+    assert float(rows[4].max_difference_px) == pytest.approx(6 / 520 * 400, rel=0.3)
     assert rows[5].status == 'not calibrated: there is no parallax.'
     assert rows[0].values == ('520.00 ± 0.30', '520.00 ± 0.30', '320.00 ± 0.20', '240.00 ± 0.20')
     assert rows[1].start == '2023-11-15 22:13:20'

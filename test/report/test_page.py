@@ -28,12 +28,12 @@ import pytest
 from selfcal_ros.calibration.result import Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.report.first_look import (distortion, grade, matrix, projection_sigmas, px_text,
-                                           quality)
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
 from selfcal_ros.report.scene import scene_of
+from selfcal_ros.report.summary import (distortion, grade, matrix, projection_sigmas, px_text,
+                                        quality)
 from selfcal_ros.report.wording import facts_lines, parameter_rows, verdict, with_sigma
 
 HOSTILE = '<script>alert(1)</script>"\'><img src=x onerror=alert(2)> {{ 7 * 7 }} \u202e'
@@ -263,7 +263,7 @@ def test_facts_with_their_spread():
                      'principal point = (320, 240) px (σ = 5 px)', 'distortion model: auto']
 
 
-def test_first_look_says_where_numbers_are_from_and_how_good_they_are(calibration):
+def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibration):
     status = {**calibration.status, 'cy': 'unobservable'}
     rows = matrix(replace(calibration, status=status))
     assert [[entry.origin for entry in row] for row in rows] == [

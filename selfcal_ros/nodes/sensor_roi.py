@@ -29,7 +29,7 @@ DRIVER_TOPIC = 'driver/camera_info'
 DRIVER_INFO_IN = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-class DriverWindow:
+class SensorRoi:
     """
     The part of the sensor that the images show, from the driver's own CameraInfo.
 

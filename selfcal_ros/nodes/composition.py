@@ -29,7 +29,7 @@ from __future__ import annotations
 from importlib import import_module
 import sys
 
-from selfcal_ros.nodes.running import run_nodes
+from selfcal_ros.nodes.entry_point import run_nodes
 
 #: What can be composed: the modules whose make_node() returns the node.
 COMPOSABLE = ('feature_tracker', 'planar_calibrator', 'affine_calibrator', 'rorapid_tracker',

@@ -27,7 +27,7 @@ OUTLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
-class Observed:
+class ObservationTable:
     """
     Observations of the reconstructed points.
 
@@ -52,7 +52,7 @@ class Observed:
     used: np.ndarray
 
 
-def observed(result: Calibration, tracks: Tracks) -> Observed:
+def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     """
     Predict the observations of the reconstructed points.
 
@@ -64,7 +64,7 @@ def observed(result: Calibration, tracks: Tracks) -> Observed:
 
     Returns
     -------
-    Observed
+    ObservationTable
 
     """
     shape = result.reconstruction
@@ -86,7 +86,7 @@ def observed(result: Calibration, tracks: Tracks) -> Observed:
         if 0 < result.observation_count <= len(finite):
             limit = max(limit, finite[result.observation_count - 1])
         used = distance <= limit
-    return Observed(view, tracks.track[both], xy, residual, used)
+    return ObservationTable(view, tracks.track[both], xy, residual, used)
 
 
 def _places(keys: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ DRAWN = '/overlay'
 MOST_SUGGESTIONS = 5
 
 
-class SilenceWatch:
+class InputWatchdog:
     """
     Warns once a silence lasts, and again when it comes back or its reason changes.
 
