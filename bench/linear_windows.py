@@ -34,6 +34,7 @@ from selfcal_ros.calibration.monitoring.camera_change import CHANGES
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import (adjusted, shared_within_tracks,
                                                              WindowScore, without_camera)
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import huber_weights
 
 #: Noise with which the linearised windows are set up, pixels: none to speak of.
@@ -64,8 +65,8 @@ class LinearWindow:
                  for index, at, identity, view in frames]
         found = adjusted(window_of([_sorted(*frame) for frame in faint],
                                    (drive.camera.width, drive.camera.height)), drive.camera, rng)
-        if isinstance(found, str):
-            raise ValueError(found)
+        if isinstance(found, NoEstimate):
+            raise ValueError(found.reason)
         graph, bundle, state, observations = found
         if len(graph.frames) != len(frames):
             raise ValueError('Keyframes of the window are not connected: what is seen in one '

@@ -29,6 +29,7 @@ from selfcal_ros import Camera
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
+from selfcal_ros.geometry.estimate import NoEstimate
 
 RUNS, PERIOD_S = 100, 1.0
 #: Keyframes before a change, within which it is to be noticed, and that a slow drift takes.
@@ -131,7 +132,7 @@ def take(monitor: ChangeMonitor, frames, drive: MeasuredDrive) -> WindowScore | 
     size = drive.camera.width, drive.camera.height
     score = window_score(window_of(frames, size), monitor.camera, monitor.free,
                          np.random.default_rng(0))
-    if isinstance(score, str):
+    if isinstance(score, NoEstimate):
         return None
     monitor.add(score)
     return score

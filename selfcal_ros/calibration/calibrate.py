@@ -27,6 +27,7 @@ from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -100,11 +101,11 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     facts = CameraFacts() if facts is None else facts
     rng = np.random.default_rng(0) if rng is None else rng
     size = tracks.image_size or _size_from(tracks)
+    software = f'selfcal_ros {__version__}'
     graph = build_view_graph(tracks, rng)
-    if isinstance(graph, str):
-        return NotCalibrated(graph, 'Check that the images overlap and show texture.',
-                             frames=tuple(int(f) for f in tracks.frames), facts=facts,
-                             software=__version__)
+    if isinstance(graph, NoEstimate):
+        return NotCalibrated.of(graph, frames=tracks.frames, facts=facts, software=software)
+    result: Calibration | NoEstimate
     if motion == 'rotation':
         result = calibrate_rotating(graph.tracks, size, facts)
     elif motion == 'translation':
@@ -114,11 +115,13 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
                                        MOTION_MODELS[motion])
         if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_LEAST_VIEWS:
             result = _with_little_parallax(graph, size, facts, motion, result)
-    return replace(result, software=f'selfcal_ros {__version__}')
+    if isinstance(result, NoEstimate):
+        return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)
+    return replace(result, software=software)
 
 
-def _with_little_parallax(graph: ViewGraph, size, facts: CameraFacts, motion: str,
-                          moving) -> Calibration | NotCalibrated:
+def _with_little_parallax(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
+                          moving: Calibration | NoEstimate) -> Calibration | NoEstimate:
     """Try whether the camera only rotates, or the scene is one plane."""
     rotating = calibrate_rotating(graph.tracks, size, facts)
     if rotating:

@@ -11,15 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What a calibration returns: a `Calibration`, or a `NotCalibrated` that says why."""
+"""
+What a calibration returns: a `Calibration`, or a `NotCalibrated` that says why.
+
+Both carry what was found out as data (`Finding`). Sentences are derived from it; the tables of
+words lie below, in `selfcal_ros.findings`, so that both print themselves without a report.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
@@ -141,20 +150,22 @@ class Identifiability:
     weakest: dict
     weakest_share: float
 
-    def sentences(self) -> tuple:
-        """Say it: what rests on which fact, and what is weakest."""
-        said = []
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what rests on which fact."""
+        found = []
         for fact, factors in self.without.items():
-            lost = [name for name, factor in factors.items() if not np.isfinite(factor)]
+            lost = tuple(name for name, factor in factors.items() if not np.isfinite(factor))
             if lost:
-                said.append(f'Without the stated {fact}, the images would not determine '
-                            f'{", ".join(lost)}.')
+                found.append(Finding('fact_decides', fact=fact, lost=lost))
                 continue
-            name = max(factors, key=factors.get)
+            name = max(factors, key=lambda one: factors[one])
             if factors[name] > 2:
-                said.append(f'Without the stated {fact}, the sigma of {name} would be '
-                            f'{factors[name]:.2g} times as large.')
-        return tuple(said)
+                found.append(Finding('fact_narrows', fact=fact, name=name, factor=factors[name]))
+        return tuple(found)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say what rests on which fact."""
+        return tuple(finding.sentence for finding in self.findings())
 
 
 @dataclass(frozen=True)
@@ -182,8 +193,8 @@ class Calibration:
     observation_count, outlier_count : int
     reconstruction : Reconstruction
     fixed_points : FixedPoints, optional
-    notes : tuple of str
-        What a user should know, one sentence each.
+    findings : tuple of Finding
+        What a user should know.
     software : str
     residuals : ndarray, shape (N, 2), optional
         Of the observations used, pixels.
@@ -220,7 +231,7 @@ class Calibration:
     outlier_count: int
     reconstruction: Reconstruction
     fixed_points: FixedPoints | None = None
-    notes: tuple = ()
+    findings: tuple[Finding, ...] = ()
     software: str = ''
     residuals: np.ndarray | None = field(default=None, repr=False)
     identifiability: Identifiability | None = field(default=None, repr=False)
@@ -229,6 +240,11 @@ class Calibration:
     def __bool__(self) -> bool:
         """Be true: there is a calibration."""
         return True
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings in words, one sentence each."""
+        return tuple(finding.sentence for finding in self.findings)
 
     @property
     def sigma(self) -> dict:
@@ -244,7 +260,7 @@ class NotCalibrated:
     Attributes
     ----------
     reason : str
-        One sentence.
+        In a sentence or two.
     advice : str
         What motion, fact or data would help; may be empty.
     motion : str
@@ -253,6 +269,14 @@ class NotCalibrated:
     facts : CameraFacts
     status : dict
         Per parameter 'held' or 'unobservable', as far as it is known.
+    software : str
+    kind : str
+        Why, for programs: one of `selfcal_ros.findings.finding.KINDS`; empty where it was not
+        recorded (a file of an older version).
+    values : mapping
+        The numbers and names that decided, as in `Finding`.
+    findings : tuple of Finding
+        What else was found, for example the motion that would help most.
 
     Examples
     --------
@@ -275,6 +299,36 @@ class NotCalibrated:
     facts: CameraFacts = CameraFacts()
     status: dict = field(default_factory=dict)
     software: str = ''
+    kind: str = ''
+    values: Mapping[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @staticmethod
+    def of(refusal: NoEstimate, *, frames=(), facts: CameraFacts = CameraFacts(),
+           motion: str = 'unknown', software: str = '') -> NotCalibrated:
+        """
+        Put the failure of a method before the user.
+
+        Parameters
+        ----------
+        refusal : NoEstimate
+            Its values `motion`, `status` and `facts` stand for what is given here, where it has
+            them; those in `further` are findings of their own.
+        frames : sequence of int
+        facts : CameraFacts
+        motion, software : str
+
+        Returns
+        -------
+        NotCalibrated
+
+        """
+        values = dict(refusal.values)
+        motion, facts = values.pop('motion', motion), values.pop('facts', facts)
+        status, further = values.pop('status', {}), tuple(values.pop('further', ()))
+        advice = ' '.join(filter(None, [refusal.advice, *(one.sentence for one in further)]))
+        return NotCalibrated(refusal.reason, advice, motion, tuple(int(f) for f in frames), facts,
+                             dict(status), software, refusal.kind, values, further)
 
     def __bool__(self) -> bool:
         """Be false: there is no calibration."""

@@ -152,7 +152,7 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'With a level horizon all members of the family of cameras have the same skew.',
         'State the aspect ratio or the principal point.'),
     'fact_without_hold': Phrase(
-        'The known {facts:and} cannot fix the camera: an error in it comes out {factor:.3g} '
+        'The known {known:and} cannot fix the camera: an error in it comes out {factor:.3g} '
         'times as large, more than {limit:g}. The horizon is inclined by {tilt_deg:.2g} degrees.',
         'The fact is nearly the same for all cameras of the family.',
         'State another fact.'),
@@ -190,13 +190,13 @@ CLOSED_FORMS: dict[str, Phrase] = {
     'rotations_about_camera_axis': Phrase(
         "The rotations leave {missing} open: they are all about the camera's {axis} axis (up to "
         "{largest_deg:.2g} degrees). Add views that are turned about "
-        "{wanted:axes}{facts:or_state}.",
+        "{wanted:axes}{helps:or_state}.",
         'Rotations about one axis leave a family of cameras (thesis 4.1.3).',
         'Turn about the axis that is missing.'),
     'rotations_about_one_axis': Phrase(
         'The rotations leave {missing} open: they are all about one axis (up to '
         '{largest_deg:.2g} degrees). Add views that are turned about an axis across that '
-        'one{facts:or_state}.',
+        'one{helps:or_state}.',
         'Rotations about one axis leave a family of cameras (thesis 4.1.3).',
         'Turn about the axis that is missing.'),
     'rotations_small': Phrase(

@@ -92,7 +92,7 @@ _ENDINGS = {
     'and': lambda names: ' and '.join(name.replace('_', ' ') for name in names),
     'motion': MOTIONS.__getitem__,
     'axes': lambda axes: ' and about '.join(f'the {axis} axis' for axis in axes),
-    'or_state': lambda facts: f', or state the {" or the ".join(facts)}' if facts else '',
+    'or_state': lambda helps: f', or state the {" or the ".join(helps)}' if helps else '',
     'frames': _frames,
     'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
                                       for name, value in sigma.items()),

@@ -30,6 +30,7 @@ from msg_adapters.tracks import tracks_from_message
 from rclpy.node import Node
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status
 from selfcal_ros.nodes.change_watch import ChangeWatch
@@ -204,7 +205,7 @@ class Calibrator(Node):
         self.get_logger().info(f'starting anew: {reason}')
         self._watch.forget()
         self._result.publish(String(data=result_to_json(
-            NotCalibrated(f'The session was reset: {reason}.', 'Keep moving.'))))
+            NotCalibrated.of(NoEstimate('session_reset', why=reason)))))
         self._scene.clear()
 
     def _on_calibrate(self, _, response):

@@ -22,6 +22,7 @@ import traceback
 from typing import Any, Protocol
 
 from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.geometry.estimate import NoEstimate
 
 
 class JobKind(Enum):
@@ -77,8 +78,8 @@ class Job:
             value = self.request.run()
         except Exception as error:
             traceback.print_exc()
-            value = NotCalibrated(f'The estimate failed ({type(error).__name__}: {error}); '
-                                  'please report the lines on standard error.')
+            value = NotCalibrated.of(NoEstimate('estimate_failed',
+                                                error=f'{type(error).__name__}: {error}'))
         try:
             prepared = self.prepare(value, self.request) if self.prepare and value else None
         except Exception:  # a calibration must not be lost to what is drawn from it

@@ -22,6 +22,7 @@ import os
 import signal
 
 from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.nodes.estimation_job import Job, JobResult
 
 #: The child yields to whoever has an image to follow.
@@ -83,9 +84,7 @@ class EstimationProcess:
         try:
             result = JobResult(job, *self._pipe.recv())
         except (EOFError, OSError):
-            result = JobResult(job, NotCalibrated(
-                'The process of the estimate ended unexpectedly (out of memory?).',
-                'The next estimate starts another one.'))
+            result = JobResult(job, NotCalibrated.of(NoEstimate('process_ended')))
             self._pipe.close()
             self._start()
         self._send()

@@ -26,6 +26,7 @@ from selfcal_ros.calibration.monitoring.window_score import window_score, Window
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.features.selection import drop_static
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.calibration_session import Keyframe
 from selfcal_ros.values.tracks import Tracks
 
@@ -43,7 +44,7 @@ class ScoreRequest:
     generation: int
     reference: bool
 
-    def run(self) -> WindowScore | str:
+    def run(self) -> WindowScore | NoEstimate:
         """Score it; takes tenths of a second, for a worker thread."""
         tracks, _ = drop_static(self.tracks)
         return window_score(tracks, self.camera, self.free, np.random.default_rng(0))
@@ -177,7 +178,7 @@ class Monitoring:
         if request.generation != self._generation:
             return None
         if not isinstance(score, WindowScore):
-            self._skip(str(score))
+            self._skip(score.clause if isinstance(score, NoEstimate) else str(score))
             return None
         known = self._monitor.change
         try:

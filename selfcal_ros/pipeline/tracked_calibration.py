@@ -32,6 +32,7 @@ from selfcal_ros.calibration.known_object.edge_calibration import (adjust_to_edg
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
@@ -153,10 +154,9 @@ def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, pr
 
 
 def _unfollowed(passage: _Passage, facts: CameraFacts) -> NotCalibrated:
-    return NotCalibrated(
-        f'The object could not be followed: {passage.reason}'.rstrip('.') + '.',
-        'Check the start pose with `selfcal track --overlay`, and that the object is seen '
-        'sharply.', 'known-object', facts=facts, software=f'selfcal_ros {__version__}')
+    return NotCalibrated.of(NoEstimate('object_not_followed', why=passage.reason.rstrip('.')),
+                            motion='known-object', facts=facts,
+                            software=f'selfcal_ros {__version__}')
 
 
 def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
@@ -208,9 +208,8 @@ def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
         if number >= len(REACH_PX) and settled:
             break
     if result is None:
-        result = NotCalibrated('The edges of the object could not be measured.',
-                               'Show it larger and sharper.', 'known-object', facts=facts,
-                               software=f'selfcal_ros {__version__}')
+        result = NotCalibrated.of(NoEstimate('edges_not_measured'), motion='known-object',
+                                  facts=facts, software=f'selfcal_ros {__version__}')
     return result, edges
 
 

@@ -24,8 +24,12 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, StructureSample
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.files import atomic_write
+
+#: Version of what is written; the first had none.
+SCHEMA = 2
 
 
 def result_to_dict(result: Calibration | NotCalibrated) -> dict:
@@ -34,7 +38,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
 
     Both outcomes have the same keys; what a NotCalibrated does not have is None. So is a number
     that is not finite: the sigma of a parameter that the data do not determine, for example.
-    Complex numbers are pairs [real, imaginary].
+    Complex numbers are pairs [real, imaginary]. The schema is docs/result.schema.json.
 
     Parameters
     ----------
@@ -52,12 +56,14 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'central_angle_deg', 'length_ratio' with the tracks of its two lengths in 'first' and
         'second', 'structure_angle_deg' with the tracks of its three points in 'corner': each
         'value' and 'sigma'; the last two None without a structure that was adjusted), 'facts',
-        'notes', 'software'.
+        'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal) and
+        'findings' (each with its 'kind' and its values; a refusal is the first of its own).
 
     """
     good = isinstance(result, Calibration)
     fixed = result.fixed_points if good else None
-    return to_jsonable({
+    found = {
+        'schema': SCHEMA,
         'status': 'calibrated' if good else 'not_calibrated',
         'reason': '' if good else result.reason,
         'advice': '' if good else result.advice,
@@ -81,7 +87,14 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'facts': dataclasses.asdict(result.facts),
         'notes': result.notes if good else (),
         'software': result.software,
-    })
+    }
+    findings: list = list(result.findings)
+    if not good and result.kind:
+        found['kind'] = result.kind
+        findings.insert(0, {'kind': result.kind, **result.values})
+    if findings:
+        found['findings'] = findings
+    return to_jsonable(found)
 
 
 def _identifiability(result: Calibration) -> dict | None:
@@ -131,6 +144,9 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
     """
     Turn what `result_to_dict` gives back into a result, without its reconstruction.
 
+    Files of the first version, which have no 'schema', are read, too: their notes are findings
+    of the kind 'note'.
+
     Raises
     ------
     KeyError, TypeError, ValueError
@@ -141,8 +157,12 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
                            for name, value in content.get('facts', {}).items()})
     software = content.get('software', '')
     if content['status'] != 'calibrated':
+        kind, stored = content.get('kind', ''), list(content.get('findings', ()))
+        values = {name: value for name, value in stored.pop(0).items() if name != 'kind'} \
+            if kind and stored else {}
         return NotCalibrated(content['reason'], content['advice'],
-                             content.get('motion', 'unknown'), facts=facts, software=software)
+                             content.get('motion', 'unknown'), facts=facts, software=software,
+                             kind=kind, values=values, findings=_findings(stored, ()))
     c = content['camera']
     camera = Camera([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]], c['d'],
                     c['width'], c['height'])
@@ -156,8 +176,22 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         frames=tuple(content['frames']['used']),
         reprojection_rms_px=content['reprojection_rms_px'],
         noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
-        outlier_count=content['outliers'], reconstruction=None, notes=tuple(content['notes']),
-        software=software)
+        outlier_count=content['outliers'], reconstruction=None, software=software,
+        findings=_findings(content.get('findings', ()), content['notes']))
+
+
+def _findings(stored, notes) -> tuple[Finding, ...]:
+    """Read findings; kinds of another version become what the notes say of them."""
+    if not stored:
+        return tuple(Finding('note', text=str(text)) for text in notes)
+    found = []
+    for k, one in enumerate(stored):
+        try:
+            found.append(Finding.from_dict(one))
+        except ValueError:
+            text = notes[k] if k < len(notes) else f'Something of the kind {one["kind"]}.'
+            found.append(Finding('note', text=str(text)))
+    return tuple(found)
 
 
 def _camera(camera) -> dict:
@@ -178,6 +212,8 @@ def _sigma(result: Calibration) -> dict:
 
 def to_jsonable(value):
     """Convert to what strict JSON knows; what is not finite becomes None."""
+    if isinstance(value, Finding):
+        return to_jsonable(value.as_dict())
     if isinstance(value, dict):
         return {str(key): to_jsonable(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -211,8 +211,9 @@ def test_a_window_without_parallax_says_so():
     poses = np.concatenate([turn, np.zeros((WINDOW, 3, 1))], axis=2)
     tracks = observe(rng, TRUTH, poses, points, NOISE_PX, True).tracks
     free = ChangeMonitor(calibration()).free
-    assert 'parallax' in window_score(tracks, TRUTH, free, rng)
-    assert isinstance(window_score(tracks.in_frames([0]), TRUTH, free, rng), str)
+    assert window_score(tracks, TRUTH, free, rng).kind == 'window_without_parallax'
+    assert window_score(tracks.in_frames([0]), TRUTH, free,
+                        rng).kind == 'too_few_images_share_points'
 
 
 @pytest.mark.parametrize('settings', [{'keyframes': 2}, {'false_alarm_keyframes': 0},

@@ -64,7 +64,7 @@ def test_one_axis_is_refused_and_names_the_rotation_that_helps(axes, missing):
     found = calibrate_rotating(_head(1, axes=axes).tracks, SIZE,
                                CameraFacts(skew=0.0, distortion='none'))
     assert not found
-    assert {k for k, v in found.status.items() if v == 'unobservable'} == missing
+    assert {k for k, v in found.values['status'].items() if v == 'unobservable'} == missing
     assert f"the camera's {'xyz'[axes.index(1)]} axis" in found.reason
 
 

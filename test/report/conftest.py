@@ -16,6 +16,7 @@
 import numpy as np
 import pytest
 from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si
 
@@ -49,4 +50,4 @@ def calibration(sequence):
                                       np.arange(len(points)), points),
         fixed_points=FixedPoints(sequence.horizon, sequence.vanishing_point,
                                  sequence.circular_point),
-        notes=('A note with <b>markup</b>.',), software='selfcal_ros 0.0')
+        findings=(Finding('note', text='A note with <b>markup</b>.'),), software='selfcal_ros 0.0')

@@ -27,6 +27,7 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.result import Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
@@ -201,7 +202,8 @@ def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):
 
 
 def test_hostile_names_are_shown_as_they_are(calibration):
-    for result in (replace(calibration, notes=(HOSTILE,), software=HOSTILE,
+    hostile = (Finding('note', text=HOSTILE),)
+    for result in (replace(calibration, findings=hostile, software=HOSTILE,
                            held_by={'skew': HOSTILE}),
                    NotCalibrated(HOSTILE, HOSTILE, frames=(1,), status={HOSTILE: HOSTILE})):
         page = Reader(page_html(result, HOSTILE, HOSTILE, notes=(HOSTILE,)))

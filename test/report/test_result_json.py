@@ -19,8 +19,11 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
                                             Reconstruction)
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
-from selfcal_ros.report.result_json import result_to_dict, write_result_json
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.report.result_json import (result_from_dict, result_to_dict, SCHEMA,
+                                            write_result_json)
 
 CONTRACT = {'status', 'reason', 'motion', 'camera', 'sigma', 'covariance', 'parameters', 'frames',
             'reprojection_rms_px', 'facts', 'software'}
@@ -39,7 +42,8 @@ def calibration(**changed):
         'facts': CameraFacts(aspect_ratio=1.0, principal_point=(320, 240)),
         'frames': tuple(np.arange(5)), 'reprojection_rms_px': np.float32(0.25),
         'noise_sigma_px': np.float64(0.2), 'observation_count': np.int64(1000),
-        'outlier_count': 7, 'notes': ('a note',), 'software': 'selfcal_ros 0.1.0',
+        'outlier_count': 7, 'findings': (Finding('note', text='a note'),),
+        'software': 'selfcal_ros 0.1.0',
         'reconstruction': Reconstruction(np.arange(5), np.zeros((5, 3, 4)), np.arange(2),
                                          np.zeros((2, 4))),
         'fixed_points': FixedPoints(np.array([0, 1., 2]), np.array([1., 0, 3]),
@@ -84,7 +88,56 @@ def test_not_calibrated(tmp_path):
     assert all(document[key] is None for key in ('camera', 'sigma', 'covariance',
                                                  'reprojection_rms_px'))
     assert document['parameters'] == {'fx': 'unobservable'} and document['frames']['count'] == 2
-    assert document.keys() == result_to_dict(calibration()).keys()
+    assert document.keys() == result_to_dict(calibration(findings=())).keys()
+
+
+def test_findings_are_there_where_there_are_any_and_come_back(tmp_path):
+    plain = strict(write_result_json(tmp_path / 'a.json', calibration(findings=())))
+    assert plain['schema'] == SCHEMA and not plain.keys() & {'kind', 'findings'}
+
+    found = (Finding('errors_within_track', ratio=np.float64(1.5)),
+             Finding('views_left_out', count=2, why=NoEstimate('view_on_line', frame=3)),
+             Finding('object_misfits_frames', frames=(2, 7)))
+    document = strict(write_result_json(tmp_path / 'b.json', calibration(findings=found)))
+    assert document['findings'] == [
+        {'kind': 'errors_within_track', 'ratio': 1.5},
+        {'kind': 'views_left_out', 'count': 2, 'why': {'kind': 'view_on_line', 'frame': 3}},
+        {'kind': 'object_misfits_frames', 'frames': [2, 7]}]
+    assert document['notes'][1] == '2 views were left out: frame 3 has all points on one line.'
+    assert 'kind' not in document
+    assert result_from_dict(document).notes == tuple(document['notes'])
+
+
+def test_a_refusal_tells_its_kind_and_the_numbers_that_decided(tmp_path):
+    more = Finding('motion_suggestion', images=12, motion='s_45', sigma={'fx': 1.25})
+    refusal = NoEstimate('rotation_too_small', turned_deg=1.5, missing=('fx', 'cx'),
+                         status={'fx': 'unobservable'}, motion='planar', further=(more,))
+    result = NotCalibrated.of(refusal, frames=(1, 2))
+    document = strict(write_result_json(tmp_path / 'result.json', result))
+    assert document['kind'] == result.kind == 'rotation_too_small'
+    assert document['findings'] == [
+        {'kind': 'rotation_too_small', 'turned_deg': 1.5, 'missing': ['fx', 'cx']},
+        {'kind': 'motion_suggestion', 'images': 12, 'motion': 's_45', 'sigma': {'fx': 1.25}}]
+    assert document['motion'] == 'planar' and document['parameters'] == {'fx': 'unobservable'}
+    assert document['advice'].endswith(more.sentence)
+    again = result_from_dict(document)
+    assert (again.kind, again.reason, again.findings) == (result.kind, result.reason, (more,))
+    assert again.values['missing'] == ['fx', 'cx']
+
+
+def test_files_without_a_schema_and_kinds_of_later_ones_are_read():
+    old = result_to_dict(calibration())
+    del old['schema'], old['findings']
+    assert result_from_dict(old).findings == (Finding('note', text='a note'),)
+
+    later = result_to_dict(calibration())
+    later['findings'] = [{'kind': 'of_tomorrow', 'number': 1}]
+    assert result_from_dict(later).notes == ('a note',)
+
+    refused = result_to_dict(NotCalibrated('There is no rotation.', 'Turn.'))
+    del refused['schema']
+    assert result_from_dict(refused).reason == 'There is no rotation.'
+    assert result_from_dict(refused | {'kind': 'of_tomorrow'}).kind == 'of_tomorrow'
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf])

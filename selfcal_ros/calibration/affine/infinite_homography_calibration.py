@@ -337,10 +337,10 @@ def _explain(status, rotations, family, facts, open_directions) -> NoEstimate:
     if not (largest > _LEAST_TURN_DEG
             and (family or len(spread) < 2 or spread[1] < 0.2 * spread[0])):
         return NoEstimate('rotations_small', **known)
-    known['facts'] = ()
+    known['helps'] = ()
     # about x or y the skew takes no part
     if facts.aspect_ratio is None and not (near and nearest == 2):
-        known['facts'] = (('aspect ratio',) if near or facts.skew is not None
+        known['helps'] = (('aspect ratio',) if near or facts.skew is not None
                           else ('skew', 'aspect ratio'))
     if not near:
         return NoEstimate('rotations_about_one_axis', **known)

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,17 +23,19 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.robust_fit import Fit
 from selfcal_ros.calibration.bundle.state import BundleState, parameter_covariance
 from selfcal_ros.calibration.estimators.model_selection import dependence_of, Model
-from selfcal_ros.calibration.estimators.motion_class import describe_path
+from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
 from selfcal_ros.calibration.initialisation.problem import Problem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts, parameter_status
-from selfcal_ros.calibration.result import Calibration, FixedPoints, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
 from selfcal_ros.calibration.structure.structure_measurement import sample_structure
-from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_note
-from selfcal_ros.calibration.uncertainty.distortion_misfit import find_lens_field
-from selfcal_ros.calibration.uncertainty.experiment_design import say, suggest_motions
+from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_findings
+from selfcal_ros.calibration.uncertainty.distortion_misfit import find_lens_field, LensField
+from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.identifiability import identify
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 
 #: A larger share of outliers than this, and the rest proves nothing.
 MOST_OUTLIERS = 1 / 3
@@ -49,82 +51,122 @@ MINIMUM_FREEDOM = 40
 WEAK = 0.05
 
 
+@dataclass(frozen=True)
+class _Optimum:
+    """What an optimum is accepted or refused by."""
+
+    fit: Fit
+    model: Model
+    problem: Problem
+    path: PathDescription
+    status: dict[str, str]
+    held: dict[str, str]
+    rejected: float
+    field: LensField | None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The parameters of K that the images leave open."""
+        return tuple(name for name in PARAMETER_NAMES[:5] if self.status[name] == 'unobservable')
+
+    def motion_for(self, names: tuple[str, ...]) -> tuple[Finding, ...]:
+        """Tell which motion would determine these parameters."""
+        return best_motion(suggest_motions(self.model.fit, self.problem.size, names,
+                                           self.model.share), names)
+
+
+def _most_agree(found: _Optimum) -> NoEstimate | None:
+    """Refuse what most observations contradict."""
+    return (NoEstimate('too_many_outliers', rejected=float(found.rejected))
+            if found.rejected > MOST_OUTLIERS else None)
+
+
+def _lens_fits(found: _Optimum) -> NoEstimate | None:
+    """Refuse deviations that are smooth over the image and larger than a lens's."""
+    field, limit = found.field, max(FIELD_SHARE * max(found.problem.size),
+                                    FIELD_SIGMAS * found.fit.bundle.sigma_px)
+    if field is None or found.problem.facts.distortion == 'none' or field.rms_px <= limit:
+        return None
+    return NoEstimate('smooth_misfit', rms_px=float(field.rms_px))
+
+
+def _can_be_checked(found: _Optimum) -> NoEstimate | None:
+    """Refuse what has too few observations to spare."""
+    return unchecked(found.fit.bundle)
+
+
+def _is_determined(found: _Optimum) -> NoEstimate | None:
+    """Refuse a motion that leaves parameters of K open, and tell which would not."""
+    missing, status = found.missing, found.status
+    if not missing and found.path.refusal is None:
+        return None
+    if found.path.motion == 'translation':
+        # without rotation a small sigma is an accident of a wrong optimum
+        status = {name: 'held' if name in found.held else 'unobservable' for name in status}
+    names = missing or tuple(n for n in ('fx', 'cx', 'cy') if n not in found.held)
+    return found.path.explain(missing, found.problem.facts).saying(
+        status=status, further=found.motion_for(names))
+
+
+#: What an optimum must pass to be a calibration, in the order in which it is tried.
+ACCEPTANCE_TESTS = (_most_agree, _lens_fits, _can_be_checked, _is_determined)
+
+
 def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
-             ) -> Calibration | NotCalibrated:
+             ) -> Calibration | NoEstimate:
     """Judge an optimum: what the data determine, and what the motion lacks."""
     facts, state = problem.facts, fit.state
-    frames = tuple(int(f) for f in graph.frames)
     dependence = dependence_of(fit, problem.size)
-    inner, notes = dependence.covariance, dependence.notes()
+    inner, findings = dependence.covariance, dependence.findings()
     residuals = np.where(fit.line.ahead[:, None], fit.line.residual, np.nan)
     field = find_lens_field(fit, problem.size, dependence.ratios['track']**2)
     if field is not None:
         # the field is what the image's regions share
         state, inner, residuals = field.state, field.covariance, field.residual
-        notes = (*dependence.notes('track'), field.note())
+        findings = (*dependence.findings('track'), *field.findings())
     ratio, added = model.stretches
     inner = inner + added + model.valley * dependence.inflation**2
-    notes += stretch_note(ratio)
+    findings += stretch_findings(ratio)
     camera = state.camera(*problem.size)
     covariance = parameter_covariance(inner, state.intrinsics)
     held = held_facts(facts)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
+    outliers = fit.outliers + graph.rejected
     path = describe_path(state, model.exact, problem.motion.keeps_plane, model.turned)
     status = parameter_status(camera, covariance, facts)
-    rms = float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1))))
-    rejected = (fit.outliers + graph.rejected) / max(fit.outliers + graph.rejected
-                                                     + len(fit.observations.view), 1)
-    if rejected > MOST_OUTLIERS:
-        return NotCalibrated(
-            f'{100 * rejected:.0f} % of the observations contradict the rest: what remains may be '
-            'chosen to fit.', 'The scene must stand still and be distinct: repeated patterns are '
-            'easily taken for one another.', path.motion, frames, facts, status)
-    if field is not None and facts.distortion != 'none' and field.rms_px > max(
-            FIELD_SHARE * max(problem.size), FIELD_SIGMAS * fit.bundle.sigma_px):
-        return NotCalibrated(
-            f'The images disagree with the camera by {field.rms_px:.2g} px, smoothly over the '
-            'image and beyond the distortion that was estimated: what is found may be wrong by '
-            'more than its sigmas.', 'The scene may be nearly one plane, move, or repeat itself; '
-            'or the lens needs another distortion model (--distortion plumb_bob).', path.motion,
-            frames, facts, status)
-    if fit.bundle.degrees_of_freedom < MINIMUM_FREEDOM:
-        return NotCalibrated(*unchecked(fit.bundle), path.motion, frames, facts, status)
-    missing = [name for name in ('fx', 'fy', 'cx', 'cy', 'skew') if status[name] == 'unobservable']
-    if missing or path.refusal:
-        if path.motion == 'translation':
-            # without rotation a small sigma is an accident of a wrong optimum
-            status = {name: 'held' if name in held else 'unobservable' for name in status}
-        reason, advice = path.explain(missing, camera, facts)
-        names = tuple(missing) or tuple(n for n in ('fx', 'cx', 'cy') if n not in held)
-        better = say(suggest_motions(model.fit, problem.size, names, model.share), names)
-        return NotCalibrated(reason, f'{advice} {better}'.strip(), path.motion, frames, facts,
-                             status)
-    estimated = tuple(name for name in status if status[name] == 'estimated')
-    known = identify(model.fit, problem.size, estimated)
+    optimum = _Optimum(fit, model, problem, path, status, held,
+                       outliers / max(outliers + len(fit.observations.view), 1), field)
+    for accepted in ACCEPTANCE_TESTS:
+        refusal = accepted(optimum)
+        if refusal is not None:
+            return refusal.saying(**{'status': status, 'facts': facts, **refusal.values,
+                                     'motion': path.motion})
+    known = identify(model.fit, problem.size,
+                     tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > WEAK:
-        names = tuple(n for n in known.weakest if n in ('fx', 'fy', 'cx', 'cy', 'skew'))
-        notes += tuple(filter(None, [say(suggest_motions(model.fit, problem.size, names,
-                                                         model.share), names)]))
+        findings += optimum.motion_for(tuple(n for n in known.weakest if n in PARAMETER_NAMES[:5]))
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
-        facts=facts, frames=frames, reprojection_rms_px=rms,
+        facts=facts, frames=tuple(int(f) for f in graph.frames),
+        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
-        outlier_count=fit.outliers + graph.rejected,
+        outlier_count=outliers,
         reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
                                       fit.observations.track, state.points,
                                       replace(fit)),      # without what it has computed
         fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
-        notes=path.notes + notes, residuals=residuals, identifiability=known,
+        findings=path.findings + findings, residuals=residuals, identifiability=known,
         measured=sample_structure(fit, state.points, covariance))
 
 
-def unchecked(bundle: Bundle) -> tuple[str, str]:
-    """Say that the estimate would go unchecked, and what would help."""
-    return (f'{bundle.blocks.point_count} points in {bundle.blocks.view_count} images leave '
-            f'{bundle.degrees_of_freedom} degrees of freedom; the estimate could not be checked.',
-            'More points or more images are needed.')
+def unchecked(bundle: Bundle) -> NoEstimate | None:
+    """Refuse an adjustment that could not be checked, having too few degrees of freedom."""
+    if bundle.degrees_of_freedom >= MINIMUM_FREEDOM:
+        return None
+    return NoEstimate('too_few_observations', points=bundle.blocks.point_count,
+                      images=bundle.blocks.view_count, freedom=bundle.degrees_of_freedom)
 
 
 def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:

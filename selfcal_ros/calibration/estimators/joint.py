@@ -231,5 +231,5 @@ def _calibration(used: list[Calibration], camera: Camera, covariance: np.ndarray
         reprojection_rms_px=float(np.sqrt(square / max(observations, 1))),
         noise_sigma_px=float(np.sqrt(noise / max(observations, 1))),
         observation_count=observations, outlier_count=sum(one.outlier_count for one in used),
-        reconstruction=None, fixed_points=None, residuals=None, notes=(),
+        reconstruction=None, fixed_points=None, residuals=None, findings=(),
         measured=None)

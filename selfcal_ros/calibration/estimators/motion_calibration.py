@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        NEARLY_PLANAR, with_all_points)
 from selfcal_ros.calibration.bundle.state import (aligned, BundleState, holding, MotionModel,
                                                   priors_from_facts)
-from selfcal_ros.calibration.estimators.acceptance import conclude, MINIMUM_FREEDOM, unchecked
+from selfcal_ros.calibration.estimators.acceptance import conclude, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 hold_parallel, Model)
 from selfcal_ros.calibration.estimators.motion_class import (MOST_TILT_RAD, not_planar,
@@ -39,8 +39,10 @@ from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, Problem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
 #: Motion that leaves the plane freely.
@@ -63,7 +65,7 @@ MODEL_TRACKS_PER_VIEW = 100
 
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                           proposals: list[Camera], motions: tuple[MotionModel, ...],
-                          flat: bool = False) -> Calibration | NotCalibrated:
+                          flat: bool = False) -> Calibration | NoEstimate:
     """
     Calibrate from planar or general motion.
 
@@ -84,78 +86,63 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
 
     Returns
     -------
-    Calibration or NotCalibrated
+    Calibration or NoEstimate
 
     """
-    frames = tuple(int(f) for f in graph.frames)
-
-    def refuse(reason, advice='', motion='unknown', status=None):
-        return NotCalibrated(reason, advice, motion, frames, facts, status or {})
-
     observations = observations_of(graph.tracks, graph.frames)
     if len(graph.frames) < 3:
-        return refuse(f'Only {len(graph.frames)} images share points; self-calibration needs at '
-                      'least three.', 'Record a longer sequence with turns.',
-                      status={name: 'held' if name in held_facts(facts) else 'unobservable'
-                              for name in PARAMETER_NAMES})
+        held = held_facts(facts)
+        return NoEstimate('too_few_images', images=len(graph.frames), status={
+            name: 'held' if name in held else 'unobservable' for name in PARAMETER_NAMES})
     plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
     if graph.parallax < PARALLAX_RATIO and plane is None:
-        return refuse('One homography explains every pair of images to within the noise '
-                      f'({graph.parallax:.1f} times it): the camera only rotated, or all points '
-                      'lie on one plane.',
-                      'Self-calibration from motion needs a camera that also moves, before a '
-                      'scene with depth; or say --motion rotation, if it only rotated.',
-                      'rotation')
+        return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
                       flat=plane)
     bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 1.0)
-    if bundle.degrees_of_freedom < MINIMUM_FREEDOM:
-        return refuse(*unchecked(bundle))
+    refusal = unchecked(bundle)
+    if refusal is not None:
+        return refusal
     for motion in motions:
         result = _attempt(replace(problem, motion=motion), graph, proposals)
-        if result or result.motion != 'general':
+        if result or result.values.get('motion') != 'general':
             break
     return result
 
 
 def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
-             ) -> Calibration | NotCalibrated:
+             ) -> Calibration | NoEstimate:
     """Calibrate under one kind of motion."""
-    def refuse(reason, advice='', motion='unknown'):
-        return NotCalibrated(reason, advice, motion, tuple(int(f) for f in graph.frames),
-                             problem.facts)
-
     window = problem.window()
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
     start, noise_px = best_start(window, proposals)
     if not noise_px < EXPLAINED * problem.noise_px:
-        left = f'the best leaves {noise_px:.2g} px' if np.isfinite(noise_px) else 'no start stands'
-        return refuse(f'No camera and no such motion explain the tracks: {left}, where pairs of '
-                      f'images agree to {problem.noise_px:.2g} px.',
-                      'The scene must stand still, and most of what is seen must belong to it.',
-                      'general' if problem.motion.keeps_plane else 'unknown')
+        motion = 'general' if problem.motion.keeps_plane else 'unknown'
+        if not np.isfinite(noise_px):
+            return NoEstimate('no_start', noise_px=problem.noise_px, motion=motion)
+        return NoEstimate('tracks_unexplained', left_px=float(noise_px),
+                          noise_px=problem.noise_px, motion=motion)
     # far out of the plane, against a prior that pulls there: no need to go on
     if problem.motion.keeps_plane and out_of_plane_rad(start) > 2 * MOST_TILT_RAD:
-        return refuse(*not_planar(out_of_plane_rad(start)), 'general')
+        return not_planar(out_of_plane_rad(start))
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:
-        return refuse('The distortion of the best start cannot be undone over the whole image.')
+        return NoEstimate('start_distortion_not_invertible')
     fit = first_fit(window, medium, state)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state) > MOST_TILT_RAD:
-        return refuse(*not_planar(out_of_plane_rad(fit.state)), 'general')
-    notes = ()
+        return not_planar(out_of_plane_rad(fit.state))
+    findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
         if turned > MOST_TURN_RAD:
-            return refuse('The frames that were said to be related by translation turned by '
-                          f'{np.degrees(turned):.2g} degrees.', 'Name those that kept their '
-                          'orientation, or leave it to the images to find them.', 'general')
+            return NoEstimate('frames_turned', turned_deg=float(np.degrees(turned)),
+                              motion='general')
         if turned:
-            notes = ('The frames that were said to be related by translation turned by up to '
-                     f'{np.degrees(turned):.2g} degrees, which was estimated too.',)
+            findings = (Finding('frames_turned_estimated',
+                                turned_deg=float(np.degrees(turned))),)
     model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.bundle.motion
@@ -164,12 +151,12 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     problem = replace(problem, facts=model.facts, motion=motion)
     state = extended(problem, model)
     if state is None:
-        return refuse(f'The distortion found ({model.facts.distortion}) cannot be undone over '
-                      'the whole image.', 'State a simpler distortion model.')
+        return NoEstimate('distortion_not_invertible', model=model.facts.distortion,
+                          facts=problem.facts)
     fit = fit_robustly(problem.observations, state, motion, priors_from_facts(model.facts),
                        model.fit.bundle.sigma_px)
     result = conclude(fit, model, problem, graph)
-    return replace(result, notes=(*notes, *result.notes)) if result else result
+    return replace(result, findings=(*findings, *result.findings)) if result else result
 
 
 def extended(problem: Problem, model: Model) -> BundleState | None:

@@ -21,15 +21,15 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.centres import centres_from_state
 from selfcal_ros.calibration.bundle.state import BundleState
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: With less rotation than this in all it is tested whether there is any (radians): without, a
 #: small sigma would be an accident of a wrong optimum.
 DOUBTFUL_ROTATION_RAD = np.radians(6.0)
 #: What helps then.
-TURN = ('Turn the camera by 20 degrees or more: on a vehicle in curves to the left and to the '
-        'right, on an arm about two axes.')
 #: A motion that leaves the plane by more than this is not planar (radians, root mean square).
 MOST_TILT_RAD = np.radians(5.0)
 #: A path is circular when the axis keeps its place in the camera to this share of its distance.
@@ -41,7 +41,7 @@ LEVEL_RAD = np.radians(5.0)
 @dataclass(frozen=True)
 class PathDescription:
     """
-    The motion of an optimum in words.
+    The motion of an optimum.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class PathDescription:
         Largest angle between two views.
     tilt_rms_rad : float
         Out-of-plane rotation, root mean square.
-    refusal, advice : str
-        Why no calibration can come from such motion, and what would help; empty if it can.
-    notes : tuple of str
+    refusal : NoEstimate or None
+        Why no calibration can come from such motion.
+    findings : tuple of Finding
     roll_rad : float
         Angle of the horizon against the image's x axis.
 
@@ -61,36 +61,25 @@ class PathDescription:
     motion: str
     rotation_rad: float
     tilt_rms_rad: float
-    refusal: str
-    advice: str
-    notes: tuple
+    refusal: NoEstimate | None
+    findings: tuple[Finding, ...]
     roll_rad: float
 
-    def explain(self, missing: list, camera: Camera, facts: CameraFacts) -> tuple[str, str]:
-        """Say why the parameters in `missing` cannot be determined, and what would help."""
-        if self.refusal:
-            return self.refusal, self.advice
-        names = ', '.join(missing)
-        turned = np.degrees(self.rotation_rad)
+    def explain(self, missing: tuple[str, ...], facts: CameraFacts) -> NoEstimate:
+        """Tell why the parameters in `missing` cannot be determined."""
+        if self.refusal is not None:
+            return self.refusal
+        turned_deg = float(np.degrees(self.rotation_rad))
         if self.rotation_rad < DOUBTFUL_ROTATION_RAD / 3:
-            return (f'The camera did not rotate enough ({turned:.1f} degrees in all) to determine '
-                    f'{names}.', TURN)
+            return NoEstimate('rotation_too_small', turned_deg=turned_deg, missing=missing)
         if facts.aspect_ratio is None and facts.principal_point is None:
             if facts.skew is None:
-                return (f'Planar motion alone leaves one parameter of the camera open ({names} '
-                        'unobservable).',
-                        'State one fact: the aspect ratio (square pixels: 1), the skew or the '
-                        'principal point.')
+                return NoEstimate('fact_missing', missing=missing)
             if abs(self.roll_rad) < LEVEL_RAD:
-                return (f'The horizon is level to {np.degrees(abs(self.roll_rad)):.1f} degrees, '
-                        f'where zero skew alone cannot determine the camera ({names} '
-                        'unobservable; thesis 5.2.3).',
-                        'State the aspect ratio (square pixels: 1) or the principal point, or '
-                        'mount the camera with a roll of 20 degrees or more.')
-        return (f'The images do not determine {names}: the camera turned by {turned:.0f} degrees '
-                f'in all ({self.motion} motion).',
-                'Turn more, left and right, near structure at several distances; or state the '
-                'principal point or a simpler distortion model as a fact.')
+                return NoEstimate('horizon_level', missing=missing,
+                                  roll_deg=float(np.degrees(abs(self.roll_rad))))
+        return NoEstimate('parameters_undetermined', missing=missing, turned_deg=turned_deg,
+                          path=self.motion)
 
 
 def out_of_plane_rad(state: BundleState) -> float:
@@ -98,11 +87,9 @@ def out_of_plane_rad(state: BundleState) -> float:
     return float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
 
 
-def not_planar(tilt_rad: float) -> tuple[str, str]:
-    """Reason and advice for views that are tilted so far out of the plane."""
-    return (f'The motion is not planar: views are tilted out of the plane by '
-            f'{np.degrees(tilt_rad):.0f} degrees (root mean square).',
-            'Use a stretch of the recording on even ground, or say that the motion is general.')
+def not_planar(tilt_rad: float) -> NoEstimate:
+    """Refuse views that are tilted so far out of the plane."""
+    return NoEstimate('not_planar', tilt_deg=float(np.degrees(tilt_rad)), motion='general')
 
 
 def largest_turn_rad(state: BundleState, keeps_plane: bool) -> float:
@@ -138,22 +125,20 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
     axis = state.mount[:, 2]
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
-    notes = []
-    motion, refusal, advice = ('planar' if keeps_plane else 'general'), '', ''
+    findings = []
+    motion, refusal = ('planar' if keeps_plane else 'general'), None
     if not turned:
         motion = 'translation'
-        refusal = 'The camera did not rotate measurably; self-calibration needs rotation.'
-        advice = TURN
+        refusal = NoEstimate('no_rotation')
     elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
-        refusal, advice = not_planar(tilt)
+        refusal = not_planar(tilt)
     elif keeps_plane and _is_circular(state):
         motion = 'circular'
-        notes.append('The camera circles one axis; the calibration rests on square pixels.')
+        findings.append(Finding('circular_motion'))
     if motion in ('planar', 'circular') and not exact:
-        notes.append(f'The motion is not exactly planar: {np.degrees(tilt):.2f} degrees out of '
-                     'the plane (root mean square), which was estimated too.')
-    return PathDescription(motion, rotation, tilt, refusal, advice, tuple(notes), roll)
+        findings.append(Finding('not_exactly_planar', tilt_deg=float(np.degrees(tilt))))
+    return PathDescription(motion, rotation, tilt, refusal, tuple(findings), roll)
 
 
 def _is_circular(state: BundleState) -> bool:

@@ -35,7 +35,7 @@ from selfcal_ros.calibration.bundle.state import (BundleState, F, holding, Motio
 from selfcal_ros.calibration.initialisation.rotation_homographies import (LEAST_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
-from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.result import Calibration, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -104,7 +104,7 @@ def epipolar_noise(tracks: Tracks, frames) -> float:
 
 
 def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
-                       ) -> Calibration | NotCalibrated:
+                       ) -> Calibration | NoEstimate:
     """
     Calibrate a camera that only rotates.
 
@@ -118,29 +118,22 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
 
     Returns
     -------
-    Calibration or NotCalibrated
-        Not calibrated where the views show parallax, or where their rotations leave a
+    Calibration or NoEstimate
+        No estimate where the views show parallax, or where their rotations leave a
         parameter open; the reason says which rotation would help.
 
     """
     facts = CameraFacts() if facts is None else facts
     tracks = tracks.with_at_least(2)
-    every = tuple(int(f) for f in tracks.frames)
-
-    def refuse(reason, advice='', motion='rotation', status=None):
-        return NotCalibrated(reason, advice, motion, every, facts, status or {})
-
-    if len(every) < 2:
-        return refuse('Fewer than two images share points.', motion='unknown')
+    if len(tracks.frames) < 2:
+        return NoEstimate('too_few_images_share_points')
     frames, homographies, sigma_px = rotation_homographies(tracks)
     if len(frames) < 2:
-        return refuse(f'No two images share {LEAST_MATCHES} points that a homography maps.',
-                      motion='unknown')
+        return NoEstimate('no_homography_pair', needed=LEAST_MATCHES)
     conic = camera_from_homographies(homographies, size, facts)
     if not conic and conic.kind in _NOT_ROTATED:
-        return refuse('The camera did not turn, nor did it move.', 'Turn it, about two axes.',
-                      'none', {k: v for k, v in conic.values['status'].items()
-                               if k != 'aspect_ratio'})
+        return NoEstimate('no_motion', motion='none', status={
+            k: v for k, v in conic.values['status'].items() if k != 'aspect_ratio'})
     kept = tracks.in_frames(frames).with_at_least(2)
     names, point = np.unique(kept.track, return_inverse=True)
     order = np.argsort(frames)
@@ -154,9 +147,8 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
                                 sigma_px=max(sigma_px, 0.02))
         if bundle.degrees_of_freedom < LEAST_FREEDOM:
-            return refuse(f'{len(names)} points in {len(frames)} images leave '
-                          f'{bundle.degrees_of_freedom} degrees of freedom; the estimate could '
-                          'not be checked.', 'More points or more images are needed.')
+            return NoEstimate('too_few_observations', points=len(names), images=len(frames),
+                              freedom=bundle.degrees_of_freedom, motion='rotation')
         state = bundle.optimise(holding(state, priors), 30, 0.1)
         cost = bundle.cost(state)
         if best is None or cost < best[0]:
@@ -165,7 +157,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
             break
     facts, state = _richest_lens(best[1], observed, facts, size)
     return _conclude(state, observed, priors_from_facts(facts), facts, frames, size, conic,
-                     refuse, epipolar_noise(tracks, frames))
+                     epipolar_noise(tracks, frames))
 
 
 def _richest_lens(state, observed, facts, size):
@@ -186,7 +178,7 @@ def _richest_lens(state, observed, facts, size):
     return stated, found
 
 
-def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise_px):
+def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
     """Drop gross errors, estimate the noise, and judge the optimum."""
     total = len(observed.view)
     bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
@@ -206,14 +198,13 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
             break
     bundle = bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX))
     if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
-        return refuse(f'A camera that only rotates leaves {bundle.sigma_px:.2g} px where the '
-                      f'epipolar geometry leaves {noise_px:.2g} px: the camera also moved.',
-                      motion='unknown')
+        return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
+                          facts=facts)
     focal, skew = state.intrinsics[F], state.intrinsics[SKEW]
     if not 1 / MOST_FOCAL_SHARE < focal / max(size) < MOST_FOCAL_SHARE \
             or abs(skew) > MOST_SKEW_SHARE * focal:
-        return refuse(f'Only a focal length of {focal:.3g} px with a skew of {skew:.3g} px '
-                      'explains the images, which is no camera.')
+        return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
+                          motion='rotation', facts=facts)
     camera = state.camera(*size)
     dependence = assess_dependence(bundle.evidence(state), observed.point, observed.xy, size)
     covariance = parameter_covariance(dependence.covariance, state.intrinsics)
@@ -222,12 +213,10 @@ def _conclude(state, observed, priors, facts, frames, size, conic, refuse, noise
         k = PARAMETER_NAMES.index(name)
         covariance[k] = covariance[:, k] = 0
     status = parameter_status(camera, covariance, facts)
-    missing = [k for k in ('fx', 'fy', 'cx', 'cy', 'skew') if status[k] == 'unobservable']
+    missing = tuple(k for k in PARAMETER_NAMES[:5] if status[k] == 'unobservable')
     if missing:
-        reason = (conic.reason if not conic else
-                  f'The rotations do not determine {", ".join(missing)}; turn the camera further '
-                  'and about more than one axis.')
-        return refuse(reason, status=status)
+        refusal = NoEstimate('rotations_leave_open', missing=missing) if conic else conic
+        return refusal.saying(status=status, motion='rotation', facts=facts)
     residuals = bundle.residuals(state)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',

@@ -30,8 +30,10 @@ from selfcal_ros.calibration.affine.pair_distortion import estimate_radial, undo
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion, GENERAL
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
 #: Tracks per view that the chain uses, the longest ones.
@@ -39,7 +41,7 @@ CHAIN_TRACKS_PER_VIEW = 100
 
 
 def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
-                         translated=None) -> Calibration | NotCalibrated:
+                         translated=None) -> Calibration | NoEstimate:
     """
     Calibrate from views of which some are related by pure translation.
 
@@ -54,26 +56,23 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
 
     Returns
     -------
-    Calibration or NotCalibrated
+    Calibration or NoEstimate
 
     """
     frames = tuple(int(f) for f in graph.frames)
     stated = translated is not None
     if not stated:
         found = translation_groups(graph.tracks, size)
-        if not found.groups:
-            return NotCalibrated(found.explain(), 'Move without turning between two or more '
-                                 'images, then turn about two axes; or say --motion general.',
-                                 'general', frames, facts)
-        translated, radial, said = found.groups[0], found.radial, found.explain()
+        groups = found.finding()
+        if isinstance(groups, NoEstimate):
+            return groups.saying(motion='general')
+        translated, radial, said = found.groups[0], found.radial, groups
     else:
         translated = tuple(int(f) for f in translated if f in frames)
         if len(translated) < 2:
-            return NotCalibrated('Fewer than two of the frames that were said to be translated '
-                                 'share points with the rest.', 'Name at least two frames that '
-                                 'see the same scene.', 'unknown', frames, facts)
+            return NoEstimate('too_few_stated_frames')
         radial = estimate_radial(graph.tracks, size)
-        said = f'Frames {", ".join(map(str, translated))} were said to be translated.'
+        said = Finding('frames_said_translated', frames=translated)
     tracks = graph.tracks
     straight = undo_radial(tracks.xy, radial, size)
     usable = np.isfinite(straight).all(axis=1)
@@ -81,11 +80,10 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
     chain = calibrate_affine(tracks, translated, size, facts)
     if not chain and 'status' in chain.values:
-        return NotCalibrated(chain.reason, 'Turn about the axis that is missing.', 'translation',
-                             frames, facts, dict(chain.values['status']))
+        return chain.saying(motion='translation')
     proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
     motion = GENERAL
     if stated:
         motion = replace(motion, parallel=tuple(np.flatnonzero(np.isin(frames, translated))))
     result = calibrate_from_motion(graph, size, facts, proposals, (motion,))
-    return replace(result, notes=(said, *result.notes)) if result else result
+    return replace(result, findings=(said, *result.findings)) if result else result

@@ -25,6 +25,7 @@ from scipy.special import erf
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.ransac import ransac_inliers
 from selfcal_ros.geometry.robust_scale import robust_sigma
@@ -182,7 +183,7 @@ def _components(pairs, count: int) -> np.ndarray:
     return connected_components(links, directed=False)[1]
 
 
-def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | str:
+def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | NoEstimate:
     """
     Estimate the epipolar geometry of pairs of views and keep the observations that fit.
 
@@ -193,13 +194,12 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
 
     Returns
     -------
-    ViewGraph, or str
-        A string is the reason why there is none.
+    ViewGraph or NoEstimate
 
     """
     tracks = tracks.with_at_least(2)
     if len(np.unique(tracks.frame)) < 2:
-        return 'Fewer than two images share tracked points.'
+        return NoEstimate('too_few_images_share_points')
     frames, candidates = _candidate_pairs(tracks)
     row = np.full((len(frames), len(np.unique(tracks.track))), -1, dtype=np.int64)
     _, point = np.unique(tracks.track, return_inverse=True)
@@ -234,8 +234,8 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | st
                         * np.sqrt(count / max(count - 7, 1)), count))
         pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
     if not pairs:
-        return ('No two images share enough points with a consistent epipolar geometry (at least '
-                f'{FEWEST_MATCHES} are needed, and {MINIMUM_MATCHES} where some disagree).')
+        return NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
+                          least_doubtful=MINIMUM_MATCHES)
     keep = votes >= 0.5 * np.maximum(used, 1)
     # the largest connected set of views
     label = _components([(p.first, p.second) for p in pairs], len(frames))

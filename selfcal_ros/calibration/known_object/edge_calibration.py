@@ -33,9 +33,11 @@ from selfcal_ros.calibration.known_object.object_bundle import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (assess_dependence,
-                                                                    stretch_excess, stretch_note)
+                                                                    stretch_excess,
+                                                                    stretch_findings)
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.version import __version__
 
 MOTION = 'known-object'
@@ -54,7 +56,6 @@ FOCAL_SHARES = (0.2, 30.0)
 STRETCHES = 6
 #: Two halves of the sequence may differ in focal length by so many sigmas, or by this share.
 ZOOM_SIGMAS, ZOOM_SHARE = 5.0, 0.02
-_AGAIN = 'Track with --camera-model zoom: it gives the focal length of every image.'
 
 
 @dataclass(frozen=True)
@@ -160,17 +161,19 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
 
     """
     facts = CameraFacts(skew=0.0) if facts is None else facts
+    software = f'selfcal_ros {__version__}'
+    result = _calibrate(views.select(np.ones(len(views), bool)), start, facts)
+    if isinstance(result, NoEstimate):
+        return NotCalibrated.of(result, frames=views.frames, facts=facts, motion=MOTION,
+                                software=software)
+    return replace(result, software=software)
+
+
+def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibration | NoEstimate:
+    """Calibrate from views with enough edges."""
     size = views.image_size
-    frames = tuple(int(f) for f in views.frames)
-
-    def refuse(reason, advice='', status=None):
-        return NotCalibrated(reason, advice, MOTION, frames, facts, status or {},
-                             f'selfcal_ros {__version__}')
-
-    views = views.select(np.ones(len(views), bool))
     if len(views.frames) < 2:
-        return refuse('The object was followed in fewer than two images with enough edges.',
-                      'Show it larger and sharper, with at least three of its faces or circles.')
+        return NoEstimate('too_few_edge_images')
     first = _first_state(views, start)
     found = None
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
@@ -183,27 +186,19 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
         if 'unobservable' not in found[-1].values():
             break
     if found is None:
-        return refuse('The adjustment found no camera that fits the edges.',
-                      'Check the model, its unit (metres) and the start pose.')
-    used, bundle, state, chosen, covariance, inflation, notes, status = found
+        return NoEstimate('no_fit_to_edges')
+    used, bundle, state, chosen, covariance, inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_SHARE * float(np.hypot(*size)):
-        return refuse(f'The edges lie {bundle.sigma_px:.2g} px from the model: that is more than '
-                      'noise.',
-                      'Check the proportions of the model, that the object is rigid, and '
-                      'with `selfcal track --overlay` that its own edges are followed; a better '
-                      'camera to begin with (--camera) helps.')
-    missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
+        return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
+    missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
     low, high = FOCAL_SHARES[0] * max(size), FOCAL_SHARES[1] * max(size)
     if not missing and not low < state.intrinsics[F] < high:
-        missing = ['fx', 'fy']
+        missing = ('fx', 'fy')
     if missing:
-        return refuse(f'What was seen of the object leaves {", ".join(missing)} open.',
-                      'Show the object nearer, in all parts of the image and under other angles, '
-                      'or state the principal point (--principal-point, with its sigma) or the '
-                      'aspect ratio.', status)
+        return NoEstimate('edges_leave_open', missing=missing, status=status)
     zoomed = _zoomed(used, state, inflation)
-    if zoomed:
-        return refuse(zoomed, _AGAIN)
+    if zoomed is not None:
+        return zoomed
     camera = _camera(state, size)
     residuals = bundle.offsets(state)
     points, first_seen = np.unique(used.point, return_index=True)
@@ -216,7 +211,7 @@ def calibrate_from_edges(views: EdgeViews, start: Camera, *,
         reconstruction=Reconstruction(
             used.frames, np.array(state.cam_from_object), points,
             np.column_stack([used.points[first_seen], np.ones(len(points))])),
-        notes=notes, software=f'selfcal_ros {__version__}', residuals=residuals)
+        findings=findings, residuals=residuals)
 
 
 def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts):
@@ -287,7 +282,7 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
 
 
 def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: CameraFacts, size):
-    """Return covariance, how much wider it is than for independent errors, notes and status."""
+    """Return covariance, how much wider it is than for independent errors, findings and status."""
     evidence = bundle.evidence(state)
     _, view = np.unique(views.frame, return_inverse=True)
     within = view * (int(views.primitive.max()) + 1) + views.primitive
@@ -299,14 +294,8 @@ def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: Came
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
-    causes = {'track': 'by the edgels of one edge, as when the object is not quite its model or '
-                       'light moves the edge',
-              'region': 'within a region of the image, as with a lens that the distortion model '
-                        'does not describe'}
-    notes = tuple(f'Errors are shared {cause}: sigmas are {wider.ratios[name]:.1f} times those of '
-                  'independent errors for it.' for name, cause in causes.items()
-                  if wider.ratios.get(name, 1) > 1) + stretch_note(ratio)
-    return (covariance, wider.inflation * ratio, notes,
+    findings = wider.findings(track='errors_within_edge') + stretch_findings(ratio)
+    return (covariance, wider.inflation * ratio, findings,
             parameter_status(_camera(state, size), covariance, facts))
 
 
@@ -329,11 +318,11 @@ def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
     return stretch_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
 
 
-def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> str:
-    """Say that the focal length has changed between the halves of the sequence, or nothing."""
+def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimate | None:
+    """Refuse a focal length that has changed between the halves of the sequence."""
     frames = views.frames
     if len(frames) < 8:
-        return ''
+        return None
     half = frames[len(frames) // 2]
     priors = {index: Prior(float(value), 0.0) for index, value in enumerate(state.intrinsics)
               if index != F}
@@ -341,7 +330,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> str:
     for keep in (views.frame < half, views.frame >= half):
         part = views.select(keep)
         if len(part.frames) < 3:
-            return ''
+            return None
         own = replace(state, cam_from_object=state.cam_from_object[np.isin(frames, part.frames)])
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
@@ -351,9 +340,8 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> str:
     limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
                 ZOOM_SHARE * state.intrinsics[F])
     if abs(a - b) < limit:
-        return ''
-    return (f'The focal length changes: {a:.0f} px in the first half of the images, {b:.0f} px in '
-            'the second.')
+        return None
+    return NoEstimate('focal_length_changes', first_px=float(a), second_px=float(b))
 
 
 def _camera(state: ObjectState, size) -> Camera:

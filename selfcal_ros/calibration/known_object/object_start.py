@@ -77,7 +77,7 @@ class LinearView:
         return not self.flat and np.linalg.det(self.matrix[:, :3]) < 0
 
 
-def linear_view(points: np.ndarray, xy: np.ndarray) -> LinearView | str:
+def linear_view(points: np.ndarray, xy: np.ndarray, frame: int = 0) -> LinearView | NoEstimate:
     """
     Solve one view: P of a solid, or the homography of a plane.
 
@@ -86,34 +86,36 @@ def linear_view(points: np.ndarray, xy: np.ndarray) -> LinearView | str:
     points : ndarray, shape (n, 3)
     xy : ndarray, shape (n, 2)
         Pixels.
+    frame : int
+        What a failure calls this view.
 
     Returns
     -------
-    LinearView, or str
-        Why this view tells nothing.
+    LinearView or NoEstimate
+        The latter where this view tells nothing.
 
     """
     if len(points) < 4:
-        return f'{len(points)} points, where at least 4 of a plane or 6 of a solid are needed'
+        return NoEstimate('view_too_few', frame=frame, points=len(points))
     centre = points.mean(axis=0)
-    _, extent, frame = np.linalg.svd(points - centre, full_matrices=False)
+    _, extent, axes = np.linalg.svd(points - centre, full_matrices=False)
     if not extent[1] > NARROW * extent[0]:
-        return 'all points on one line'
-    frame = frame * np.sign(np.linalg.det(frame))
-    local = (points - centre) @ frame.T
+        return NoEstimate('view_on_line', frame=frame)
+    axes = axes * np.sign(np.linalg.det(axes))
+    local = (points - centre) @ axes.T
     flat = extent[2] < FLAT * extent[0]
     if not flat and len(points) < 6:
-        return f'{len(points)} points, where a solid needs at least 6'
+        return NoEstimate('view_too_few_of_solid', frame=frame, points=len(points))
     if flat:
         H = homography(local[:, :2], xy)
         if H is None:
-            return 'points that leave the homography open (three of four on a line)'
+            return NoEstimate('view_homography_open', frame=frame)
         matrix = np.insert(H, 2, 0.0, axis=1)
-        return LinearView(True, frame, centre, matrix, _error(matrix, local, xy))
+        return LinearView(True, axes, centre, matrix, _error(matrix, local, xy))
     P = resect_linear(local, xy)
     if isinstance(P, NoEstimate):
-        return f'no camera matrix: {P.reason}'
-    return LinearView(False, frame, centre, P, _error(P, local, xy))
+        return NoEstimate('view_camera_open', frame=frame, why=P)
+    return LinearView(False, axes, centre, P, _error(P, local, xy))
 
 
 def _error(matrix: np.ndarray, local: np.ndarray, xy: np.ndarray) -> float:

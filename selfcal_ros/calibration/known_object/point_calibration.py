@@ -32,8 +32,10 @@ from selfcal_ros.calibration.known_object.object_start import (linear_view, Line
                                                                start_state, supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence, Dependence
+from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -120,46 +122,43 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     size = tracks.image_size or tuple(
         int(v) for v in np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1))
     software = f'selfcal_ros {__version__}'
+    result = _calibrate(tracks, target, size, facts)
+    if isinstance(result, NoEstimate):
+        return NotCalibrated.of(result, frames=tracks.frames, facts=facts, motion=MOTION,
+                                software=software)
+    return replace(result, software=software)
 
-    def refuse(reason, advice='', status=None):
-        return NotCalibrated(reason, advice, MOTION, tuple(int(f) for f in tracks.frames), facts,
-                             status or {}, software)
 
+def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
+               facts: CameraFacts) -> Calibration | NoEstimate:
+    """Calibrate in a centred frame of the object, and go back to its own."""
     origin = target.points.mean(axis=0) if len(target) else np.zeros(3)
     extent = float(np.sqrt(np.mean(np.sum((target.points - origin)**2, axis=1)))) if len(
         target) else 0.0
     if not extent > 0:
-        return refuse('The object has no extent: all its points are one.',
-                      'Check the file of object points.')
+        return NoEstimate('object_without_extent')
     scaled = replace(target, points=(target.points - origin) / extent)
-    views, notes = _gather(tracks, scaled)
-    if isinstance(views, str):
-        return refuse(views, *notes)
+    gathered = _gather(tracks, scaled)
+    if isinstance(gathered, NoEstimate):
+        return gathered
+    views, findings = gathered
     fit = _fit(views, size, facts)
-    if isinstance(fit, str):
-        return refuse(fit, 'Give more points or views, or state what is known of the camera.')
+    if isinstance(fit, NoEstimate):
+        return fit
     used, bundle, state, chosen, judgement = fit
     limit = MISFIT_SHARE * float(np.hypot(*size))
     if all(view.mirrored and view.error_px < limit for view in views.linear):
-        return refuse('The images show the mirror image of the object: its coordinates are '
-                      'left-handed.', 'Change the sign of one coordinate of every object point.')
+        return NoEstimate('object_mirrored')
     if not bundle.sigma_px <= limit:
-        return refuse(
-            f'The observed points do not fit the object: {bundle.sigma_px:.3g} px remain where '
-            f'{limit:.2g} px could be noise.',
-            'Check that both files number the points alike, the numbers of columns and rows, '
-            'and that the object is rigid.')
+        return NoEstimate('object_misfit', left_px=float(bundle.sigma_px), limit_px=limit)
     dependence, covariance, status = judgement
-    missing = [name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable']
+    missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
     if missing:
-        return refuse(*_unobservable(missing, used), status)
+        return _unobservable(missing, used).saying(status=status)
     residuals = bundle.residuals(state)
     lost = np.setdiff1d(views.frames, used.frames)
     if len(lost):
-        notes += ('The object does not fit what was seen of it in '
-                  f'{"frame" if len(lost) == 1 else "frames"} '
-                  f'{", ".join(map(str, lost[:5].tolist()))}'
-                  f'{" and others" if len(lost) > 5 else ""}, left out.',)
+        findings += (Finding('object_misfits_frames', frames=tuple(lost.tolist())),)
     # back to the object's own frame and unit
     poses = np.array(state.cam_from_object)
     poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin
@@ -173,45 +172,43 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
         noise_sigma_px=bundle.sigma_px, observation_count=len(used.view),
         outlier_count=rejected,
         reconstruction=Reconstruction(used.frames, poses, target.identity, points),
-        notes=notes + _dependence_notes(dependence), software=software, residuals=residuals)
+        findings=findings + dependence.findings(track='errors_at_object_points'),
+        residuals=residuals)
 
 
-def _gather(tracks: Tracks, target: KnownObject):
-    """Return the views that can be used and notes, or a reason and advice."""
+def _gather(tracks: Tracks, target: KnownObject,
+            ) -> tuple[_Views, tuple[Finding, ...]] | NoEstimate:
+    """Return the views that can be used, and what was left out."""
     place = np.minimum(np.searchsorted(target.identity, tracks.track), len(target) - 1)
     known = target.identity[place] == tracks.track
     if not known.any():
-        return ('None of the observed points belongs to the object: the point numbers of the two '
-                'files do not match.'), ('Number the points alike in both.',)
-    notes = ()
+        return NoEstimate('no_common_numbers')
+    findings: tuple[Finding, ...] = ()
     if not known.all():
-        notes += (f'{np.count_nonzero(~known)} observations of points that the object does not '
-                  'have were left out.',)
+        findings += (Finding('points_of_no_object', count=int(np.count_nonzero(~known))),)
     order = np.lexsort((tracks.track, tracks.frame))
     order = order[known[order]]
     frame, place, xy = tracks.frame[order], place[order], tracks.xy[order]
     frames, view = np.unique(frame, return_inverse=True)
     everything = _Views(frames, view, place, target.points[place], xy, [])
     first = np.searchsorted(view, np.arange(len(frames) + 1))
-    found = [linear_view(everything.points[a:b], xy[a:b]) for a, b in zip(first, first[1:])]
-    refused = {int(f): one for f, one in zip(frames, found) if isinstance(one, str)}
-    good = np.array([not isinstance(one, str) for one in found])
+    found = [linear_view(everything.points[a:b], xy[a:b], int(f))
+             for f, a, b in zip(frames, first, first[1:])]
+    refused = [one for one in found if isinstance(one, NoEstimate)]
+    good = np.array([not isinstance(one, NoEstimate) for one in found])
     if not good.any():
-        f, why = next(iter(refused.items()))
-        return (f'No view can be used: frame {f} has {why}.',
-                ('Show at least 6 points of a solid or 4 of a plane in a view.',))
+        return NoEstimate('no_usable_view', why=refused[0])
     if refused:
-        f, why = next(iter(refused.items()))
-        notes += (f'{len(refused)} views were left out: frame {f} has {why}.',)
+        findings += (Finding('views_left_out', count=len(refused), why=refused[0]),)
     everything = replace(everything, linear=found)
-    return everything.select(good[view]), notes
+    return everything.select(good[view]), findings
 
 
 def _fit(views: _Views, size, facts: CameraFacts):
-    """Return (views, bundle, state, facts with their distortion model, judgement) or a reason."""
+    """Return views, bundle, state, facts with their distortion model and judgement."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
-    found = 'The adjustment found no camera that fits the points.'
+    found = NoEstimate('no_fit_to_points')
     for name in names:
         chosen = replace(facts, distortion=name)
         bundle = views.bundle(priors_from_facts(chosen), 1.0)
@@ -219,8 +216,8 @@ def _fit(views: _Views, size, facts: CameraFacts):
             if name != names[-1]:
                 continue
             unknowns = int(bundle.free.sum()) + POSE * bundle.views
-            return (f'Too few points: {2 * len(views.view)} coordinates were measured, and there '
-                    f'are {unknowns} unknowns.')
+            return NoEstimate('too_few_points', coordinates=2 * len(views.view),
+                              unknowns=unknowns)
         fit = _robust_fit(views, holding(state, bundle.priors), chosen)
         if fit is None:
             continue
@@ -320,29 +317,10 @@ def _open_without_lens(bundle: ObjectBundle, state: ObjectState, facts: CameraFa
     return {name: status[name] for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable'}
 
 
-def _unobservable(missing: list[str], views: _Views) -> tuple[str, str]:
-    """Say which parameters the views leave open, and what would show them."""
-    names = ', '.join(missing)
-    flat = [view.flat for view in views.linear]
-    if all(flat) and len(flat) == 1:
-        return (f'All points of the only image lie in one plane, which leaves {names} open.',
-                'Add views of the board under other tilts, use a solid object, or state the '
-                'principal point and the aspect ratio.')
-    if all(flat):
-        return (f'The {len(flat)} views of the plane are too much alike; they leave {names} '
-                'open.', 'Tilt the board by 20 to 45 degrees about different axes between the '
-                'views.')
-    return (f'The points of the object leave {names} open.',
-            'Show the object larger, nearer, or in more views, or state what is known of the '
-            'camera.')
-
-
-def _dependence_notes(dependence: Dependence) -> tuple:
-    """Say which errors are shared, in words that suit an object."""
-    causes = {'track': 'at the same points of the object in every view, as when it is not quite '
-                       'what its coordinates say',
-              'region': 'within a region of the image, as with a lens that the distortion model '
-                        'does not describe'}
-    return tuple(f'Errors are shared {cause}: sigmas are {dependence.ratios[name]:.1f} times '
-                 'those of independent errors for it.'
-                 for name, cause in causes.items() if dependence.ratios.get(name, 1) > 1)
+def _unobservable(missing: tuple[str, ...], views: _Views) -> NoEstimate:
+    """Tell which parameters the views leave open."""
+    if not all(view.flat for view in views.linear):
+        return NoEstimate('object_leaves_open', missing=missing)
+    if len(views.linear) == 1:
+        return NoEstimate('one_flat_image', missing=missing)
+    return NoEstimate('views_alike', missing=missing, views=len(views.linear))

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import planar_star
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, LEAST_NOISE_PX
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.tracks import Tracks
 
@@ -81,7 +82,7 @@ class WindowScore:
 
 
 def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
-                 rng: np.random.Generator) -> WindowScore | str:
+                 rng: np.random.Generator) -> WindowScore | NoEstimate:
     """
     Score a window of keyframes against a camera.
 
@@ -98,12 +99,12 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
 
     Returns
     -------
-    WindowScore, or str
-        A string is the reason why the window says nothing.
+    WindowScore or NoEstimate
+        The latter where the window says nothing.
 
     """
     found = adjusted(tracks, camera, rng)
-    if isinstance(found, str):
+    if isinstance(found, NoEstimate):
         return found
     graph, bundle, state, observations = found
     free_bundle = without_camera(bundle, free)
@@ -111,7 +112,7 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
     covariance = evidence.covariance[np.ix_(free, free)]
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
-        return 'the adjustment of the keyframes is singular'
+        return NoEstimate('window_singular')
     information = np.linalg.pinv(covariance / np.outer(scale, scale),
                                  hermitian=True) / np.outer(scale, scale)
     return WindowScore(
@@ -128,23 +129,23 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
     Returns
     -------
     ViewGraph, Bundle, BundleState, Observations
-        Or a str, the reason why the window says nothing.
+        Or a NoEstimate, where the window says nothing.
 
     """
     graph = build_view_graph(tracks, rng)
-    if isinstance(graph, str):
+    if isinstance(graph, NoEstimate):
         return graph
     if len(graph.frames) < LEAST_VIEWS:
-        return 'too few of the keyframes are connected'
+        return NoEstimate('window_disconnected')
     if graph.parallax < PARALLAX_RATIO:
-        return 'the keyframes show no parallax'
+        return NoEstimate('window_without_parallax')
     observations = observations_of(graph.tracks, graph.frames)
     observations, _ = observations.select(observations.longest(WINDOW_TRACKS_PER_VIEW))
     if len(observations.track) < LEAST_POINTS:
-        return f'only {len(observations.track)} points are seen in several keyframes'
+        return NoEstimate('window_few_points', points=len(observations.track))
     fitted = _fit(graph, observations, camera)
     if fitted is None:
-        return 'points of the keyframes lie where the distortion cannot be undone'
+        return NoEstimate('window_outside_lens')
     return graph, *fitted
 
 

@@ -220,7 +220,7 @@ def calibrate_from_fixed_points(fixed: FixedPoints, facts: CameraFacts, only: st
     joint = _leverage(np.concatenate([slopes[name] for name in known]))
     if joint > LEVERAGE_LIMIT:
         tilt = np.degrees(np.arctan2(abs(working.horizon[0]), abs(working.horizon[1])))
-        return NoEstimate('fact_without_hold', facts=tuple(known), factor=float(joint),
+        return NoEstimate('fact_without_hold', known=tuple(known), factor=float(joint),
                           limit=LEVERAGE_LIMIT, tilt_deg=float(tilt))
     if len(known) > 1:
         mu = _weighed(C, ll, mu, known, facts, T)

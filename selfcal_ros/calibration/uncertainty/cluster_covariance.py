@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.information import Evidence
+from selfcal_ros.findings.finding import Finding
 
 #: Number of internal parameters: only they are judged, since the axis may rest on the prior of the
 #: tilts.
@@ -64,21 +65,16 @@ class Dependence:
         """Ratio of sigma with all dependence to sigma with none."""
         return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
 
-    def notes(self, *names: str) -> tuple:
-        """Say what was found, a sentence each; names choose among the ratios."""
-        causes = {'track': 'within a track, as when its patch drifts',
-                  'region': 'within a region of the image, as with a lens that the distortion '
-                            'model does not describe'}
-        return tuple(f'Errors are shared {causes[name]}: sigmas are {self.ratios[name]:.1f} times '
-                     'those of independent errors for it.'
-                     for name in names or causes if self.ratios[name] > 1)
+    def findings(self, *names: str, track: str = 'errors_within_track') -> tuple[Finding, ...]:
+        """Tell what was found; names choose among the ratios, `track` is the kind of theirs."""
+        kinds = {'track': track, 'region': 'errors_within_region'}
+        return tuple(Finding(kinds[name], ratio=float(self.ratios[name]))
+                     for name in names or kinds if self.ratios.get(name, 1) > 1)
 
 
-def stretch_note(ratio: float) -> tuple:
-    """Say what `stretch_excess` found, in a sentence or none."""
-    return () if ratio <= 1 else (
-        'Errors are shared within a stretch of images, as with jolts, moving objects or a rolling '
-        f'shutter: sigmas are {ratio:.1f} times those of independent errors for it.',)
+def stretch_findings(ratio: float) -> tuple[Finding, ...]:
+    """Tell what `stretch_excess` found, if anything."""
+    return () if ratio <= 1 else (Finding('errors_within_stretch', ratio=float(ratio)),)
 
 
 def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import Fit
 from selfcal_ros.calibration.bundle.state import BundleState, SHARED
 from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
 
 #: Degrees of the polynomials.
@@ -75,14 +76,11 @@ class LensField:
     covariance: np.ndarray
     residual: np.ndarray
 
-    def note(self) -> str:
-        """Say it in a sentence."""
-        more = '' if self.region_ratio <= 1 else (
-            f' Beyond it, errors shared within regions of the image make them '
-            f'{self.region_ratio:.1f} times as wide.')
-        return (f'The lens deviates from the distortion model by {self.rms_px:.2g} px (root mean '
-                'square over the observations); the calibration and its sigmas allow for it.'
-                + more)
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell how far the lens is from its model, and what is shared beyond that."""
+        found = Finding('lens_deviates', rms_px=float(self.rms_px))
+        return (found,) if self.region_ratio <= 1 else (
+            found, Finding('regions_beyond_lens', ratio=float(self.region_ratio)))
 
 
 def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.robust_fit import Fit
 from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
                                                   PER_VIEW)
 from selfcal_ros.calibration.observability import observability_limits
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.rotation import pad, rotation_matrix, swing_twist, twist_matrix
 
@@ -46,7 +47,7 @@ class Suggestion:
     Attributes
     ----------
     motion : str
-        What to do, in words that fit after 'To'.
+        What to do: one of `selfcal_ros.findings.phrase.MOTIONS`.
     sigma : dict of str to float
         Standard deviations that are to be expected with it.
     worst_share : float
@@ -96,7 +97,7 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
 
     def rank(candidates, motion):
         found = []
-        for words, views, near in candidates:
+        for name, views, near in candidates:
             seen = _simulate(state, views, near * depths, size, bundle, motion, rng)
             if seen is None:
                 continue
@@ -107,7 +108,7 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
                 total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
             variance = np.diag(parameter_covariance(covariance, state.intrinsics))
             sigma = np.sqrt(np.maximum(variance, 0))
-            found.append(Suggestion(words, dict(zip(PARAMETER_NAMES, sigma.tolist())),
+            found.append(Suggestion(name, dict(zip(PARAMETER_NAMES, sigma.tolist())),
                                     float(np.max(sigma[place] / limits[place]))))
         return sorted(found, key=lambda one: one.worst_share)
 
@@ -118,14 +119,13 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
     return rank(_anyhow(state), MotionModel(np.inf, np.inf))
 
 
-def say(suggestions: list[Suggestion], names: tuple) -> str:
-    """Put the best one into a sentence; empty where none would determine the parameters."""
+def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, ...]:
+    """Tell the best one; nothing where none would determine the parameters."""
     if not suggestions or not suggestions[0].worst_share < 1:
-        return ''
+        return ()
     best = suggestions[0]
-    reached = ', '.join(f'{name} to ± {best.sigma[name]:.2g}' for name in names)
-    return (f'{VIEWS} more images in which you {best.motion} would bring {reached} (from the '
-            'Fisher information).')
+    return (Finding('motion_suggestion', images=VIEWS, motion=best.motion,
+                    sigma={name: best.sigma[name] for name in names}),)
 
 
 def _information(bundle: Bundle, state: BundleState, with_facts: bool = True) -> np.ndarray:
@@ -163,22 +163,19 @@ def _depths(fit: Fit) -> np.ndarray | None:
 
 
 def _in_the_plane(state: BundleState):
-    """Yield motions of a vehicle: words, unknowns of the views (V, 6), factor of the depths."""
+    """Yield motions of a vehicle: name, unknowns of the views (V, 6), factor of the depths."""
     step = state.step_length()
     angle = state.views[:, 0]
     forward = np.einsum('vij,vj->vi', twist_matrix(angle[:-1])[:, :2, :2],
                         np.diff(centres_from_state(state)[:, :2], axis=0)).mean(axis=0)
     ahead = np.arctan2(*forward[::-1]) if np.linalg.norm(forward) > 1e-9 else 0.0
     along = np.linspace(0, 1, VIEWS)
-    for words, heading, near in (
-            ('drive an S, 20 degrees to the left and to the right',
-             np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1.0),
-            ('drive an S, 45 degrees to the left and to the right',
-             np.interp(along, [0, 0.5, 1], [0, 45, 0]), 1.0),
-            ('drive one curve of 60 degrees', 60 * along, 1.0),
-            ('drive straight on, past structure at a third of the distance', 0 * along, 1 / 3),
-            ('drive an S, 20 degrees to each side, past structure at a third of the distance',
-             np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1 / 3)):
+    for name, heading, near in (
+            ('s_20', np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1.0),
+            ('s_45', np.interp(along, [0, 0.5, 1], [0, 45, 0]), 1.0),
+            ('curve_60', 60 * along, 1.0),
+            ('straight_near', 0 * along, 1 / 3),
+            ('s_20_near', np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1 / 3)):
         heading = np.radians(heading)
         centres = step * np.cumsum(np.column_stack([np.cos(heading + ahead),
                                                     np.sin(heading + ahead)]), axis=0)
@@ -186,23 +183,22 @@ def _in_the_plane(state: BundleState):
         views[:, 0] = -heading
         turned = twist_matrix(-heading)[:, :2, :2]
         views[:, 1:3] = -np.einsum('vij,vj->vi', turned, centres - centres[0])
-        yield words, views, near
+        yield name, views, near
 
 
 def _anyhow(state: BundleState):
-    """Yield motions of an arm or a hand: words, views (V, 6), factor of the depths."""
+    """Yield motions of an arm or a hand: name, views (V, 6), factor of the depths."""
     reach = float(np.sqrt(np.mean(np.var(centres_from_state(state), axis=0)))) or 1.0
     phase = np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
     turn = np.sin(phase)
     aside = reach * np.column_stack([np.sin(2 * phase), np.cos(phase), 0.5 * np.sin(phase + 1)])
-    for words, axes in (
-            ('turn 20 degrees up and down', [[1, 0, 0]]),
-            ('turn 20 degrees to the left and to the right', [[0, 1, 0]]),
-            ('roll 20 degrees about the optical axis', [[0, 0, 1]]),
-            ('turn 20 degrees up and down, then to the left and to the right',
-             [[1, 0, 0], [0, 1, 0]]),
-            ('turn 20 degrees up and down, then roll as much', [[1, 0, 0], [0, 0, 1]]),
-            ('move without turning', [[0, 0, 0]])):
+    for name, axes in (
+            ('pitch', [[1, 0, 0]]),
+            ('yaw', [[0, 1, 0]]),
+            ('roll', [[0, 0, 1]]),
+            ('pitch_yaw', [[1, 0, 0], [0, 1, 0]]),
+            ('pitch_roll', [[1, 0, 0], [0, 0, 1]]),
+            ('translation', [[0, 0, 0]])):
         axis = np.array(axes, float)[np.arange(VIEWS) * len(axes) // VIEWS]
         R = rotation_matrix(np.radians(20) * turn[:, None] * axis)
         twist, swing = swing_twist(state.mount.T @ R @ state.mount)
@@ -210,7 +206,7 @@ def _anyhow(state: BundleState):
         views[:, 0], views[:, 3:5] = twist, swing
         world = rotation_matrix(pad(swing)) @ twist_matrix(twist)
         views[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', world, aside - aside[0])
-        yield words, views, 1.0
+        yield name, views, 1.0
 
 
 def _simulate(state: BundleState, views: np.ndarray, depths: np.ndarray, size, bundle: Bundle,
