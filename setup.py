@@ -77,6 +77,7 @@ setup(
         'tqdm>=4.64',
         'PyYAML>=6.0',
         'jinja2>=3.1',
+        'argcomplete>=3.0',
     ],
     extras_require={
         'ros-wheels': [

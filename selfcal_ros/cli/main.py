@@ -21,6 +21,7 @@ import os
 import sys
 import traceback
 
+from selfcal_ros.cli import completion
 from selfcal_ros.cli.parsing import SentenceParser
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 
@@ -60,6 +61,8 @@ def main(argv: list[str] | None = None) -> int:
         Exit status: 0 done, 1 could not calibrate, 2 wrong input or arguments.
 
     """
+    if completion.ASKED in os.environ:
+        completion.answer(build_parser(completion.verb_asked_for(VERBS)))
     argv = sys.argv[1:] if argv is None else list(argv)
     verb = next((word for word in argv if not word.startswith('-')), None)
     parser = build_parser(verb)

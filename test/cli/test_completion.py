@@ -13,13 +13,31 @@
 # limitations under the License.
 """The TAB key: real shells, and every option that the parsers know."""
 
+import argparse
 import os
+from pathlib import Path
 import shutil
 import subprocess
+import sys
 
 import pytest
 from selfcal_ros.cli import main as command
-from selfcal_ros.cli.completion import options_of, SHELLS
+from selfcal_ros.cli.completion import SHELLS
+
+#: What bash does when TAB is pressed at the end of a line.
+PRESS_TAB = """
+COMP_LINE="$1"; COMP_POINT=${#1}; COMP_TYPE=9
+read -ra COMP_WORDS <<< "$1"; case "$1" in *" ") COMP_WORDS+=("");; esac
+COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
+_python_argcomplete selfcal
+printf "%s\\n" "${COMPREPLY[@]}"
+"""
+
+
+def environment(**more):
+    """Let shells find the installed command, and nobody's settings."""
+    return {**os.environ, 'PATH': os.pathsep.join([str(Path(sys.executable).parent),
+                                                   os.environ['PATH']]), **more}
 
 
 def script(shell, capsys):
@@ -28,48 +46,48 @@ def script(shell, capsys):
     return capsys.readouterr().out
 
 
-def ask_bash(text, words, folder):
-    """Return what bash offers for the last of the words."""
+def ask_bash(text, line, folder):
+    """Return what bash offers at the end of a line."""
     if not shutil.which('bash'):
         pytest.skip('bash is not installed')
-    quoted = ' '.join(f"'{word}'" for word in words)
-    code = (f'{text}\nCOMP_WORDS=({quoted}); COMP_CWORD={len(words) - 1}; _selfcal; '
-            'printf "%s\\n" "${COMPREPLY[@]}"')
-    done = subprocess.run(['bash', '--norc', '-c', code], cwd=folder, capture_output=True,
-                          text=True, timeout=30)
+    if not (Path(sys.executable).parent / 'selfcal').exists():
+        pytest.skip('selfcal is not installed in this environment')
+    done = subprocess.run(['bash', '--norc', '-c', text + PRESS_TAB, 'bash', line], cwd=folder,
+                          capture_output=True, text=True, timeout=60, env=environment())
     assert done.stderr == '' and done.returncode == 0
     return done.stdout.split()
 
 
-@pytest.mark.parametrize('words, expected', [
-    (['selfcal', 'c'], ['calibrate', 'compare', 'convert', 'completion']),
-    (['selfcal', 'calibrate', '--motion', 'p'], ['planar']),
-    (['selfcal', 'calibrate', 'x.mcap', '--cam'], ['--camera', '--camera-name']),
-    (['selfcal', 'convert', '--to', ''], ['ros', 'opencv', 'kalibr', 'colmap']),
-    (['selfcal', 'convert', 'd'], ['drive.mcap', 'drives']),
-    (['selfcal', 'calibrate', '--report', 'dr'], ['drive.mcap', 'drives']),
-    (['selfcal', 'calibrate', '--skew', ''], []),
-    (['selfcal', 'completion', 'z'], ['zsh']),
+@pytest.mark.parametrize('line, expected', [
+    ('selfcal c', ['calibrate', 'compare', 'convert', 'completion']),
+    ('selfcal calibrate --motion p', ['planar']),
+    ('selfcal calibrate x.mcap --cam', ['--camera', '--camera-name']),
+    ('selfcal convert --to ', ['ros', 'opencv', 'kalibr', 'colmap']),
+    ('selfcal convert d', ['drive.mcap', 'drives/']),
+    ('selfcal calibrate --report dr', ['drive.mcap', 'drives/']),
+    ('selfcal calibrate --skew ', []),
+    ('selfcal completion z', ['zsh']),
 ])
-def test_bash_offers_what_fits(tmp_path, capsys, words, expected):
+def test_bash_offers_what_fits(tmp_path, capsys, line, expected):
     (tmp_path / 'drive.mcap').touch()
     (tmp_path / 'drives').mkdir()
-    assert sorted(ask_bash(script('bash', capsys), words, tmp_path)) == sorted(expected)
+    assert sorted(ask_bash(script('bash', capsys), line, tmp_path)) == sorted(expected)
+
+
+@pytest.mark.parametrize('verb', command.VERBS)
+def test_every_option_is_offered_and_no_hidden_one(verb, tmp_path, capsys):
+    offered = ask_bash(script('bash', capsys), f'selfcal {verb} --', tmp_path)
+    parser = command.build_parser(verb)
+    chosen, = (action.choices[verb] for action in parser._actions
+               if isinstance(action, argparse._SubParsersAction))
+    shown = {name for action in chosen._actions if action.help != argparse.SUPPRESS
+             for name in action.option_strings if name.startswith('--')}
+    assert set(offered) == shown
 
 
 @pytest.mark.parametrize('shell', SHELLS)
-def test_every_option_is_offered_and_no_hidden_one(shell, capsys):
-    text = script(shell, capsys)
-    for verb in command.VERBS:
-        parser = command.build_parser(verb)
-        with pytest.raises(SystemExit):
-            parser.parse_args([verb, '--help'])
-        shown = capsys.readouterr().out
-        for option in options_of(verb):
-            for name in option.names if not option.positional else ():
-                assert name in shown, f'{verb} has no {name}'
-                assert (name if shell != 'fish' else name.lstrip('-')) in text
-    assert '--seed' not in text and '-l seed' not in text
+def test_every_shell_has_a_script(shell, capsys):
+    assert 'selfcal' in script(shell, capsys)
 
 
 @pytest.mark.parametrize('shell', ['zsh', 'fish'])
@@ -90,5 +108,5 @@ def test_fish_offers_what_fits(tmp_path, capsys):
     for line, expected in (('selfcal calibrate --motion p', 'planar'), ('selfcal tr', 'track')):
         ask = f'source {path}; complete -C "{line}"'
         done = subprocess.run(['fish', '--no-config', '-c', ask], capture_output=True,
-                              text=True, timeout=30, env={**os.environ, 'HOME': str(tmp_path)})
+                              text=True, timeout=30, env=environment(HOME=str(tmp_path)))
         assert done.stdout.split()[0] == expected
