@@ -1,0 +1,69 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The figures of the documents can be drawn again, and name files that exist."""
+
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGES = ROOT / 'docs' / 'images'
+NAMES = re.findall(r"^    '(\w+)': \(", (ROOT / 'docs' / 'make_figures.py').read_text('utf-8'),
+                   re.M)
+
+
+def _draw(folder, *names):
+    done = subprocess.run(
+        [sys.executable, 'docs/make_figures.py', '--output-dir', str(folder), *names], cwd=ROOT,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)}, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_figure_is_in_docs_and_on_a_page():
+    pages = ''.join(path.read_text('utf-8') for path in (ROOT / 'docs').rglob('*.md'))
+    assert len(NAMES) >= 6
+    for name in NAMES:
+        assert (IMAGES / f'{name}.svg').is_file()
+        assert f'images/{name}.svg' in pages, f'no page shows {name}'
+
+
+def test_all_can_be_drawn(tmp_path):
+    _draw(tmp_path)
+    for name in NAMES:
+        old, new = (ElementTree.parse(folder / f'{name}.svg').getroot()
+                    for folder in (IMAGES, tmp_path))
+        assert old.get('viewBox') == new.get('viewBox'), f'{name}: docs/make_figures.py'
+
+
+@pytest.mark.parametrize('name', ['house', 'profile_likelihood'])
+def test_the_same_is_drawn_twice(tmp_path, name):
+    _draw(tmp_path / 'a', name)
+    _draw(tmp_path / 'b', name)
+    assert (tmp_path / 'a' / f'{name}.svg').read_bytes() == (
+        tmp_path / 'b' / f'{name}.svg').read_bytes()
+
+
+def test_every_file_and_folder_of_a_diagram_exists():
+    text = (ROOT / 'docs' / 'diagrams.py').read_text(encoding='utf-8')
+    text = text.split('def house')[1].replace('\\n', ' ')
+    named = set(re.findall(r'(?<![\w.])[\w/]+(?:\.py|/)(?!\w)', text))
+    assert len(named) > 20
+    parts = [ROOT, ROOT / 'selfcal_ros', ROOT / 'selfcal_ros' / 'calibration',
+             ROOT / 'selfcal_ros' / 'rorapid']
+    assert not [name for name in named if not any((part / name).exists() for part in parts)]
