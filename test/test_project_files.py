@@ -29,7 +29,7 @@ def _yaml(name):
 def _texts():
     """List the text files of the project."""
     parts = ('.ci', '.github', 'bench', 'config', 'docs', 'examples', 'launch', 'msg_adapters',
-             'resource', 'scripts', 'selfcal_ros', 'test')
+             'resource', 'scripts', 'selfcal_ros', 'test', 'test_support')
     inside = [path for part in parts for path in (ROOT / part).rglob('*') if path.is_file()]
     # what recorders write into bags/ is theirs
     return [path for path in [*inside, *ROOT.glob('*'), *ROOT.glob('bags/*')]

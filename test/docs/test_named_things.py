@@ -36,8 +36,8 @@ DOCUMENTS = sorted(
                       *(ROOT / 'examples').glob('*.md'), ROOT / 'README.md',
                       ROOT / 'CONTRIBUTING.md', ROOT / 'QUALITY_DECLARATION.md']
     if path.name != 'api.md')
-SOURCES = ('selfcal_ros', 'msg_adapters', 'launch', 'config', 'bench', 'test', 'docs', 'examples',
-           'scripts', 'bags')
+SOURCES = ('selfcal_ros', 'msg_adapters', 'launch', 'config', 'bench', 'test', 'test_support',
+           'docs', 'examples', 'scripts', 'bags')
 #: Names of other people's programs, message fields and libraries that the documents use.
 FOREIGN = {
     # ROS and its packages
@@ -226,6 +226,34 @@ def test_every_bench_and_module_that_is_run_exists():
     modules = [(document, name) for document, name in _named(r'python -m ([\w.]+)', 1)
                if name.startswith(('selfcal_ros', 'bench'))]
     _check(modules, lambda name: find_spec(name) is not None)
+
+
+def test_every_kind_of_finding_exists():
+    from selfcal_ros.findings.finding import KINDS
+    _check(_kinds(), KINDS.__contains__)
+
+
+def _kinds():
+    """List what documents call a kind: `kind` before it, as in JSON or in a sentence."""
+    pairs = []
+    for path in DOCUMENTS:
+        pairs += [(path.name, name) for name in re.findall(
+            r'(?:\bkinds? |"kind": ")`?([a-z]+(?:_[a-z]+)+)[`"]', _text(path))]
+    return pairs
+
+
+def test_every_work_that_is_cited_is_in_the_references():
+    entries = re.split(r'^- ', (ROOT / 'docs' / 'references.md').read_text('utf-8'), flags=re.M)
+    cited = set()
+    for name in _files():
+        if name.endswith(('.py', '.md')) and not name.startswith(('/test', '/docs/references')):
+            text = re.sub(r'\s+#?\s*', ' ', (ROOT / name[1:]).read_text('utf-8'))
+            cited |= {(name, *found) for found in re.findall(
+                r'\b([A-Z][a-zšćé]+)(?: et al\.)?,? \(?((?:19[5-9]|20[012])\d)\b', text)
+                if found[0] not in ('Oxford', 'Copyright', 'Measured')}
+    assert len({one[1:] for one in cited}) > 15
+    _check([(name, f'{author} {year}') for name, author, year in sorted(cited)],
+           lambda work: any(all(word in entry for word in work.split()) for entry in entries))
 
 
 def test_every_word_of_code_exists():
