@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+import logging
 from typing import TYPE_CHECKING
 
 from selfcal_ros.version import __version__
@@ -49,6 +50,10 @@ _HOMES = {
     'ray_angles': 'calibration.structure.angular_measurement',
     'structure_angle': 'calibration.structure.structure_measurement',
 }
+
+
+# silent until the program that uses this says otherwise
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str):

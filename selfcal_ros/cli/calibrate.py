@@ -24,6 +24,7 @@ from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.verbosity import add_quiet_argument
 
 #: Motions from tracks of an unknown scene.
 MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general')
@@ -79,8 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
                         help='open the Rerun viewer with images, path and structure, or write '
                              'SCENE.RRD for it (extra: view)')
-    output.add_argument('--quiet', action='store_true',
-                        help='print nothing but errors and the reason of a failure')
+    add_quiet_argument(output)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -149,7 +149,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
                       report=args.report, ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check()
-    with ProgressBar(not args.quiet) as progress:
+    with ProgressBar(not (args.quiet or args.verbose)) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings.facts, progress)
         else:

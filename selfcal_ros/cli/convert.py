@@ -25,6 +25,7 @@ import re
 
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE
+from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
 
 #: Kinds of camera file that can be written.
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('output', type=Path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
     parser.add_argument('--topic', help=f'topic to write (default {DEFAULT_TOPIC})')
-    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+    add_quiet_argument(parser, 'print nothing but errors')
     bag = parser.add_argument_group('images to a bag')
     bag.add_argument('--input-topic', help='topic to read from a bag with several')
     bag.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
@@ -127,7 +128,7 @@ def _convert_images(args: argparse.Namespace) -> int:
         raise InputError(f'{args.output} is no name for a bag folder; leave {args.output.suffix} '
                          'away.')
     with open_source(args.input, args.input_topic, colour=True) as source, \
-            ProgressBar(not args.quiet) as progress:
+            ProgressBar(not (args.quiet or args.verbose)) as progress:
         if source.kind == 'tracks':
             raise InputError(f'{args.input} holds tracks, not images; a bag needs images.')
 

@@ -24,6 +24,7 @@ import traceback
 from selfcal_ros.cli import completion
 from selfcal_ros.cli.parsing import SentenceParser
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
+from selfcal_ros.cli.verbosity import add_verbose_argument, library_messages
 
 #: Verb and what it does; each is a module of this package with `add_arguments` and `run`.
 VERBS = {
@@ -48,6 +49,7 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=summary, description=summary.capitalize() + '.')
         if name == verb:
             import_module(f'selfcal_ros.cli.{name}').add_arguments(command)
+            add_verbose_argument(command)
     return parser
 
 
@@ -76,7 +78,8 @@ def main(argv: list[str] | None = None) -> int:
         return EXIT_INPUT
     from selfcal_ros.errors import SelfcalError
     try:
-        status = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
+        with library_messages(args):
+            status = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
         sys.stdout.flush()
         return status
     except SelfcalError as error:

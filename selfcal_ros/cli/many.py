@@ -70,7 +70,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
             check_writable(path)
     quiet = args.quiet or is_standard_output(args.json)
     files = _RecordingFiles(folder / 'recordings')
-    with ProgressBar(not args.quiet) as progress:
+    with ProgressBar(not (args.quiet or args.verbose)) as progress:
         summary = calibrate_many(paths, settings, each=files.write, progress=progress,
                                  engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
     content = summary_to_dict(summary)

@@ -21,6 +21,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.verbosity import add_quiet_argument
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,8 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='pose of the object in every image (default poses.csv)')
     output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
                         help='the images with the object drawn over them')
-    output.add_argument('--quiet', action='store_true',
-                        help='print nothing but errors and the reason of a failure')
+    add_quiet_argument(output)
 
 
 def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     camera, _ = read_camera_yaml(args.camera)
     model = read_model(args.model)
     start = read_start(args.init, args.clicks, camera)
-    with ProgressBar(not args.quiet) as progress:
+    with ProgressBar(not (args.quiet or args.verbose)) as progress:
         run, table = track_recording(args.input, model, camera, start, options,
                                      topic=args.topic, overlay=args.overlay, seed=args.seed,
                                      progress=progress)

@@ -17,10 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+import logging
+import time
+
+import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+
+_LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -88,9 +94,24 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         from selfcal_ros.pipeline.object_session import read_object_views
         target = parse_target(settings.known_object)
         reading = read_object_views(path, target, **shared)
-        return calibrate_known_object(reading.tracks, target.known, facts=settings.facts), reading
+        return _timed(lambda: calibrate_known_object(
+            reading.tracks, target.known, facts=settings.facts), reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
     reading = read_tracks(path, mode=settings.mode, **shared)
-    return calibrate(reading.tracks, motion=settings.motion, facts=settings.facts,
-                     translation_frames=settings.translation_frames), reading
+    return _timed(lambda: calibrate(
+        reading.tracks, motion=settings.motion, facts=settings.facts,
+        translation_frames=settings.translation_frames), reading), reading
+
+
+def _timed(estimate: Callable[[], Calibration | NotCalibrated],
+           reading: ExtractedTracks) -> Calibration | NotCalibrated:
+    """Estimate, and log from what and how long it took."""
+    tracks = reading.tracks
+    _LOGGER.info('%s: %d observations of %d points in %d images', reading.description,
+                 len(tracks), len(np.unique(tracks.track)), len(tracks.frames))
+    began = time.perf_counter()
+    result = estimate()
+    _LOGGER.info('%s, after %.2f s', f'calibrated by {result.motion} motion' if result
+                 else 'not calibrated', time.perf_counter() - began)
+    return result

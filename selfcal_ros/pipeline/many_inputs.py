@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 import glob
+import logging
 import os
 from pathlib import Path
 import time
@@ -37,6 +38,7 @@ from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSet
 from selfcal_ros.pipeline.engines import CRASHED, run_jobs
 from selfcal_ros.pipeline.file_sources import natural_key, VIDEO_SUFFIXES
 
+_LOGGER = logging.getLogger(__name__)
 #: Files that are recordings when they lie in a folder of recordings.
 _RECORDINGS = (*BAG_SUFFIXES, *VIDEO_SUFFIXES, '.csv')
 
@@ -249,8 +251,11 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
     for done, (number, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
         path = jobs[number].path
         found[number] = _outcomes(path, value)
-        for outcome in found[number] if each else ():
-            each(outcome)
+        for outcome in found[number]:
+            if each:
+                each(outcome)
+            _LOGGER.info('%s %s: %s', outcome.path, outcome.topic, outcome.error or
+                         ('calibrated' if outcome.result else 'not calibrated'))
         if progress:
             progress('Calibrating', done, len(jobs))
     outcomes = [outcome for group in found for outcome in group]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+import logging
 import math
 from pathlib import Path
 import time
@@ -33,6 +34,7 @@ from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.tracker import TrackerOptions
 from selfcal_ros.values.wireframe import WireframeModel
 
+_LOGGER = logging.getLogger(__name__)
 #: Clicks may miss a pose by so much of the image diagonal; beyond it they are in another order.
 CLICK_ERROR_SHARE = 0.03
 #: Images without a clock are shown so many a second.
@@ -202,9 +204,11 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
             tracked = session.add(frame.image, frame.stamp_ns if timed else None)
         except InputError as error:
             run.remarks.append(f'{frame.name or f"Image {frame.index}"} was passed over: {error}')
+            _LOGGER.info(run.remarks[-1])
             continue
         run.seconds += time.perf_counter() - began
         _count(run, frame.index, tracked)
+        _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
         if tracked.found.any():
             squares += float(np.sum(tracked.edge_px[tracked.found]**2))
             edgels += int(np.count_nonzero(tracked.found))
