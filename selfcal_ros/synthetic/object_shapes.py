@@ -129,8 +129,56 @@ def step_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObje
     SolidObject
 
     """
-    h, w = size_m / 2, 0.35 * size_m
-    outline = np.array([(-h, -h), (h, -h), (h, 0), (0, 0), (0, h), (-h, h)])
+    return _l_prism('step_block', size_m, size_m, 0.7 * size_m, 0.5 * size_m, 0.5 * size_m, rng,
+                    clutter)
+
+
+def l_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
+    """
+    Make a letter L of unequal arms, each a quarter of the length thick.
+
+    Parameters
+    ----------
+    size_m : float
+        Height; the foot is 0.7 of it, the width (y) 0.4.
+    rng, clutter
+        As in `cube`.
+
+    Returns
+    -------
+    SolidObject
+
+    """
+    return _l_prism('l_block', 0.7 * size_m, size_m, 0.4 * size_m, 0.25 * size_m, 0.25 * size_m,
+                    rng, clutter)
+
+
+def box(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObject:
+    """
+    Make a box of sides 1 : 0.8 : 0.6 with plain faces.
+
+    Parameters
+    ----------
+    size_m : float
+        Longest side, along x.
+    rng, clutter
+        As in `cube`.
+
+    Returns
+    -------
+    SolidObject
+
+    """
+    half = 0.5 * size_m * np.array([1, 0.8, 0.6])
+    vertices, faces, surfaces = _box(-half, half, _BOX_GREYS, {}, rng, clutter)
+    return SolidObject(WireframeModel.build(vertices, (), faces, name='box'), surfaces)
+
+
+def _l_prism(name, length, height, width, upright, foot, rng, clutter):
+    """Make a prism of L-shaped outline: an upright on a foot, so thick, metres."""
+    x, z, w = length / 2, height / 2, width / 2
+    inner = upright - x, foot - z
+    outline = np.array([(-x, -z), (x, -z), (x, inner[1]), inner, (inner[0], z), (-x, z)])
     count = len(outline)
     front = np.column_stack([outline[:, 0], np.full(count, -w), outline[:, 1]])
     back = front * [1, -1, 1]
@@ -146,10 +194,10 @@ def step_block(size_m: float = 0.1, rng=None, clutter: float = 0.0) -> SolidObje
     # the two L-shaped faces are rectangles side by side: plain, so that no seam shows
     for points, grey, order in ((front, 80, 1), (back, 95, -1)):
         y = points[0, 1]
-        for (x0, z0), (x1, z1) in (((-h, -h), (h, 0)), ((-h, 0), (0, h))):
+        for (x0, z0), (x1, z1) in (((-x, -z), (x, inner[1])), ((-x, inner[1]), (inner[0], z))):
             corners = np.array([(x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1)])
             surfaces.append(_facet(corners[::order], grey))
-    return SolidObject(WireframeModel.build(vertices, (), faces, name='step_block'), surfaces)
+    return SolidObject(WireframeModel.build(vertices, (), faces, name=name), surfaces)
 
 
 def spool(width_m: float = 0.09, rng=None, clutter: float = 0.0) -> SolidObject:
@@ -182,7 +230,7 @@ def spool(width_m: float = 0.09, rng=None, clutter: float = 0.0) -> SolidObject:
     return SolidObject(model, below + above + _tube(*ends, radius))
 
 
-SHAPES = {'cube': cube, 'step_block': step_block, 'spool': spool}
+SHAPES = {'cube': cube, 'step_block': step_block, 'spool': spool, 'box': box, 'l_block': l_block}
 
 
 def _box(low, high, greys, marks, rng, clutter):

@@ -200,7 +200,7 @@ def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general
     ----------
     views : int
         Number of images.
-    shape : {'cube', 'step_block', 'spool'}
+    shape : {'cube', 'step_block', 'spool', 'box', 'l_block'}
     motion : {'general', 'translation', 'planar'}
         See `object_poses`.
     size, camera, distortion, noise_sigma, rate_hz, seed
