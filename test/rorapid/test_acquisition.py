@@ -24,7 +24,8 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.acquisition.image_lines import (detect_lines, find_corners, refine_lines,
                                                          refine_vertices)
-from selfcal_ros.rorapid.acquisition.line_matching import acquire_from_images, plane_loops
+from selfcal_ros.rorapid.acquisition.line_matching import acquire_from_images
+from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
 from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, points_from_translation
 from selfcal_ros.rorapid.model import read_model, write_model
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
@@ -202,7 +203,7 @@ def test_nothing_is_found_where_nothing_is():
     assert support == 0
     rng = np.random.default_rng(0)
     found = acquire_from_images(grey, grey, CAMERA, rng, baseline_m=1.0)
-    assert not found and 'click' in found.reason
+    assert not found and 'pick' in found.reason
     for pair in ((grey, grey[:50]), (grey.astype(float), grey), (grey[:1, :1], grey[:1, :1])):
         with pytest.raises(ArgumentError):
             acquire_from_images(*pair, CAMERA, rng, baseline_m=1.0)

@@ -121,7 +121,8 @@ def test_what_is_wrong_is_said_in_one_sentence(tmp_path, text, says):
 
 def test_where_a_model_cannot_be_written(tmp_path):
     model = SHAPES['cube']().model
-    for path in (tmp_path / 'no' / 'it.yaml', tmp_path / 'it.cao'):
+    for path in (tmp_path / 'no' / 'it.yaml', tmp_path / 'it.stl', tmp_path / 'no' / 'it.cao',
+                 tmp_path / 'no' / 'it.obj'):
         with pytest.raises(InputError):
             write_model(model, path)
     assert not os.listdir(tmp_path)

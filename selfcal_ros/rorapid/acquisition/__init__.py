@@ -15,5 +15,6 @@
 A model of an object from two images between which the camera moved (thesis 7.3.4).
 
 Read `two_view_model` first: vertices in two images in, a wireframe with covariances out.
-`line_matching` finds these vertices by itself, `image_lines` the lines of one image.
+`line_matching` finds these vertices by itself, `picked_vertices` reads those picked by hand;
+`plane_loops` makes faces of lines, `point_covariance` says how well all is known.
 """

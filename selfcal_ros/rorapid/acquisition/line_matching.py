@@ -22,6 +22,8 @@ images is a line of the model, and closed loops of lines in one plane are its fa
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -29,6 +31,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.rorapid.acquisition.image_lines import detect_lines, find_corners, refine_lines
+from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
 from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, AcquiredModel
 
 #: Half side of the square that is compared around corners, pixels.
@@ -43,8 +46,6 @@ _BAND_PX = 1.5
 _LEAST_MOTION_PX = 2.0
 #: Share of a line along which its edge must be found, in both images.
 _LEAST_SUPPORT = 0.6
-#: Vertices of a face lie in its plane within this share of the object's extent.
-_FLAT = 0.03
 
 
 def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
@@ -81,6 +82,55 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
         If the images are not grey images of one size, or the scale is not given.
 
     """
+    matched = match_vertices(first, second, camera, rng, region, largest_motion_px)
+    if isinstance(matched, NoEstimate):
+        return matched
+    ends = matched.first_px, matched.second_px
+    acquired = acquire_model(*ends, camera, matched.lines, name=name, **facts)
+    if acquired and faces:
+        loops = plane_loops(acquired.model.vertices, matched.lines)
+        acquired = acquire_model(*ends, camera, matched.lines, loops, name=name, **facts)
+    return acquired
+
+
+@dataclass(frozen=True)
+class MatchedVertices:
+    """
+    Attributes of corners found in both images, and the lines between them.
+
+    Attributes
+    ----------
+    first_px, second_px : ndarray, shape (N, 2)
+    lines : list of (int, int)
+
+    """
+
+    first_px: np.ndarray
+    second_px: np.ndarray
+    lines: list
+
+
+def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
+                   region: tuple | None = None,
+                   largest_motion_px: float = 150.0) -> MatchedVertices | NoEstimate:
+    """
+    Find the corners of lines that two images related by a pure translation share.
+
+    Parameters
+    ----------
+    first, second, camera, rng, region, largest_motion_px
+        As for `acquire_from_images`.
+
+    Returns
+    -------
+    MatchedVertices or NoEstimate
+
+    Raises
+    ------
+    ArgumentError
+        If the images are not grey images of one size.
+
+    """
     first, second = np.asarray(first), np.asarray(second)
     if not (first.shape == second.shape and first.ndim == 2 and first.dtype == np.uint8
             and second.dtype == np.uint8 and min(first.shape) > 4 * _HALF):
@@ -102,12 +152,7 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
     if len(used) < 4:
         return NoEstimate('no_connected_lines')
     pairs = [(used.index(i), used.index(j)) for i, j in pairs]
-    ends = places[0][used], places[1][used]
-    acquired = acquire_model(*ends, camera, pairs, name=name, **facts)
-    if acquired and faces:
-        loops = plane_loops(acquired.model.vertices, pairs)
-        acquired = acquire_model(*ends, camera, pairs, loops, name=name, **facts)
-    return acquired
+    return MatchedVertices(places[0][used], places[1][used], pairs)
 
 
 def _within(places, region):
@@ -221,71 +266,3 @@ def _connected(images, places, corners):
     support = [refine_lines(image, xy[np.array(pairs)], 2)[1]
                for image, xy in zip(images, places)]
     return [pair for pair, least in zip(pairs, np.min(support, axis=0)) if least > _LEAST_SUPPORT]
-
-
-def plane_loops(vertices: np.ndarray, pairs) -> list[tuple]:
-    """
-    Find the smallest closed loops of lines that lie in one plane.
-
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-    pairs : sequence of (int, int)
-        Lines.
-
-    Returns
-    -------
-    list of tuple of int
-        Vertices in order around each loop.
-
-    """
-    around = {}
-    for i, j in pairs:
-        around.setdefault(i, set()).add(j)
-        around.setdefault(j, set()).add(i)
-    tolerance = _FLAT * np.linalg.norm(np.ptp(vertices, axis=0))
-    loops = {}
-    for corner, neighbours in around.items():
-        for start in neighbours:
-            for end in neighbours - {start}:
-                loop = _walk(vertices, around, (start, corner, end), tolerance)
-                if loop is not None:
-                    loops.setdefault(frozenset(loop), loop)
-    return list(loops.values())
-
-
-def _walk(vertices, around, begin, tolerance):
-    """Follow the first three vertices in their plane, always turning inwards; None: no loop."""
-    a, b, c = vertices[list(begin)]
-    normal = np.cross(b - a, c - b)
-    size = np.linalg.norm(normal)
-    if size < 0.2 * np.linalg.norm(b - a) * np.linalg.norm(c - b):
-        return None
-    normal /= size
-    loop = list(begin)
-    while len(loop) <= len(around):
-        previous, here = vertices[loop[-2]], vertices[loop[-1]]
-        best, sharpest = None, -np.inf
-        for following in around[loop[-1]] - {loop[-2]}:
-            way = vertices[following] - here
-            if abs((vertices[following] - b) @ normal) > tolerance:
-                continue
-            turn = np.arctan2(np.cross(here - previous, way) @ normal, (here - previous) @ way)
-            if turn > sharpest:
-                best, sharpest = following, turn
-        if best is None:
-            return None
-        if best == loop[0]:
-            return tuple(loop) if _turns_once(vertices[loop], normal) else None
-        if best in loop:
-            return None
-        loop.append(best)
-    return None
-
-
-def _turns_once(points, normal):
-    """Whether a loop goes around once, to the left of its normal."""
-    way = np.roll(points, -1, axis=0) - points
-    before = np.roll(way, 1, axis=0)
-    turns = np.arctan2(np.cross(before, way) @ normal, (before * way).sum(axis=1))
-    return abs(turns.sum() - 2 * np.pi) < 0.5

@@ -32,12 +32,16 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.polygon import newell_normal
 from selfcal_ros.geometry.triangulation import metric_points, translated_points
+from selfcal_ros.rorapid.acquisition.point_covariance import (blocks, point_jacobian,
+                                                              shape_covariances)
 from selfcal_ros.values.wireframe import Conic, Polygon, WireframeModel
 
 #: Worse than this share of the distance, a depth is of no use for a model.
 WORST_DEPTH = 0.2
 #: Residuals above this many sigmas are not noise.
 _TOO_FAR = 4.0
+#: Noise of image points that is assumed where nothing else is known, pixels.
+SIGMA_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,20 +55,27 @@ class TwoViewPoints:
         Metres, optical frame of the first view.
     covariances : ndarray, shape (N, 3, 3)
         Of the points, from the noise of the image points; the scale is taken as exact.
+    shape_covariances : ndarray, shape (N, 3, 3)
+        Of the points among each other: what is left of their errors where turn and shift of all
+        of them together do not count. This is what a model suffers from.
     moved : ndarray, shape (3,)
         What is added to the points from the first view to the second, metres.
     residuals_px : ndarray, shape (N,)
         Distances of the image points from where the translation allows them.
     noise_px : float
         Standard deviation of an image coordinate that the residuals show.
+    sigma_px : float
+        The one that the covariances suppose.
 
     """
 
     points: np.ndarray
     covariances: np.ndarray
+    shape_covariances: np.ndarray
     moved: np.ndarray
     residuals_px: np.ndarray
     noise_px: float
+    sigma_px: float
 
 
 @dataclass(frozen=True)
@@ -91,7 +102,7 @@ class AcquiredModel:
 
 def points_from_translation(first_px, second_px, camera: Camera, baseline_m: float | None = None,
                             known_length: tuple | None = None,
-                            sigma_px: float = 0.5) -> TwoViewPoints | NoEstimate:
+                            sigma_px: float = SIGMA_PX) -> TwoViewPoints | NoEstimate:
     """
     Reconstruct points seen before and after a pure translation of the camera or the object.
 
@@ -143,7 +154,8 @@ def points_from_translation(first_px, second_px, camera: Camera, baseline_m: flo
     points = metric_points(K, translated_points(e, a, b))
     if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
         return NoEstimate('points_behind_camera')
-    covariances = _covariances(K, e, a, b, sigma_px)
+    jacobian = point_jacobian(K, e, a, b)
+    covariances = sigma_px**2 * blocks(jacobian @ jacobian.T)
     depth_sigma = np.sqrt(covariances[:, 2, 2]) / points[:, 2]
     if np.median(depth_sigma) > WORST_DEPTH:
         return NoEstimate('depths_uncertain', share=float(np.median(depth_sigma)))
@@ -152,7 +164,11 @@ def points_from_translation(first_px, second_px, camera: Camera, baseline_m: flo
     if not (np.isfinite(size) and size > 0):
         return NoEstimate('known_length_zero')
     residuals = np.sqrt((found.residuals**2).sum(axis=1) / 2)
-    return TwoViewPoints(size * points, size**2 * covariances, size * moved, residuals, noise)
+    points = size * points
+    ends = None if known_length is None else known_length[:2]
+    return TwoViewPoints(points, size**2 * covariances,
+                         shape_covariances(points, sigma_px * size * jacobian, ends),
+                         size * moved, residuals, noise, sigma_px)
 
 
 def _scale_fact(count, baseline_m, known_length):
@@ -169,46 +185,6 @@ def _scale_fact(count, baseline_m, known_length):
         raise ArgumentError('known_length must be two different points and a positive length.')
     with np.errstate(divide='ignore'):
         return lambda points, moved: np.float64(length) / np.linalg.norm(points[i] - points[j])
-
-
-def _covariances(K, e, a, b, sigma_px):
-    """
-    First-order covariances (N, 3, 3) of points for |e| = 1 in normalised coordinates.
-
-    A point depends on its own image points, and through the epipole on all of them.
-    """
-    inverse = np.linalg.inv(K)
-    e = inverse @ e
-    size = np.linalg.norm(e)
-    e = e / size
-    a, b = (p @ inverse[:2, :2].T + inverse[:2, 2] for p in (a, b))
-    basis = np.linalg.svd(e[None])[2][1:].T
-    step = 1e-6
-
-    def evaluate(e, a, b):
-        """Points, and sines between the epipolar lines' points: zero without noise."""
-        h = np.ones((2, len(a), 3))
-        h[0, :, :2], h[1, :, :2] = a, b
-        X = translated_points(e, a, b)
-        return np.column_stack([X[:, :3] / X[:, 3:], np.cross(h[0], h[1]) @ e])
-
-    # columns: u, v in the first image, u, v in the second, pixels
-    pixel = inverse[:2, :2].T * step * K[0, 0]
-    own = np.stack([evaluate(e, a + d, b) - evaluate(e, a - d, b) for d in pixel]
-                   + [evaluate(e, a, b + d) - evaluate(e, a, b - d) for d in pixel],
-                   axis=2) / (2 * step * K[0, 0])
-    common = np.stack([evaluate(e + step * d, a, b) - evaluate(e - step * d, a, b)
-                       for d in basis.T], axis=2) / (2 * step)
-    # Sampson: residuals weighted by what pixel noise does to each
-    norm = np.maximum(np.linalg.norm(own[:, 3], axis=1), 1e-300)[:, None]
-    own_residual, slope = own[:, 3] / norm, common[:, 3] / norm
-    gain = -np.linalg.pinv(slope)
-    G = common[:, :3]
-    through = np.einsum('nij,jn,nk->nik', G, gain, own_residual)
-    shared = np.einsum('nij,jm,lm,nkl->nik', G, gain, gain, G)
-    cross = own[:, :3] @ np.swapaxes(through, 1, 2)
-    return size**2 * sigma_px**2 * (own[:, :3] @ np.swapaxes(own[:, :3], 1, 2) + cross
-                                    + np.swapaxes(cross, 1, 2) + shared)
 
 
 def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conics=(),

@@ -32,11 +32,11 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.rorapid.model.text_file import read_text
 from selfcal_ros.values.wireframe import (Conic, Cylinder, FACE_LIMIT, LIMIT, Polygon,
                                           WireframeModel)
 
-#: No model file may be longer, and no model consist of more files.
-LARGEST_FILE_BYTES = 8_000_000
+#: No model may consist of more files.
 MOST_FILES = 1_000
 #: ViSP's thresholds where ``useLod`` is on and none is given.
 DEFAULT_LINE_LENGTH_PX = 50.0
@@ -94,28 +94,6 @@ def read_cao(path) -> WireframeModel:
             name=path.stem)
     except ArgumentError as error:
         raise InputError(f'{path} cannot be used: {error}') from None
-
-
-def read_text(path: Path) -> str:
-    """
-    Return the text of a model file.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is too long or no text.
-
-    """
-    try:
-        if not path.is_file():
-            raise InputError(f'The model {path} does not exist or is no file.')
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise InputError(f'The model {path} is longer than {LARGEST_FILE_BYTES} bytes.')
-        return path.read_bytes().decode('utf-8')
-    except UnicodeDecodeError:
-        raise InputError(f'The model {path} is not a text file in UTF-8.') from None
-    except (OSError, ValueError) as error:
-        raise InputError(f'The model {path} cannot be read: {error}.') from None
 
 
 class _Reader:

@@ -19,8 +19,13 @@ from pathlib import Path
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.rorapid.model.cao_file import read_cao
+from selfcal_ros.rorapid.model.cao_writer import write_cao
+from selfcal_ros.rorapid.model.obj_writer import write_obj
 from selfcal_ros.rorapid.model.yaml_file import read_model_yaml, write_model_yaml
 from selfcal_ros.values.wireframe import WireframeModel
+
+_WRITERS = {'.cao': write_cao, '.obj': write_obj, '.yaml': write_model_yaml,
+            '.yml': write_model_yaml}
 
 
 def read_model(path) -> WireframeModel:
@@ -51,15 +56,26 @@ def read_model(path) -> WireframeModel:
 
 def write_model(model: WireframeModel, path) -> Path:
     """
-    Write a model as ``.yaml``.
+    Write a model: ``.cao``, ``.yaml``, or ``.obj`` for programs that draw it.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    path : str or Path
+
+    Returns
+    -------
+    Path
 
     Raises
     ------
     InputError
-        If the name does not end in ``.yaml`` or ``.yml``, or the file cannot be written.
+        If the name has another ending, the file cannot be written, or its format cannot hold
+        the model (a .cao file holds circles, but no ellipses).
 
     """
     path = Path(path)
-    if path.suffix.lower() not in ('.yaml', '.yml'):
-        raise InputError(f'The model {path} must be named .yaml to be written.')
-    return write_model_yaml(model, path)
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(f'The model {path} must be named .cao, .yaml or .obj to be written.')
+    return writer(model, path)

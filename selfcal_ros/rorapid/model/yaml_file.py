@@ -39,14 +39,12 @@ Our own model files: YAML with the content of a `.cao` file, ellipses as well.
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
-import tempfile
 
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
-from selfcal_ros.rorapid.model.cao_file import read_text
+from selfcal_ros.rorapid.model.text_file import read_text, write_text
 from selfcal_ros.values.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
 import yaml
 
@@ -126,19 +124,7 @@ def write_model_yaml(model: WireframeModel, path) -> Path:
     }
     data = {key: value for key, value in data.items() if value not in ([], '')}
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=99)
-    try:
-        descriptor, name = tempfile.mkstemp(prefix='.selfcal-', dir=path.resolve().parent)
-        try:
-            with open(descriptor, 'w', encoding='utf-8') as stream:
-                stream.write(text)
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-    except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror or error}.') from None
-    return path
+    return write_text(path, text)
 
 
 def _floats(vector):

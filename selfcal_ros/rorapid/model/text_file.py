@@ -1,0 +1,72 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Text of model files: read with care, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import tempfile
+
+from selfcal_ros.errors import InputError
+
+#: No model file may be longer.
+LARGEST_FILE_BYTES = 8_000_000
+
+
+def read_text(path: Path) -> str:
+    """
+    Return the text of a model file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is too long or no text.
+
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f'The model {path} does not exist or is no file.')
+        if path.stat().st_size > LARGEST_FILE_BYTES:
+            raise InputError(f'The model {path} is longer than {LARGEST_FILE_BYTES} bytes.')
+        return path.read_bytes().decode('utf-8')
+    except UnicodeDecodeError:
+        raise InputError(f'The model {path} is not a text file in UTF-8.') from None
+    except (OSError, ValueError) as error:
+        raise InputError(f'The model {path} cannot be read: {error}.') from None
+
+
+def write_text(path: Path, text: str) -> Path:
+    """
+    Write a model file: a temporary file beside it, then renamed.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    """
+    try:
+        descriptor, name = tempfile.mkstemp(prefix='.selfcal-', dir=path.resolve().parent)
+        try:
+            with open(descriptor, 'w', encoding='utf-8') as stream:
+                stream.write(text)
+            os.chmod(name, 0o644)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise InputError(f'{path} cannot be written: {error.strerror or error}.') from None
+    return path
