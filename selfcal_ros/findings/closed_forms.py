@@ -288,12 +288,17 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'Name two different points.'),
     'corners_disagree': Phrase(
         'Only {corners} corners of lines look alike in both images, and no four of them agree on '
-        'a translation; click the vertices instead.',
+        'a translation; pick the vertices by hand.',
         'The images show too few distinct corners, or the camera turned.',
-        'Click the vertices.'),
+        'Pick the vertices by hand: `selfcal model --vertices`.'),
     'no_connected_lines': Phrase(
-        'No lines were found that connect the same corners in both images; click the vertices '
-        'instead.',
+        'No lines were found that connect the same corners in both images; pick the vertices '
+        'by hand.',
         'The edges are too faint or broken.',
-        'Click the vertices.'),
+        'Pick the vertices by hand: `selfcal model --vertices`.'),
+    'no_closed_faces': Phrase(
+        'The {lines} lines that were found in both images close to no face; pick the vertices by '
+        'hand, or show the object before a plain background.',
+        'Pictures on the object or things behind it break its lines.',
+        'Pick the vertices by hand: `selfcal model --vertices`.'),
 }

@@ -124,8 +124,8 @@ class ModelledObject:
         first, second = self.images
         lines = [
             f'Model of {len(model.vertices)} vertices, {len(model.lines)} lines and '
-            f'{len(model.faces)} faces, {1000 * _across(model.vertices):.4g} mm across, from images '
-            f'{first} and {second}.',
+            f'{len(model.faces)} faces, {1000 * _across(model.vertices):.4g} mm across, from '
+            f'images {first} and {second}.',
             f'The vertices miss a pure translation by {structure.noise_px:.2g} px; between the '
             f'images it was {1000 * np.linalg.norm(structure.moved):.4g} mm.',
             f'Their places in the model are known to {np.median(sigma):.2g} mm (median) and '
@@ -253,9 +253,7 @@ def _model(first, second, request: ModelRequest, rng) -> AcquiredModel | NoEstim
     if picked is None and request.faces:
         parts['faces'] = plane_loops(bare.model.vertices, matched.lines)
         if not parts['faces']:
-            return NoEstimate(f'Of the lines of the object {len(matched.lines)} were found in both '
-                              'images, and they close to no face; show it before a plain '
-                              'background, or pick its vertices by hand.', 'too_few')
+            return NoEstimate('no_closed_faces', lines=len(matched.lines))
     # what the points show of their noise, where that is more than usual
     sigma = max(_FOUND_PX if picked is None else _PICKED_PX, bare.structure.noise_px)
     return acquire_model(*ends, camera, **parts, name=request.name, sigma_px=sigma,

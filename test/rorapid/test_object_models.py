@@ -1,0 +1,254 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Models of objects from two translated images: found by themselves, picked, and real."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.pipeline.object_modelling import model_recording, ModelRequest
+from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.rorapid.acquisition.picked_vertices import read_picked
+from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
+from selfcal_ros.rorapid.acquisition.two_view_model import points_from_translation
+from selfcal_ros.rorapid.estimation.initial_pose import read_pose_file
+from selfcal_ros.rorapid.model import read_model, write_model
+from selfcal_ros.rorapid.tracker import RorapidTracker
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
+from selfcal_ros.synthetic.object_shapes import SHAPES
+from selfcal_ros.synthetic.objects import tracked_object
+from selfcal_ros.synthetic.paths import look_at
+from selfcal_ros.synthetic.recordings import default_camera, write_image_folder
+
+CUBE = Path(__file__).resolve().parents[2].parent / 'shared' / 'data' / 'visp_mbt_cube'
+MOVED = np.array([-0.06, 0.01, 0.02])
+#: The corners of the wooden cube as seen by eye in images 48 and 102, between which a hand pushed
+#: it without turning it (by 0.07 degrees, says a tracker that has the true model).
+PICKED = """
+vertices:
+  back: [376.5, 180.8, 344.5, 125.5]
+  left: [321.7, 218.5, 295.5, 154.2]
+  right: [444.2, 218.2, 401.2, 153.8]
+  front: [389.2, 261.2, 351.5, 185.5]
+  left_foot: [321.5, 276.2, 297.5, 211.2]
+  front_foot: [381.2, 320.8, 347.5, 244.2]
+  right_foot: [435.7, 271.8, 395.7, 207]
+faces:
+- [left, front, right, back]
+- [left, left_foot, front_foot, front]
+- [front, front_foot, right_foot, right]
+"""
+
+
+def _translated(shape, **options):
+    """Return a recording of two views between which the object was translated."""
+    recording = tracked_object(2, shape, 'translation', noise_sigma=1.5, **options)
+    poses = recording.cam_from_world.copy()
+    poses[:, :, 3] *= 0.7
+    poses[1] = poses[0]
+    poses[1, :, 3] += MOVED
+    return replace(recording, cam_from_world=poses)
+
+
+def _wholly_visible(model, pose):
+    """Lines of which nothing is hidden, as pairs of vertices."""
+    seen = VisibleModel(model).control_points(pose[:, :3], pose[:, 3])
+    return {frozenset(map(int, model.lines[k])) for k in np.unique(seen.primitive)
+            if seen.kind[k] == 'line' and seen.visible[seen.primitive == k].all()}
+
+
+@pytest.mark.parametrize('shape, faces', [('box', 3), ('step_block', 5), ('l_block', 5),
+                                          ('cube', 3)])
+def test_lines_and_faces_of_rendered_objects_come_out_right(shape, faces, tmp_path):
+    recording = _translated(shape, background=False, distortion=(-0.1, 0.02, 0, 0))
+    write_image_folder(recording, tmp_path / 'images')
+    with open_source(tmp_path / 'images') as source:
+        made = model_recording(source, ModelRequest(
+            recording.camera, baseline_m=float(np.linalg.norm(MOVED))))
+    model, pose, truth = made.acquired.model, recording.cam_from_world[0], recording.model
+    X = model.vertices @ made.acquired.rotation.T + made.acquired.translation
+    apart = np.linalg.norm(X[:, None] - truth.vertices @ pose[:, :3].T - pose[:, 3], axis=2)
+    nearest = apart.argmin(axis=1)
+    # one vertex for one, within a hundredth of the size of the object
+    assert len(set(nearest)) == len(nearest)
+    assert apart.min(axis=1).max() < 0.01 * np.linalg.norm(np.ptp(truth.vertices, axis=0))
+    assert {frozenset(map(int, nearest[list(line)])) for line in model.lines} \
+        == _wholly_visible(truth, pose)
+    known = {frozenset(face.indices) for face in truth.faces}
+    found = [frozenset(map(int, nearest[list(face.indices)])) for face in model.faces]
+    assert len(set(found)) == len(found) == faces and set(found) <= known
+    assert f'{len(model.lines)} lines and {faces} faces' in made.text()
+
+
+def test_a_known_length_fixes_the_scale_and_the_pose_starts_the_tracker(tmp_path):
+    recording = _translated('l_block', background=False)
+    write_image_folder(recording, tmp_path / 'images')
+    with open_source(tmp_path / 'images') as source:
+        request = ModelRequest(recording.camera, length_m=0.1, name='L')
+        made = model_recording(source, request, images=(1, 0))
+    edges = made.acquired.model.edges()
+    assert abs(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).max() - 0.1) < 1e-9
+    assert abs(np.linalg.norm(made.acquired.structure.moved)
+               - np.linalg.norm(MOVED)) < 0.01 * np.linalg.norm(MOVED)
+    (tmp_path / 'start.pos').write_text(made.start)
+    path = write_model(made.acquired.model, tmp_path / 'L.cao')
+    tracker = RorapidTracker(read_model(path), recording.camera)
+    tracker.start(*read_pose_file(tmp_path / 'start.pos'))
+    image = [image for image, _ in recording.frames()][1]
+    tracked = tracker.track(image)
+    assert tracked and tracked.share_found > 0.9 and tracked.rms_px < 0.5
+
+
+def test_the_spread_within_the_object_is_what_the_covariance_says():
+    camera, rng, sigma = default_camera(), np.random.default_rng(2), 0.2
+    pose = look_at([0.25, -0.3, 0.26], [0, 0, 0])
+    X = SHAPES['box']().model.vertices @ pose[:, :3].T + pose[:, 3]
+    views = camera.project(X), camera.project(X + MOVED)
+    for fact in ({'baseline_m': float(np.linalg.norm(MOVED))},
+                 {'known_length': (0, 7, float(np.linalg.norm(X[7] - X[0])))}):
+        squares = []
+        for _ in range(200):
+            found = points_from_translation(*(view + rng.normal(0, sigma, view.shape)
+                                              for view in views), camera, sigma_px=sigma, **fact)
+            squares.append(((_onto(found.points, X) - X)**2).sum(axis=1))
+        stated = np.trace(found.shape_covariances, axis1=1, axis2=2)
+        # of 200 runs a mean square is known to some 10 %
+        assert np.abs(np.mean(squares, axis=0) / stated - 1).max() < 0.35
+
+
+def _onto(points, others):
+    """Turn and shift points (N, 3) onto others."""
+    a, b = points - points.mean(axis=0), others - others.mean(axis=0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    return a @ R.T + others.mean(axis=0)
+
+
+def test_a_marking_on_a_face_is_no_face():
+    square = np.array([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], float)
+    vertices = np.concatenate([square, 0.25 * square + [1, 1, 0], 0.25 * square + [9, 9, 0]])
+    pairs = [(4 * loop + k, 4 * loop + (k + 1) % 4) for loop in range(3) for k in range(4)]
+    assert {frozenset(loop) for loop in plane_loops(vertices, pairs)} == {
+        frozenset(range(4)), frozenset(range(8, 12))}
+
+
+def test_what_is_written_as_cao_is_read_again(tmp_path):
+    for shape, make in SHAPES.items():
+        model = make().model
+        again = read_model(write_model(model, tmp_path / f'{shape}.cao'))
+        assert {frozenset(map(int, line)) for line in again.lines} == {
+            frozenset(map(int, line)) for line in model.lines}
+        assert [face.indices for face in again.faces] == [face.indices for face in model.faces]
+        np.testing.assert_allclose(again.vertices[:len(model.vertices)], model.vertices,
+                                   atol=1e-9)
+        for one, other in zip(again.conics, model.conics, strict=True):
+            np.testing.assert_allclose(one.centre, other.centre, atol=1e-9)
+            np.testing.assert_allclose(np.linalg.norm(one.axis_u), np.linalg.norm(other.axis_u),
+                                       rtol=1e-6)
+        assert [c.radius_m for c in again.cylinders] == [c.radius_m for c in model.cylinders]
+    ellipse = replace(SHAPES['cube']().model.conics[0], axis_u=np.array([0.01, 0, 0]),
+                      axis_v=np.array([0, 0.02, 0]))
+    flat = replace(SHAPES['cube']().model, conics=(ellipse,))
+    with pytest.raises(InputError, match='circles'):
+        write_model(flat, tmp_path / 'flat.cao')
+
+
+def test_a_drawing_has_all_parts(tmp_path):
+    model = SHAPES['spool']().model
+    rows = write_model(model, tmp_path / 'spool.obj').read_text().splitlines()
+    points = sum(row.startswith('v ') for row in rows)
+    assert points == len(model.vertices) + 64 * len(model.conics) + 2 * len(model.cylinders)
+    assert sum(row.startswith('f ') for row in rows) == len(model.faces)
+    indices = [int(word) for row in rows if row[0] in 'fl' for word in row.split()[1:]]
+    assert min(indices) == 1 and max(indices) == points
+
+
+@pytest.mark.parametrize('text, says', [
+    ('3', '"vertices:"'), ('vertices: {a: [1, 2, 3]}\nlines: []', 'vertex a must be 4 numbers'),
+    ('vertices: {a: [1, 2, 3, .nan]}\nlines: []', 'vertex a'),
+    ('vertices: {a: [1, 2, 3, 4]}', 'name lines or faces'),
+    ('vertices: {a: [1, 2, 3, 4]}\nlines: [[a, b]]', "names the vertex 'b'"),
+    ('vertices: {a: [1, 2, 3, 4]}\nlines: [[a, a]]', 'twice'),
+    ('vertices: {a: [1, 2, 3, 4]}\nfaces: [[a, a]]', 'face 0 must be'),
+    ('vertices: {a: [1, 2, 3, 4]}\ncolour: red', 'colour'),
+    ('vertices: {a: [1, 2, 3, 4]', 'no YAML'), ('a: !!python/object:os.system x', 'no YAML')])
+def test_what_is_wrong_with_picked_vertices_is_one_sentence(tmp_path, text, says):
+    path = tmp_path / 'picked.yaml'
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_picked(path)
+    assert says in str(error.value) and '\n' not in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_the_scale_is_stated_once():
+    camera = default_camera()
+    for wrong in ({}, {'length_m': 1.0, 'baseline_m': 1.0}, {'length_m': -1.0},
+                  {'baseline_m': 1.0, 'between': ('a', 'b')},
+                  {'length_m': 1.0, 'region': (5, 5, 1, 1)}):
+        with pytest.raises(ArgumentError):
+            ModelRequest(camera, **wrong)
+
+
+@pytest.mark.skipif(not CUBE.is_dir(), reason=f'needs the image sequence {CUBE}')
+def test_two_images_of_a_real_cube_make_a_model_that_tracks_it(tmp_path):
+    camera = Camera(json.loads((CUBE / 'gt.json').read_text())['K'], width=640, height=480)
+    true = read_model(CUBE / 'cube.cao')
+    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+              for path in sorted((CUBE / 'images').glob('*.jpg'))]
+    reference = _tracked(true, camera, images, *read_pose_file(CUBE / 'cube.0.pos'))
+    picked = tmp_path / 'picked.yaml'
+    picked.write_text(PICKED)
+    with open_source(CUBE / 'images') as source:
+        made = model_recording(source, ModelRequest(
+            camera, length_m=0.084, between=('left', 'front'), picked=read_picked(picked)),
+            images=(48, 102))
+        automatic = model_recording(source, ModelRequest(
+            camera, length_m=0.084, region=(310, 170, 455, 330)), images=(48, 102))
+    # its pictures hide its edges among others: that must be said, not a poor model be made
+    assert isinstance(automatic, NoEstimate) and 'by hand' in automatic.reason
+    model = made.acquired.model
+    edges = model.edges()
+    assert np.abs(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) - 0.084).max() < 0.008
+    followed = _tracked(model, camera, images[48:], made.acquired.rotation,
+                        made.acquired.translation)
+    corners = camera.project(_seen(true, reference[48]))
+    own = [np.linalg.norm(corners - xy, axis=1).argmin() for xy in camera.project(
+        _seen(model, (made.acquired.rotation, made.acquired.translation)))]
+    apart = np.array([np.linalg.norm(camera.project(_seen(model, here))
+                                     - camera.project(_seen(true, there))[own], axis=1).mean()
+                      for here, there in zip(followed, reference[48:], strict=True)])
+    assert np.median(apart) < 1.2 and apart.max() < 2
+
+
+def _tracked(model, camera, images, rotation, translation):
+    tracker = RorapidTracker(model, camera)
+    tracker.start(rotation, translation)
+    poses = []
+    for image in images:
+        tracked = tracker.track(image)
+        assert tracked
+        poses.append((tracked.rotation, tracked.translation))
+    return poses
+
+
+def _seen(model, pose):
+    return model.vertices @ pose[0].T + pose[1]
