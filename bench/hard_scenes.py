@@ -26,11 +26,14 @@ from itertools import product
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
-                                                  priors_from_facts)
+from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
-from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES, NOISE_PX
 
 from bench.fisher import cramer_rao_bound
@@ -80,18 +83,15 @@ def _general_bound(sequence, noise_px) -> np.ndarray:
     first = sequence.cam_from_world[0]
     R = sequence.cam_from_world[:, :, :3] @ first[:, :3].T
     t = sequence.cam_from_world[:, :, 3] - np.einsum('vij,j->vi', R, first[:, 3])
-    twist, swing = swing_twist(R)
-    views = np.column_stack([twist, t[:, :2], swing, t[:, 2]])
+    path = AxisPath.of_poses(np.eye(3), np.concatenate([R, t[:, :, None]], axis=2))
     local = sequence.points[ids] @ first[:, :3].T + first[:, 3]
     points = np.column_stack([local, np.ones(len(local))])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    f, fy, *rest = sequence.camera.parameters
-    state = BundleState(np.array([f, fy / f, *rest]), np.eye(3), views, points)
+    state = SceneState(Lens.of(sequence.camera), path, points)
     facts = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
-    bundle = Bundle(kept.frame[order], point[order], kept.xy[order],
-                    motion=MotionModel(np.inf, np.inf), priors=priors_from_facts(facts),
-                    sigma_px=noise_px)
-    covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
+    bundle = Bundle(SceneModel(GENERAL), kept.frame[order], point[order], kept.xy[order],
+                    priors=priors_from_facts(facts), sigma_px=noise_px)
+    covariance = to_parameters(bundle.covariance(state), state.lens)
     return np.sqrt(np.diag(covariance))[[0, 2, 3]]
 
 

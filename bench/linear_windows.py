@@ -27,8 +27,8 @@ from bench.monitored_drive import (ideal_places, MeasuredDrive, measurement_erro
                                    window_of)
 import numpy as np
 from scipy.stats import chi2
-from selfcal_ros.calibration.bundle.information import (Evidence, huber_factors, HUBER_SIGMAS,
-                                                        inverse_information)
+from selfcal_ros.calibration.bundle.information import huber_factors, HUBER_SIGMAS, Information
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens
 from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS
 from selfcal_ros.calibration.monitoring.camera_change import CHANGES
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
@@ -52,12 +52,12 @@ class LinearWindow:
     drive : MeasuredDrive
     frames : list of tuple
         Of every keyframe: index, points seen, identities of their tracks, view.
-    free : ndarray of int, shape (k,)
+    free : tuple of str
         Of the monitor.
 
     """
 
-    def __init__(self, drive: MeasuredDrive, frames, free: np.ndarray):
+    def __init__(self, drive: MeasuredDrive, frames, free: tuple[str, ...]):
         rng = np.random.default_rng(0)
         places = ideal_places(drive)
         faint = [(index, identity, drive.camera.pixels(places[view, at])
@@ -78,14 +78,14 @@ class LinearWindow:
         self.row = np.array([row[int(one)] for one in observations.track])[observations.point]
         held = bundle.with_sigma(1.0)
         self._held = held.normal_equations(state, robust=False)
-        self._inverse = inverse_information(self._held.matrix, held.unknowns())
+        self._inverse = held.inverse(self._held)
         self._freedom = held.degrees_of_freedom
         self._measured = 2 * len(self.view) - 3 * len(state.points)
         camera_free = without_camera(held, free)
         self._system = camera_free.normal_equations(state, robust=False)
-        inverse = inverse_information(self._system.matrix, camera_free.unknowns())
-        self._rows = inverse[free]
-        self._covariance = inverse[np.ix_(free, free)]
+        inverse, places = camera_free.inverse(self._system), intrinsic_places(free)
+        self._rows = inverse[places]
+        self._covariance = inverse[np.ix_(places, places)]
 
     def score(self, error: np.ndarray, lost: np.ndarray):
         """
@@ -123,9 +123,9 @@ class LinearWindow:
         covariance = self._covariance * sigma**2 * factor / mean
         information = np.linalg.inv(covariance)
         every = np.arange(len(self.free))
-        evidence = Evidence(covariance, influence, share, self._freedom / self._measured)
+        told = Information(covariance, influence, share, self._freedom / self._measured)
         return influence.sum(axis=0), information, shared_within_tracks(
-            evidence, self.track, every, information)
+            told, self.track, every, information)
 
     def _sigma(self, residual) -> float:
         return float(np.sqrt(np.sum(residual**2) / self._freedom))
@@ -164,12 +164,12 @@ class EndlessDrive:
     drive : MeasuredDrive
     keyframes : int
         In a window; successive ones share one.
-    free : ndarray of int, shape (k,)
+    free : tuple of str
         Of the monitor.
 
     """
 
-    def __init__(self, drive: MeasuredDrive, keyframes: int, free: np.ndarray):
+    def __init__(self, drive: MeasuredDrive, keyframes: int, free: tuple[str, ...]):
         self.drive, self.keyframes, self.free = drive, keyframes, free
         self._period = 2 * len(drive.poses) - 2
         self._windows: dict[int, LinearWindow] = {}
@@ -215,8 +215,7 @@ def linear_hours(drive: MeasuredDrive, hours: float, period_s: float, seed: int)
     """
     rng = np.random.default_rng([seed, 97])
     monitor = ChangeMonitor(recalibrated(drive, rng))
-    fx, fy, *rest = drive.camera.parameters
-    true, at = np.array([fx, fy / fx, *rest])[monitor.free], monitor.in_force
+    true, at = Lens.of(drive.camera).take(monitor.free), monitor.in_force
     step = monitor.settings.keyframes - 1
     endless = EndlessDrive(drive, monitor.settings.keyframes, monitor.free)
     chances, errors = [], []

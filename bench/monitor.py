@@ -26,6 +26,7 @@ from bench.tables import Report
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros import Camera
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
@@ -239,8 +240,7 @@ def unchanged(drive: MeasuredDrive, seed: int):
     """
     rng = np.random.default_rng([seed, 99])
     monitor, frames, scores, chances = ChangeMonitor(recalibrated(drive, rng)), [], [], []
-    fx, fy, *rest = drive.camera.parameters
-    true = np.array([fx, fy / fx, *rest])[monitor.free]
+    true = Lens.of(drive.camera).take(monitor.free)
     for frame in keyframes(drive, rng):
         frames.append(frame)
         if len(frames) == monitor.settings.keyframes:
@@ -258,8 +258,7 @@ def drawn_chances(drive: MeasuredDrive, pieces, seed: int, hours: float = 100) -
     """Chances of all tests of so many hours whose windows are drawn from simulated ones."""
     rng = np.random.default_rng([seed, 98])
     monitor = ChangeMonitor(recalibrated(drive, rng))
-    fx, fy, *rest = drive.camera.parameters
-    true = np.array([fx, fy / fx, *rest])[monitor.free]
+    true = Lens.of(drive.camera).take(monitor.free)
     at = monitor.in_force
     step = monitor.settings.keyframes - 1
     count = int(hours * 3600 / PERIOD_S / step)

@@ -25,8 +25,7 @@ from bench.tables import percent, Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.features.extraction import extract_tracks
-from selfcal_ros.synthetic.recordings import (agv_drive, REALISTIC_DISTORTION,
-                                              write_image_folder)
+from selfcal_ros.synthetic.recordings import agv_drive, REALISTIC_DISTORTION, write_image_folder
 
 VIEWS = 24
 #: Name, distortion of the camera, limits: fx in percent, principal point in pixels, k1.

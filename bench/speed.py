@@ -42,7 +42,7 @@ EVIDENCE = ((model_choice, 'dependence_of'), (conclusion, 'dependence_of'),
             (model_choice, 'stretch_excess'), (model_choice, 'follow_valley'),
             (model_choice, 'bend_excess'), (conclusion, 'identify'),
             (conclusion, 'suggest_motions'), (conclusion, 'sample_structure'),
-            (Bundle, 'evidence'), (Bundle, 'covariance'))
+            (Bundle, 'information'), (Bundle, 'covariance'))
 #: Observations a view that the growth is measured at, and the length of a track in views.
 OBSERVATIONS_PER_VIEW, TRACK_LENGTH = 150, 12
 #: Seconds a view may grow by so much from the shorter drives to the longest: a linear method

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
+from selfcal_ros.geometry.lenses import plumb_bob
 
 #: A parameter counts as unobservable when its sigma exceeds these. Focal lengths, as a share of
 #: themselves: beyond 15 % a guess from the lens's data sheet is as good. Principal point, as a
@@ -51,21 +52,22 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
         held['skew'] = f'skew = {facts.skew:g}'
     if facts.principal_point is not None and facts.principal_point_sigma_px == 0:
         held['cx'] = held['cy'] = 'principal point = ({:g}, {:g})'.format(*facts.principal_point)
-    for name in ('k1', 'k2', 'p1', 'p2'):
+    for name in plumb_bob.COEFFICIENTS:
         if name not in DISTORTION_MODELS.get(facts.distortion, ()):
             held[name] = f'distortion = {facts.distortion}'
     return held
 
 
 def observability_limits(camera: Camera) -> np.ndarray:
-    """Sigma beyond which each of `PARAMETER_NAMES` counts as unobservable, shape (9,)."""
+    """Sigma beyond which each of `PARAMETER_NAMES` counts as unobservable, shape (k,)."""
     diagonal = float(np.hypot(camera.width, camera.height))
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     corner = diagonal / 2 / fx
     return np.array([
         FOCAL_SHARE * fx, FOCAL_SHARE * fy, PRINCIPAL_POINT_SHARE * diagonal,
-        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx, DISTORTION_SHARE / corner**2,
-        DISTORTION_SHARE / corner**4, DISTORTION_SHARE / corner, DISTORTION_SHARE / corner])
+        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx,
+        *(DISTORTION_SHARE / corner**plumb_bob.CORNER_POWER[name]
+          for name in plumb_bob.COEFFICIENTS)])
 
 
 def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, str]:
@@ -76,7 +78,7 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts)
     ----------
     camera : Camera
         With its image size.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
     facts : CameraFacts
 
     Returns

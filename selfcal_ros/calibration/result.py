@@ -29,6 +29,7 @@ import numpy as np
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.optimise import Elimination
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
@@ -57,6 +58,33 @@ class FixedPoints:
 
 
 @dataclass(frozen=True)
+class StructurePrecision:
+    """
+    What the sigma of a length or an angle follows from.
+
+    Attributes
+    ----------
+    camera : Camera
+        Of the adjustment.
+    points : ndarray, shape (P, 4)
+        Where it put the points, unit homogeneous coordinates.
+    covariance : ndarray, shape (n, n)
+        Of lens and path, for independent noise; the lens comes first.
+    elimination : Elimination
+        By what the points follow lens and path.
+    noise_factor : float
+        Variance of the noise over that which `elimination` supposes.
+
+    """
+
+    camera: Camera
+    points: np.ndarray
+    covariance: np.ndarray
+    elimination: Elimination
+    noise_factor: float
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """
     Camera path and structure, up to scale, in a world frame whose z axis is the rotation axis.
@@ -69,9 +97,9 @@ class Reconstruction:
     tracks : ndarray of int, shape (P,)
     points : ndarray, shape (P, 4)
         Homogeneous world points; the last entry may be zero (at infinity).
-    fit : Fit, optional
-        The adjustment that the points come from, in the same order; lengths and angles of the
-        structure get their sigmas from it.
+    precision : StructurePrecision, optional
+        Of the points, in the same order; lengths and angles of the structure get their sigmas
+        from it.
 
     """
 
@@ -79,7 +107,7 @@ class Reconstruction:
     cam_from_world: np.ndarray
     tracks: np.ndarray
     points: np.ndarray
-    fit: object | None = field(default=None, repr=False, compare=False)
+    precision: StructurePrecision | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -176,7 +204,7 @@ class Calibration:
     Attributes
     ----------
     camera : Camera
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
         Of `PARAMETER_NAMES`; zero rows for held parameters.
     status : dict
         Per parameter 'estimated', 'held' or 'unobservable'.
@@ -245,6 +273,11 @@ class Calibration:
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
         return tuple(finding.sentence for finding in self.findings)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of `covariance`."""
+        return PARAMETER_NAMES
 
     @property
     def sigma(self) -> dict:

@@ -21,9 +21,10 @@ import math
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.lenses import plumb_bob
 
 #: Order of the calibration parameters in every covariance, status table and JSON file.
-PARAMETER_NAMES = ('fx', 'fy', 'cx', 'cy', 'skew', 'k1', 'k2', 'p1', 'p2')
+PARAMETER_NAMES = ('fx', 'fy', 'cx', 'cy', 'skew', *plumb_bob.COEFFICIENTS)
 
 #: Distortion coefficients that each model leaves free, from the simplest to the richest.
 DISTORTION_MODELS = {
@@ -98,24 +99,23 @@ class Camera:
 
     @classmethod
     def from_parameters(cls, values, width: int = 0, height: int = 0) -> Camera:
-        """Build a camera from the nine values of `PARAMETER_NAMES`."""
-        fx, fy, cx, cy, skew, k1, k2, p1, p2 = np.asarray(values, dtype=float).ravel()
-        return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], [k1, k2, p1, p2], width, height)
+        """Build a camera from the values of `PARAMETER_NAMES`."""
+        fx, fy, cx, cy, skew, *coefficients = np.asarray(values, dtype=float).ravel()
+        return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]],
+                   plumb_bob.as_opencv(coefficients), width, height)
 
     @property
     def parameters(self) -> np.ndarray:
-        """The nine values of `PARAMETER_NAMES`, shape (9,)."""
+        """The values of `PARAMETER_NAMES`, shape (n,)."""
         K = self.K
-        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1], *self.distortion[:4]])
+        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1],
+                         *(self.distortion[plumb_bob.OPENCV_PLACE[name]]
+                           for name in plumb_bob.COEFFICIENTS)])
 
     def distort(self, xy: np.ndarray) -> np.ndarray:
         """Distort normalised image points (..., 2)."""
-        k1, k2, p1, p2, k3 = self.distortion
         x, y = np.moveaxis(np.asarray(xy, float), -1, 0)
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1)
+        return np.stack(plumb_bob.distort(self.distortion, x, y), axis=-1)
 
     def undistort(self, xy: np.ndarray, iterations: int = 20) -> np.ndarray:
         """
@@ -129,35 +129,21 @@ class Camera:
         point = target.copy()
         for _ in range(iterations):
             residual = self.distort(point) - target
-            jacobian = self._distortion_jacobian(point)
-            (a, b), (c, d) = np.moveaxis(jacobian, (-2, -1), (0, 1))
-            determinant = a * d - b * c
+            a, b, d = plumb_bob.by_point(self.distortion, *np.moveaxis(point, -1, 0))
+            determinant = a * d - b * b
             with np.errstate(divide='ignore', invalid='ignore'):
                 step = np.stack([d * residual[..., 0] - b * residual[..., 1],
-                                 a * residual[..., 1] - c * residual[..., 0]],
+                                 a * residual[..., 1] - b * residual[..., 0]],
                                 axis=-1) / determinant[..., None]
             point = point - step
             if not np.nanmax(np.abs(step), initial=0.0) > 1e-13:
                 break
         bad = ~(np.abs(self.distort(point) - target).max(axis=-1) < 1e-9)
         # beyond the fold the polynomial has another root, on the wrong branch
-        (a, b), (c, d) = np.moveaxis(self._distortion_jacobian(point), (-2, -1), (0, 1))
-        bad |= ~((a * d - b * c > 0) & (a + d > 0))
+        a, b, d = plumb_bob.by_point(self.distortion, *np.moveaxis(point, -1, 0))
+        bad |= ~((a * d - b * b > 0) & (a + d > 0))
         point[bad] = np.nan
         return point
-
-    def _distortion_jacobian(self, xy: np.ndarray) -> np.ndarray:
-        """Derivative of `distort`, shape (..., 2, 2)."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = np.moveaxis(xy, -1, 0)
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
-        cross = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        return np.stack([
-            np.stack([radial + slope * x * x + 2 * p1 * y + 6 * p2 * x, cross], axis=-1),
-            np.stack([cross, radial + slope * y * y + 6 * p1 * y + 2 * p2 * x], axis=-1),
-        ], axis=-2)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points (..., 3) of the optical frame to pixels (..., 2)."""

@@ -15,8 +15,9 @@
 Least squares over many points: Schur complement, robust loss, what is held.
 
 The unknowns are a few that every observation shares (g: calibration, axis), a few for each
-view (v), and three for each point (p). Points are eliminated first; the system that remains has
-the size of g + views · v.
+view (v), and a few for each point (p). Points are eliminated first; the system that remains has
+the size of g + views · v. Where the points are known it is the views' poses that are eliminated:
+then a "point" is a view, and v is zero.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class PointBlocks:
         ----------
         jac_shared : ndarray, shape (N, m, g)
         jac_view : ndarray, shape (N, m, v)
-        jac_point : ndarray, shape (N, m, 3)
+        jac_point : ndarray, shape (N, m, p)
         residual : ndarray, shape (N, m)
         damping : float
             Levenberg-Marquardt factor on the diagonal of the point blocks. The diagonal of the
@@ -93,11 +94,14 @@ class PointBlocks:
         ReducedSystem
 
         """
-        g, v = jac_shared.shape[2], jac_view.shape[2]
+        g, v, p = jac_shared.shape[2], jac_view.shape[2], jac_point.shape[2]
         size = g + self.view_count * v
-        full = np.concatenate([jac_shared, jac_view], axis=2)
+        full = np.concatenate([jac_shared, jac_view], axis=2) if v else jac_shared
         matrix = np.zeros((size, size))
-        for k in range(self.view_count):
+        if not v:
+            J = full.reshape(-1, g)
+            matrix += J.T @ J
+        for k in range(self.view_count if v else 0):
             rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
             if not len(rows):
                 continue
@@ -115,16 +119,17 @@ class PointBlocks:
         scale = np.einsum('pii->pi', H)
         # a floor keeps points without parallax invertible
         H = H + np.einsum('pi,ij->pij', scale * damping + 1e-12 * scale.sum(1, keepdims=True)
-                          + 1e-300, np.eye(3))
+                          + 1e-300, np.eye(p))
         inverse_root = np.linalg.inv(np.linalg.cholesky(H))   # L⁻¹, H⁻¹ = L⁻ᵀ L⁻¹
-        cross = jpt @ full                                    # (N, 3, g + v)
+        cross = jpt @ full                                    # (N, p, g + v)
         shared = self.sum_over_points(cross[..., :g])
         factors = []
         for members, rows, slot, column, low, high in self._groups:
-            W = np.zeros((len(members), 3, g + (high - low) * v))
+            W = np.zeros((len(members), p, g + (high - low) * v))
             W[..., :g] = shared[members]
-            window = W[..., g:].reshape(len(members), 3, high - low, v)
-            window[slot, :, column] = cross[rows][..., g:]
+            if v:
+                window = W[..., g:].reshape(len(members), p, high - low, v)
+                window[slot, :, column] = cross[rows][..., g:]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
             own = slice(g + low * v, g + high * v)
@@ -139,6 +144,52 @@ class PointBlocks:
         return system
 
 
+@dataclass(frozen=True)
+class Elimination:
+    """
+    By what the eliminated points follow the rest: all that their covariance needs.
+
+    Attributes
+    ----------
+    inverse_root : ndarray, shape (P, p, p)
+        Inverse Cholesky factors of the points' blocks.
+    factors : list of (ndarray, ndarray, ndarray)
+        Groups of points: which, the coupling divided by the root of their blocks, and the
+        independent unknowns of the rest that it concerns.
+    size : int
+        k, independent unknowns of the rest.
+
+    """
+
+    inverse_root: np.ndarray
+    factors: list
+    size: int
+
+    def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
+        """
+        Express a linear form of the points' steps by those of the rest.
+
+        Parameters
+        ----------
+        form : ndarray, shape (P, p)
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Its coefficients by the rest, where the points follow.
+        float
+            Its variance with the rest held.
+
+        """
+        half = np.einsum('pij,pj->pi', self.inverse_root, form)
+        carried = np.zeros(self.size)
+        for members, M, columns in self.factors:
+            # most forms are of a few points
+            if half[members].any():
+                carried[columns] -= M.T @ half[members].ravel()
+        return carried, float(np.sum(half**2))
+
+
 @dataclass
 class ReducedSystem:
     """
@@ -150,9 +201,9 @@ class ReducedSystem:
     diagonal : ndarray, shape (n,)
         Diagonal before the elimination, which scales the damping.
     residual : ndarray, shape (N, m)
-    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, 3)
+    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, p)
     gradient : ndarray, shape (n,)
-    half_b : ndarray, shape (P, 3)
+    half_b : ndarray, shape (P, p)
         The points' share of the right-hand side, divided by the root of their blocks.
 
     """
@@ -180,14 +231,15 @@ class ReducedSystem:
         Returns
         -------
         gradient : ndarray, shape (n,)
-        half_b : ndarray, shape (P, 3)
+        half_b : ndarray, shape (P, p)
 
         """
         g = self._shared
         rest = np.einsum('nmk,nm->nk', self.jac_rest, residual)
         gradient = np.empty(len(self.matrix))
         gradient[:g] = rest[:, :g].sum(axis=0)
-        gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
+        if len(gradient) > g:
+            gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
         b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
         half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
         for members, M, own in self._factors:
@@ -197,11 +249,11 @@ class ReducedSystem:
         return gradient, half_b
 
     def point_steps(self, step: np.ndarray, half_b: np.ndarray | None = None) -> np.ndarray:
-        """Back-substitute: steps (P, 3) of the points for a step (n,) of the rest."""
+        """Back-substitute: steps (P, p) of the points for a step (n,) of the rest."""
         half = np.array(self.half_b if half_b is None else half_b)
         for members, M, own in self._factors:
             local = np.concatenate([step[:self._shared], step[own]])
-            half[members] += (M @ local).reshape(-1, 3)
+            half[members] += (M @ local).reshape(len(members), -1)
         return -np.einsum('pji,pj->pi', self._inverse_root, half)
 
     def influence(self, rows: np.ndarray) -> np.ndarray:
@@ -221,52 +273,50 @@ class ReducedSystem:
         """
         g = self._shared
         rest = np.einsum('nmk,nm->nk', self.jac_rest, self.residual)
-        by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1).transpose(1, 2, 0)
         effect = rest[:, :g] @ rows[:, :g].T
-        effect += np.einsum('nv,nvk->nk', rest[:, g:], by_view[self.blocks.view])
-        through_points = np.empty((self.blocks.point_count, 3, len(rows)))
+        if rest.shape[1] > g:
+            by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1)
+            effect += np.einsum('nv,nvk->nk', rest[:, g:],
+                                by_view.transpose(1, 2, 0)[self.blocks.view])
+        through_points = np.empty((*self.half_b.shape, len(rows)))
         for members, M, own in self._factors:
             local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
-            through_points[members] = (M @ local.T).reshape(len(members), 3, -1)
+            through_points[members] = (M @ local.T).reshape(len(members), -1, len(rows))
         own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
         half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
         effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
         return -effect
 
-    def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
+    def elimination(self, selection: csr_array) -> Elimination:
         """
-        Express a linear form of the points' steps by those of the rest.
+        Tell by what the points follow the independent unknowns of the rest.
 
         Parameters
         ----------
-        form : ndarray, shape (P, 3)
+        selection : csr_array, shape (n, k)
+            Of `unknowns_of`.
 
         Returns
         -------
-        ndarray, shape (n,)
-            Its coefficients by the rest, where the points follow.
-        float
-            Its variance with the rest held.
+        Elimination
 
         """
-        half = np.einsum('pij,pj->pi', self._inverse_root, form)
-        carried = np.zeros(len(self.matrix))
+        factors, g = [], self._shared
         for members, M, own in self._factors:
-            # most forms are of a few points
-            if not half[members].any():
-                continue
-            part = M.T @ half[members].ravel()
-            carried[:self._shared] -= part[:self._shared]
-            carried[own] -= part[self._shared:]
-        return carried, float(np.sum(half**2))
+            rows = selection[np.r_[:g, own.start:own.stop]]
+            columns = np.unique(rows.indices)
+            factors.append((members, M @ rows[:, columns], columns))
+        return Elimination(self._inverse_root, factors, selection.shape[1])
 
     def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
         """Change J · step of the residuals (N, m) to first order."""
         g = self._shared
-        per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
-        return (self.jac_rest[:, :, :g] @ step[:g]
-                + np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
-                + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
+        change = (self.jac_rest[:, :, :g] @ step[:g]
+                  + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
+        if len(step) > g:
+            per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
+            change += np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
+        return change
 
 
 def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:

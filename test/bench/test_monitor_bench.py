@@ -22,6 +22,7 @@ from bench.monitored_drive import keyframes, MeasuredDrive, window_of
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score
 from selfcal_ros.synthetic.special_scenes import drive
@@ -105,14 +106,13 @@ def test_no_event_in_three_hundred_hours_bounds_the_rate_by_one_in_a_hundred():
 def test_windows_to_first_order_err_as_whole_ones_do(measured):
     """The same errors, adjusted wholly and to first order."""
     monitor = ChangeMonitor(measured.calibration)
-    true = measured.camera.parameters
-    true[1] /= true[0]
+    true = Lens.of(measured.camera).take(monitor.free)
     whole = []
     frames = list(islice(keyframes(measured, np.random.default_rng(1)), 97))
     for first in range(0, 96, 8):
         score = window_score(window_of(frames[first:first + 9], (640, 480)), measured.camera,
                              monitor.free, np.random.default_rng(0))
-        whole.append(score.at + score.step - true[monitor.free])
+        whole.append(score.at + score.step - true)
     endless = EndlessDrive(measured, 9, monitor.free)
     linear = [score[0] for _, score in endless.scores(np.random.default_rng(1), len(whole))]
 

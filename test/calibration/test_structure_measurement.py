@@ -21,12 +21,15 @@ import pytest
 
 from selfcal_ros import (calibrate, CameraFacts, length_ratio, Measured, NotCalibrated,
                          structure_angle)
+from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, to_intrinsics, to_parameters
+from selfcal_ros.calibration.bundle.motion import PLANAR
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import all_fixed, priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit, Observations
-from selfcal_ros.calibration.bundle.state import (BundleState, intrinsic_covariance, MotionModel,
-                                                  parameter_covariance, Prior, priors_from_facts)
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.calibration.structure.structure_measurement import (corner_angle, distance_ratio,
-                                                                     regression)
+                                                                     precision_of, regression)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.result_json import result_to_dict
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -99,7 +102,7 @@ def test_impossible_lengths_are_refused_in_a_sentence(result, first, second):
 
 def test_without_an_adjusted_structure_nothing_is_measured(result):
     for one in (NotCalibrated('nothing moves.'), replace(result, reconstruction=None),
-                replace(result, reconstruction=replace(result.reconstruction, fit=None))):
+                replace(result, reconstruction=replace(result.reconstruction, precision=None))):
         with pytest.raises(ArgumentError, match='no adjusted structure'):
             length_ratio(one, (0, 1), (2, 3))
         with pytest.raises(ArgumentError, match='no adjusted structure'):
@@ -123,28 +126,29 @@ def test_the_covariance_is_that_of_the_public_parameters():
     """The sigma of fy is pixels; taken for that of the aspect ratio it would swamp everything."""
     fit = _fit(sequence_si(np.random.default_rng(5), 0.3, views=5),
                CameraFacts(distortion='none'))
-    public = parameter_covariance(fit.covariance, fit.state.intrinsics)
+    public, shape = to_parameters(fit.covariance, fit.state.lens), precision_of(fit)
     ends = (0, 30), (12, 45)
 
     assert public[1, 1] > 1e3 * fit.covariance[1, 1]
-    np.testing.assert_allclose(intrinsic_covariance(public, fit.state.intrinsics),
-                               fit.covariance[:9, :9], atol=1e-12)
-    assert distance_ratio(fit, *ends, covariance=public).sigma == pytest.approx(
-        distance_ratio(fit, *ends).sigma, rel=1e-6)
+    np.testing.assert_allclose(to_intrinsics(public, fit.state.lens), fit.lens_covariance,
+                               atol=1e-12)
+    assert distance_ratio(shape, *ends, covariance=public).sigma == pytest.approx(
+        distance_ratio(shape, *ends).sigma, rel=1e-6)
 
 
 def test_a_camera_known_exactly_leaves_what_holding_it_leaves():
     """All nine parameters free, of which some are known to 1e-5 and others to pixels."""
     fit = _fit(sequence_si(np.random.default_rng(5), 0.3, views=5),
                CameraFacts(distortion='plumb_bob'))
-    held = fit.bundle.with_priors({k: Prior(v, 0.0) for k, v in enumerate(fit.state.intrinsics)})
-    factor = fit.bundle.loss_factors(fit.line.residual)[0] / held.loss_factors(
-        fit.line.residual)[0]
+    held = fit.bundle.with_priors(all_fixed(fit.state.lens))
+    factor = fit.bundle.loss_factors(fit.linearisation)[0] / held.loss_factors(
+        fit.linearisation)[0]
     ends = (0, 30), (12, 45)
 
-    alone = distance_ratio(replace(fit, bundle=held), *ends).sigma * np.sqrt(factor)
-    assert distance_ratio(fit, *ends, covariance=np.zeros((9, 9))).sigma == pytest.approx(
-        alone, rel=1e-3)
+    alone = distance_ratio(precision_of(replace(fit, bundle=held)), *ends)
+    nothing = np.zeros((INTRINSICS, INTRINSICS))
+    assert distance_ratio(precision_of(fit), *ends, covariance=nothing).sigma == pytest.approx(
+        alone.sigma * np.sqrt(factor), rel=1e-3)
 
 
 def test_small_variances_are_no_rounding():
@@ -162,9 +166,11 @@ def test_ratios_of_lengths_scatter_as_stated():
         sequence = sequence_si(np.random.default_rng([seed, 1]), 0.3, views=5)
         fit, true = _fit(sequence, facts), sequence.points
         apart = [np.linalg.norm(true[b] - true[a]) for a, b in ends]
-        found = distance_ratio(fit, *ends)
+        shape = precision_of(fit)
+        found = distance_ratio(shape, *ends)
         spread.append((found.value - apart[0] / apart[1]) / found.sigma)
-        own.append(distance_ratio(fit, *ends, covariance=np.zeros((9, 9))).sigma / found.sigma)
+        nothing = np.zeros((INTRINSICS, INTRINSICS))
+        own.append(distance_ratio(shape, *ends, covariance=nothing).sigma / found.sigma)
 
     # chi-square over 60 runs: the root of its mean is 1 ± 0.09
     assert 0.7 < np.sqrt(np.mean(np.square(spread))) < 1.3
@@ -176,13 +182,14 @@ def test_a_point_at_infinity_has_no_distance():
     fit = _fit(sequence_si(np.random.default_rng(0), 0.1), CameraFacts(1.0, distortion='none'))
     points = fit.state.points.copy()
     points[3] = [1, 0, 0, 0]
-    far = replace(fit, state=replace(fit.state, points=points))
+    near = precision_of(fit)
+    far = replace(near, points=points)
 
     assert np.isnan(distance_ratio(far, (0, 3), (1, 2)).sigma)
     assert np.isnan(corner_angle(far, (0, 3, 1)).value)
     assert isinstance(corner_angle(far, (0, 2, 1)), Measured)
     with pytest.raises(ArgumentError):
-        distance_ratio(fit, (0, 1), (2, 2))
+        distance_ratio(near, (0, 1), (2, 2))
 
 
 def _fit(sequence, facts) -> Fit:
@@ -192,18 +199,14 @@ def _fit(sequence, facts) -> Fit:
     view, point = tracks.frame[order], tracks.track[order]
     poses = sequence.cam_from_world
     mount = poses[0, :, :3]
-    local = np.einsum('ji,vjk->vik', mount, poses)
-    angle = np.arctan2(local[:, 1, 0], local[:, 0, 0])
-    shift = local[:, :, 3] - local[0, :, 3]
-    views = np.column_stack([angle, shift[:, :2], np.zeros((len(poses), 3))])
     # the world of the adjustment starts at the first view
-    R = local[:, :, :3]
-    views[:, 1:3] = (local[:, :, 3] - np.einsum('vij,j->vi', R, local[0, :, 3]))[:, :2]
-    points = np.column_stack([sequence.points + local[0, :, 3], np.ones(len(sequence.points))])
+    start = mount.T @ poses[0, :, 3]
+    shifted = poses.copy()
+    shifted[:, :, 3] -= poses[:, :, :3] @ start
+    points = np.column_stack([sequence.points + start, np.ones(len(sequence.points))])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    f, fy, *rest = sequence.camera.parameters
+    path = AxisPath.of_poses(mount, shifted).flat()
     observations = Observations(view, point, tracks.xy[order], np.arange(len(points)))
-    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 0.3)
-    state = bundle.optimise(BundleState(np.array([f, fy / f, *rest]), mount, views, points),
-                            50, 1e-6)
+    bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 0.3)
+    state = bundle.optimise(SceneState(Lens.of(sequence.camera), path, points), 50, 1e-6)
     return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations, 0)

@@ -12,177 +12,172 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Motion-constrained bundle adjustment: the last refinement and the covariance of every method.
+Bundle adjustment: the last refinement and the covariance of every method.
 
-Levenberg-Marquardt with geodesic acceleration on the unknowns of `state.BundleState`, the points
-eliminated, facts and planarity as measurements, Huber's loss.
+Levenberg-Marquardt with geodesic acceleration on the named unknowns of a product of blocks, one
+block eliminated, facts and what the blocks suppose as measurements, Huber's loss. How a residual
+is weighed stands in `_root_weights`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from selfcal_ros.calibration.bundle.information import (Evidence, huber_factors, HUBER_SIGMAS,
-                                                        inverse_information)
-from selfcal_ros.calibration.bundle.reprojection import Linearisation, linearise
-from selfcal_ros.calibration.bundle.state import (ASPECT, BundleState, F, MotionModel, PER_VIEW,
-                                                  Prior, ROTATION, SHARED)
+from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
+                                                        inverse_information, winsorised_square)
+from selfcal_ros.calibration.bundle.model import Linearisation, Model
+from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor, minimise
-from selfcal_ros.geometry.optimise import (huber_loss, huber_weights, PointBlocks, ReducedSystem,
-                                           unknowns_of)
-from selfcal_ros.geometry.projective import tangent_basis
-from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks, ReducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
+#: A noise below this is rounding, pixels.
+MIN_NOISE_PX = 1e-9
 
 
 class Bundle:
     """
-    Bundle adjustment of a set of observations.
+    Adjustment of a set of observations.
 
     Parameters
     ----------
-    view, point : ndarray of int, shape (N,)
-        Indices from zero, sorted by point, then view.
+    model : Model
+        The product of blocks that predicts them.
+    view, part : ndarray of int, shape (N,)
+        View of each observation, and the part of the eliminated block that it belongs to (a
+        point, or the view again); indices from zero, sorted by part, then view.
     xy : ndarray, shape (N, 2)
         Pixels.
-    motion : MotionModel
-    priors : dict of int to Prior
-        Of the internal parameters; those with sigma 0 are held.
+    priors : dict of str to Prior
+        Facts about unknowns of the lens; those with sigma 0 are fixed.
     sigma_px : float
         Standard deviation of an image coordinate that the priors and the loss are weighed by.
 
     """
 
-    def __init__(self, view, point, xy, *, motion: MotionModel, priors: dict[int, Prior],
-                 sigma_px: float):
-        self.blocks = PointBlocks(point, view)
-        self.view, self.point, self.xy = view, point, xy
-        self.motion, self.priors, self.sigma_px = motion, priors, sigma_px
-        views = self.blocks.view_count
-        free = np.ones(SHARED + PER_VIEW * views, dtype=bool)
-        per_view = free[SHARED:].reshape(views, PER_VIEW)
-        per_view[0, [0, 1, 2, 5]] = False      # the world frame is that of the first view
-        if motion.tilt_sigma_rad == 0:
-            per_view[:, 3:5] = False
-        elif not motion.keeps_plane:
-            # no plane: the world's directions are gauge, too
-            per_view[0, 3:5] = False
-            free[9:SHARED] = False
-        if motion.height_sigma == 0:
-            per_view[:, 5] = False
-        for index, prior in priors.items():
-            free[index] = prior.sigma > 0
-        self.free = free
+    def __init__(self, model: Model, view: np.ndarray, part: np.ndarray, xy: np.ndarray, *,
+                 priors: Priors, sigma_px: float):
+        self.model, self.view, self.part, self.xy = model, view, part, xy
+        self.priors, self.sigma_px = priors, sigma_px
+        self.blocks = PointBlocks(part, view)
+        self.unknowns = _with_facts(model.unknowns(self.blocks.view_count), priors)
 
-    def unknowns(self) -> csr_array:
-        """Relate all parameters to the independent ones: parallel views share a rotation."""
-        shared = np.arange(len(self.free))
-        if self.motion.parallel:
-            of_view = shared[SHARED:].reshape(-1, PER_VIEW)
-            of_view[np.ix_(self.motion.parallel, ROTATION)] = of_view[self.motion.parallel[0],
-                                                                      ROTATION]
-        return unknowns_of(self.free, shared)
+    # ------------------------------------------------------------------ the same with a difference
+
+    def with_priors(self, priors: Priors) -> Bundle:
+        """Return the same problem with other facts."""
+        return self._with(priors=priors, unknowns=_with_facts(self.unknowns, priors))
+
+    def with_sigma(self, sigma_px: float) -> Bundle:
+        """Return the same problem with another noise level."""
+        return self._with(sigma_px=sigma_px)
+
+    def _with(self, **changed) -> Bundle:
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, **changed)
+        return other
 
     # ------------------------------------------------------------------ model
 
-    def linearise(self, state: BundleState, jacobians: bool = True) -> Linearisation:
+    def linearise(self, state: Any, jacobians: bool = True) -> Linearisation:
         """Project every observation and differentiate."""
-        return linearise(state, self.blocks, self.xy, self.free, jacobians)
+        return self.model.linearise(state, self.blocks, self.xy, self.unknowns, jacobians)
 
-    def apply(self, state: BundleState, step: np.ndarray, point_steps: np.ndarray) -> BundleState:
-        """Move a state by a step of the unknowns."""
-        points = state.points + np.einsum('pij,pj->pi', tangent_basis(state.points), point_steps)
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
-        return BundleState(
-            state.intrinsics + step[:9],
-            state.mount @ rotation_matrix(np.array([step[9], step[10], 0.0])),
-            state.views + step[SHARED:].reshape(-1, PER_VIEW), points)
+    def moved(self, state: Any, step: np.ndarray, steps: np.ndarray | None = None) -> Any:
+        """Move a state by a step (n,) of what remains, and of what is eliminated (P, p)."""
+        if steps is None:
+            steps = np.zeros((self.blocks.point_count, self.model.eliminated))
+        return self.model.moved(state, step, steps, self.unknowns)
 
-    # ------------------------------------------------------------------ prior terms
+    def residuals(self, state: Any) -> np.ndarray:
+        """Residuals in pixels (N, m); NaN behind the camera."""
+        linearisation = self.linearise(state, jacobians=False)
+        return np.where(linearisation.ahead[:, None], linearisation.residual, np.nan)
 
-    def prior_terms(self, state: BundleState):
+    def prior_terms(self, state: Any) -> tuple[float, np.ndarray, np.ndarray]:
         """
         Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
 
-        The facts and the motion's distance from the plane are measurements like any other.
+        The facts, and the motion's distance from the plane, are measurements like any other.
         """
-        n = len(self.free)
-        gradient, diagonal = np.zeros(n), np.zeros(n)
-        cost = 0.0
-        for index, prior in self.priors.items():
-            if 0 < prior.sigma < np.inf:
-                r = (state.intrinsics[index] - prior.value) / prior.sigma
-                cost += 0.5 * r * r
-                gradient[index] += r / prior.sigma
-                diagonal[index] += 1 / prior.sigma**2
-        scale = state.step_length() if self.motion.height_sigma else 1.0
-        for columns, sigma in (((3, 4), self.motion.tilt_sigma_rad),
-                               ((5,), self.motion.height_sigma * scale)):
-            if not 0 < sigma < np.inf:
-                continue
-            for column in columns:
-                index = SHARED + column + PER_VIEW * np.arange(len(state.views))
-                value = state.views[:, column]
-                cost += 0.5 * float(np.sum((value / sigma)**2))
-                gradient[index] += value / sigma**2
-                diagonal[index] += 1 / sigma**2
+        cost, gradient, diagonal = self.model.prior_terms(state, self.unknowns)
+        for name, prior in self.priors.items():
+            if prior.is_soft:
+                place = self.unknowns.places((name,))
+                deviation = (state.lens[name] - prior.value) / prior.sigma
+                cost += 0.5 * deviation**2
+                gradient[place] += deviation / prior.sigma
+                diagonal[place] += 1 / prior.sigma**2
         return cost, gradient, diagonal
 
-    def gauge(self, state: BundleState) -> np.ndarray:
-        """Return the direction in the unknowns that only scales the world, unit length."""
-        direction = np.zeros(len(self.free))
-        views = direction[SHARED:].reshape(-1, PER_VIEW)
-        views[:, [1, 2, 5]] = state.views[:, [1, 2, 5]]
-        direction[~self.free] = 0
-        return direction / max(float(np.linalg.norm(direction)), 1e-300)
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Measurements less unknowns; the scale of a scene is no unknown."""
+        facts = sum(prior.is_soft for prior in self.priors.values())
+        supposed = self.model.prior_count(self.blocks.view_count)
+        unknowns = self.unknowns.count + self.model.eliminated_freedom * self.blocks.point_count
+        unknowns -= self.model.has_scale_gauge
+        return self.model.dimension * len(self.view) + facts + supposed - unknowns
 
     # ------------------------------------------------------------------ estimation
 
-    def cost(self, state: BundleState) -> float:
+    def cost(self, state: Any) -> float:
         """Robust cost in units of sigma²; infinite where the state is impossible."""
-        if not (np.isfinite(state.intrinsics).all() and state.intrinsics[F] > 0
-                and state.intrinsics[ASPECT] > 0):
+        if not state.lens.is_possible:
             return np.inf
         distance = self._misfits(self.linearise(state, jacobians=False))
         if not np.isfinite(distance).all():
             return np.inf
         return float(huber_loss(distance, HUBER_SIGMAS).sum()) + self.prior_terms(state)[0]
 
-    def _misfits(self, line: Linearisation) -> np.ndarray:
+    def _misfits(self, linearisation: Linearisation) -> np.ndarray:
         """Return the length of every residual (N,) in sigmas."""
-        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
-        return np.where(line.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
+        distance = self._lengths(linearisation) / self.sigma_px
+        return np.where(linearisation.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
-    def normal_equations(self, state: BundleState, damping: float = 0.0, robust: bool = True,
-                         line: Linearisation | None = None) -> ReducedSystem:
-        """Reduced normal equations in units of sigma, priors and scale gauge included."""
-        return self.weighted_equations(state, damping, robust, line)[0]
+    def _lengths(self, linearisation: Linearisation) -> np.ndarray:
+        return np.linalg.norm(linearisation.residual, axis=1)
 
-    def weighted_equations(self, state, damping=0.0, robust=True, line=None):
-        """Return the normal equations, and the roots of the weights (N, 1)."""
-        line = self.linearise(state) if line is None else line
-        distance = np.linalg.norm(line.residual, axis=1) / self.sigma_px
+    def _root_weights(self, linearisation: Linearisation, robust: bool) -> np.ndarray:
+        """Return the root of every observation's weight, (N, 1): Huber's, over the noise."""
+        distance = self._lengths(linearisation) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
-        root = (np.sqrt(weight * line.ahead) / self.sigma_px)[:, None]
-        system = self.blocks.reduce(line.shared * root[..., None], line.view * root[..., None],
-                                    line.point * root[..., None], line.residual * root, damping)
+        return (np.sqrt(weight * linearisation.ahead) / self.sigma_px)[:, None]
+
+    def normal_equations(self, state: Any, damping: float = 0.0, robust: bool = True,
+                         linearisation: Linearisation | None = None) -> ReducedSystem:
+        """Reduced normal equations in units of sigma, priors and scale gauge included."""
+        return self.weighted_equations(state, damping, robust, linearisation)[0]
+
+    def weighted_equations(self, state: Any, damping: float = 0.0, robust: bool = True,
+                           linearisation: Linearisation | None = None,
+                           ) -> tuple[ReducedSystem, np.ndarray]:
+        """Return the normal equations, and the roots of the weights (N, 1)."""
+        if linearisation is None:
+            linearisation = self.linearise(state)
+        root = self._root_weights(linearisation, robust)
+        wide = root[..., None]
+        system = self.blocks.reduce(linearisation.shared * wide, linearisation.view * wide,
+                                    linearisation.eliminated * wide,
+                                    linearisation.residual * root, damping)
         _, gradient, diagonal = self.prior_terms(state)
         system.gradient += gradient
         system.matrix[np.diag_indices_from(system.matrix)] += diagonal
         system.diagonal += diagonal
-        gauge = self.gauge(state)
-        weight = float(np.mean(system.diagonal[SHARED:][self.free[SHARED:]]))
-        system.matrix += weight * np.outer(gauge, gauge)
+        gauge = self.model.gauge(state, self.unknowns)
+        if gauge is not None:
+            path = self.unknowns.path
+            weight = float(np.mean(system.diagonal[path][self.unknowns.free[path]]))
+            system.matrix += weight * np.outer(gauge, gauge)
         return system, root
 
-    def optimise(self, state: BundleState, iterations: int = 50,
-                 tolerance: float = 1e-3) -> BundleState:
+    def optimise(self, state: Any, iterations: int = 50, tolerance: float = 1e-3) -> Any:
         """
         Minimise the robust cost by Levenberg-Marquardt.
 
@@ -199,46 +194,43 @@ class Bundle:
         BundleState
 
         """
-        unknowns = self.unknowns()
-
-        def attempt(state, line, damping):
-            system, root = self.weighted_equations(state, damping, line=line)
-            factor = DampedFactor(system.matrix, system.diagonal, damping, unknowns)
+        def attempt(state, linearisation, damping):
+            system, root = self.weighted_equations(state, damping, linearisation=linearisation)
+            factor = DampedFactor(system.matrix, system.diagonal, damping,
+                                  self.unknowns.selection)
             if not factor.usable:
                 return None, 0.0
-            step, point_steps = curved_step(system, factor, partial(
+            step, steps = curved_step(system, factor, partial(
                 self._weighted_residuals, state, root))
-            return (self.apply(state, step, point_steps),
-                    -0.5 * float(system.gradient @ step))
+            return self.moved(state, step, steps), -0.5 * float(system.gradient @ step)
 
         return minimise(state, self.cost, self.linearise, attempt, iterations, tolerance)
 
-    def _weighted_residuals(self, state, root, step, point_steps):
-        ahead = self.linearise(self.apply(state, step, point_steps), jacobians=False)
-        return root * ahead.residual
+    def _weighted_residuals(self, state, root, step, steps):
+        return root * self.linearise(self.moved(state, step, steps), jacobians=False).residual
 
-    def settle_points(self, state: BundleState, iterations: int = 5) -> BundleState:
+    def refine_points(self, state: Any, iterations: int = 5) -> Any:
         """
-        Minimise the robust cost over the points alone, every point by steps of its own.
+        Minimise the robust cost over the points of a scene alone, each by steps of its own.
 
         Points intersected in closed form may be far off in the image, and a few of them would
         move the cameras in the joint adjustment.
         """
-        def point_costs(line):
-            loss = np.nan_to_num(huber_loss(self._misfits(line), HUBER_SIGMAS), nan=np.inf)
-            return self.blocks.sum_over_points(loss)
+        def point_costs(linearisation):
+            loss = huber_loss(self._misfits(linearisation), HUBER_SIGMAS)
+            return self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
 
         damping = np.full(self.blocks.point_count, 1e-3)
         line = self.linearise(state)
         cost = point_costs(line)
         for _ in range(iterations):
             weight = huber_weights(self._misfits(line), HUBER_SIGMAS) * line.ahead
-            weighted = np.swapaxes(line.point * weight[:, None, None], 1, 2)
-            H = self.blocks.sum_over_points(weighted @ line.point)
+            weighted = np.swapaxes(line.eliminated * weight[:, None, None], 1, 2)
+            H = self.blocks.sum_over_points(weighted @ line.eliminated)
             b = self.blocks.sum_over_points(weighted @ line.residual[..., None])
             ridge = damping * np.einsum('pii->p', H) + 1e-300
             step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b)[..., 0]
-            moved = self.apply(state, np.zeros(len(self.free)), step)
+            moved = self.moved(state, np.zeros(len(self.unknowns)), step)
             new_cost = point_costs(self.linearise(moved, jacobians=False))
             better = new_cost < cost
             damping *= np.where(better, 0.1, 10.0)
@@ -247,94 +239,104 @@ class Bundle:
             line = self.linearise(state)
         return state
 
-    # ------------------------------------------------------------------ evidence
+    # ------------------------------------------------------------------ noise
 
-    def residuals(self, state: BundleState) -> np.ndarray:
-        """Reprojection residuals in pixels (N, 2); NaN behind the camera."""
-        line = self.linearise(state, jacobians=False)
-        return np.where(line.ahead[:, None], line.residual, np.nan)
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Observations less unknowns (the scale of the world is no unknown)."""
-        priors = sum(0 < p.sigma < np.inf for p in self.priors.values())
-        views = self.blocks.view_count
-        priors += 2 * views * (0 < self.motion.tilt_sigma_rad < np.inf)
-        priors += views * (0 < self.motion.height_sigma < np.inf)
-        unknowns = self.unknowns().shape[1] - 1 + 3 * self.blocks.point_count
-        return 2 * len(self.view) + priors - unknowns
-
-    def noise_sigma(self, state: BundleState) -> float:
+    def noise_sigma(self, state: Any) -> float:
         """
         Estimate the standard deviation of an image coordinate while there may be outliers.
 
-        Huber's proposal 2: the winsorised sum of squares, consistent for Gaussian noise.
+        Huber's proposal 2: the winsorised sum of squares, consistent for Gaussian noise. NaN
+        without degrees of freedom.
         """
         distance = np.linalg.norm(self.residuals(state), axis=1)
         distance = distance[np.isfinite(distance)]
-        freedom = self.degrees_of_freedom
+        freedom, dimension = self.degrees_of_freedom, self.model.dimension
         if freedom <= 0 or not len(distance):
             return np.nan
-        # E[min(d, cσ)²] for a two-dimensional Gaussian is 2 σ² (1 - exp(-c² / 2))
-        share = freedom / (2 * len(distance))
-        expected = 2 * (1 - np.exp(-HUBER_SIGMAS**2 / 2))
-        sigma = float(np.sqrt(np.mean(distance**2) / (2 * share)))
+        fraction = freedom / (dimension * len(distance))
+        expected = winsorised_square(dimension)
+        sigma = float(np.sqrt(np.mean(distance**2) / (dimension * fraction)))
         for _ in range(30):
-            # residuals are smaller than the noise by √share
-            limit = HUBER_SIGMAS * sigma * np.sqrt(share)
-            sigma = float(np.sqrt(np.mean(np.minimum(distance, limit)**2) / (expected * share)))
-        return max(sigma, 1e-9)
+            # residuals are smaller than the noise by the root of the fraction
+            limit = HUBER_SIGMAS * sigma * np.sqrt(fraction)
+            sigma = float(np.sqrt(np.mean(np.minimum(distance, limit)**2)
+                                  / (expected * fraction)))
+        return max(sigma, MIN_NOISE_PX)
 
-    def noise_rms(self, state: BundleState) -> float:
+    def noise_rms(self, state: Any) -> float:
         """Estimate the standard deviation of an image coordinate once outliers are gone."""
         square = np.nansum(self.residuals(state)**2)
-        return max(float(np.sqrt(square / max(self.degrees_of_freedom, 1))), 1e-9)
+        return max(float(np.sqrt(square / max(self.degrees_of_freedom, 1))), MIN_NOISE_PX)
 
-    def evidence(self, state: BundleState, line: Linearisation | None = None) -> Evidence:
+    # ------------------------------------------------------------------ information
+
+    def information(self, state: Any, linearisation: Linearisation | None = None) -> Information:
         """
         Covariance at the optimum, and the influence of every observation.
 
         First order. For independent noise of the level `sigma_px` the covariance is the inverse
         of the normal matrix; the Huber loss enters by the ratio of the mean of ψ² to the square
-        of the mean of ψ' (Huber 1981, 7.6). Held unknowns have zero rows. Directions that
+        of the mean of ψ' (Huber 1981, 7.6). Fixed unknowns have zero rows. Directions that
         neither the data nor a fact determine come out very large, not infinite.
         """
-        line = self.linearise(state) if line is None else line
-        system = self.normal_equations(state, line=line)
-        inverse = inverse_information(system.matrix, self.unknowns())
-        factor, pull = self.loss_factors(line.residual[line.ahead])
-        freedom, measured = self.degrees_of_freedom, 2 * len(self.view) - 3 * len(state.points)
-        return Evidence(inverse * factor, system.influence(inverse[:SHARED]) * pull,
-                        max(freedom, 1) / (2 * int(np.count_nonzero(line.ahead))),
-                        max(freedom, 1) / max(measured, 1), system)
+        if linearisation is None:
+            linearisation = self.linearise(state)
+        system = self.normal_equations(state, linearisation=linearisation)
+        inverse = self.inverse(system)
+        factor, pull = self.loss_factors(linearisation)
+        freedom, dimension = max(self.degrees_of_freedom, 1), self.model.dimension
+        seen = dimension * int(np.count_nonzero(linearisation.ahead))
+        tracks = seen
+        if self.model.within_tracks:
+            absorbed = self.model.eliminated_freedom * self.blocks.point_count
+            tracks = max(dimension * len(self.view) - absorbed, 1)
+        influence = system.influence(inverse[self.unknowns.shared]) * pull
+        return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system)
 
-    def covariance(self, state: BundleState) -> np.ndarray:
-        """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
-        line = self.linearise(state)
-        system = self.normal_equations(state, line=line)
-        return (inverse_information(system.matrix, self.unknowns())
-                * self.loss_factors(line.residual[line.ahead])[0])
+    def covariance(self, state: Any) -> np.ndarray:
+        """Covariance of what remains once a block is eliminated, for independent noise, (n, n)."""
+        linearisation = self.linearise(state)
+        system = self.normal_equations(state, linearisation=linearisation)
+        return self.inverse(system) * self.loss_factors(linearisation)[0]
 
-    def loss_factors(self, residual: np.ndarray) -> tuple[float, float]:
-        """Tell what covariance and influences are multiplied by; see `huber_factors`."""
-        distance = np.linalg.norm(residual, axis=1) / self.sigma_px
-        freedom = self.degrees_of_freedom
-        factor, pull = huber_factors(distance, max(freedom, 1) / (2 * len(distance)))
+    def ideal_covariance(self, state: Any) -> np.ndarray:
+        """Covariance (n, n) if the residuals were Gaussian noise of the stated sigma."""
+        return self.inverse(self.normal_equations(state))
+
+    def inverse(self, system: ReducedSystem) -> np.ndarray:
+        """Invert the normal matrix of this adjustment, or of a like one; shape (n, n)."""
+        return inverse_information(system.matrix, self.unknowns.selection, system.diagonal)
+
+    def loss_factors(self, linearisation: Linearisation,
+                     residual: np.ndarray | None = None) -> tuple[float, float]:
+        """
+        Tell what covariance and influences are multiplied by; see `huber_factors`.
+
+        Parameters
+        ----------
+        linearisation : Linearisation
+        residual : ndarray, shape (N, m), optional
+            In place of those of the linearisation.
+
+        Returns
+        -------
+        factor, pull : float
+
+        """
+        residual = linearisation.residual if residual is None else residual
+        distance = np.linalg.norm(residual[linearisation.ahead], axis=1) / self.sigma_px
+        dimension = self.model.dimension
+        freedom = max(self.degrees_of_freedom, 1)
+        factor, pull = huber_factors(distance, freedom / (dimension * len(distance)), dimension)
         # Student's: the noise is estimated too
         freedom = max(freedom, 3)
         return factor * freedom / (freedom - 2), pull
 
-    def with_priors(self, priors: dict[int, Prior]) -> Bundle:
-        """Return the same problem with other facts."""
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__, priors=priors, free=self.free.copy())
-        other.free[:9] = True
-        for index, prior in priors.items():
-            other.free[index] = prior.sigma > 0
-        return other
 
-    def with_sigma(self, sigma_px: float) -> Bundle:
-        """Return the same problem with another noise level."""
-        other = object.__new__(Bundle)
-        other.__dict__.update(self.__dict__, sigma_px=sigma_px)
-        return other
+def _with_facts(unknowns: Unknowns, priors: Priors) -> Unknowns:
+    """Free the unknowns of the lens but those that a fact fixes."""
+    free = unknowns.free.copy()
+    free[unknowns.lens] = True
+    for name, prior in priors.items():
+        free[unknowns.places((name,))] = prior.sigma > 0
+    return replace(unknowns, free=free)

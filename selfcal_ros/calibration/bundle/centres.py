@@ -11,13 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Camera centres of a state, and the points where the rays from them meet."""
+"""Points where the rays from known camera centres meet."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.state import BundleState
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: Rays that meet at less than this angle (radians) say nothing of depth.
@@ -53,11 +52,6 @@ def points_from_centres(blocks: PointBlocks, directions: np.ndarray,
         span = np.linalg.norm(points[blocks.point] - origin, axis=1)
         weight = 1 / np.maximum(span, 1e-3 * np.median(span))**2
     return _homogeneous_points(blocks, directions, centres, points)
-
-
-def centres_from_state(state: BundleState) -> np.ndarray:
-    """Camera centres in the world, shape (V, 3)."""
-    return -np.einsum('vji,vj->vi', state.rotations(), state.views[:, [1, 2, 5]])
 
 
 def _homogeneous_points(blocks, directions, centres, points) -> np.ndarray:

@@ -20,86 +20,108 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
+from scipy.stats import chi2
 
+from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0
-#: Directions with less information than this share of the largest are open: they come out very
-#: large, not infinite.
-OPEN = 1e-13
+#: Directions with less information than this fraction of the largest count as undetermined:
+#: they come out very large, not infinite.
+RANK_TOLERANCE = 1e-13
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Information:
     """
     What an optimum rests on.
 
     Attributes
     ----------
     covariance : ndarray, shape (n, n)
-        Of the shared and per-view unknowns, for independent noise.
-    influence : ndarray, shape (N, 11)
-        Share of every observation in the errors of the shared unknowns.
-    freedom_share : float
+        Of what remains once a block is eliminated, for independent noise; see `Unknowns`.
+    influence : ndarray, shape (N, g)
+        Part of every observation in the errors of the unknowns that all views share.
+    freedom_fraction : float
         Degrees of freedom over the number of measured coordinates.
-    track_share : float
+    track_fraction : float
         The same once the points are accounted for: the influences of a whole track do not
         contain what its point has absorbed.
     system : ReducedSystem, optional
-        The normal equations, by which the points follow.
+        The normal equations, by which the eliminated block follows.
 
     """
 
     covariance: np.ndarray
     influence: np.ndarray
-    freedom_share: float
-    track_share: float
+    freedom_fraction: float
+    track_fraction: float
     system: ReducedSystem | None = field(default=None, repr=False)
 
+    @property
+    def lens_covariance(self) -> np.ndarray:
+        """Covariance of `INTRINSIC_NAMES`, shape (k, k)."""
+        return self.covariance[:INTRINSICS, :INTRINSICS]
 
-def inverse_information(matrix: np.ndarray, unknowns: csr_array) -> np.ndarray:
+    @property
+    def lens_influence(self) -> np.ndarray:
+        """Part of every observation in the errors of `INTRINSIC_NAMES`, shape (N, k)."""
+        return self.influence[:, :INTRINSICS]
+
+
+def inverse_information(matrix: np.ndarray, selection: csr_array,
+                        diagonal: np.ndarray | None = None) -> np.ndarray:
     """
     Invert a normal matrix, directions without information made very large.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, n)
-    unknowns : csr_array, shape (n, k)
-        Of `unknowns_of`.
+    selection : csr_array, shape (n, k)
+        Of `Unknowns.selection`.
+    diagonal : ndarray, shape (n,), optional
+        Of the matrix before a block was eliminated: what that leaves of an unknown may be
+        nothing but rounding.
 
     Returns
     -------
     ndarray, shape (n, n)
-        Zero rows for held parameters.
+        Zero rows for fixed parameters.
 
     """
-    E = unknowns
+    E = selection
     H = E.T @ (E.T @ matrix).T
-    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    scale = np.maximum(np.diag(H), 1e-300)
+    if diagonal is not None:
+        scale = np.maximum(scale, RANK_TOLERANCE * (E.T @ diagonal))
+    root = np.sqrt(scale)
     H = H / np.outer(root, root)
     factor, failed = dpotrf(H)
     # the reciprocal condition in the 1-norm bounds that of the eigenvalues from below
-    if not failed and dpocon(factor, np.abs(H).sum(axis=0).max())[0] > 10 * OPEN:
+    if not failed and dpocon(factor, np.abs(H).sum(axis=0).max())[0] > 10 * RANK_TOLERANCE:
         inverse = np.triu(dpotri(factor)[0])
         inverse += np.triu(inverse, 1).T
     else:
         values, vectors = np.linalg.eigh(H)
-        inverse = (vectors / np.maximum(values, OPEN * values[-1])) @ vectors.T
+        inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
     return E @ (E @ (inverse / np.outer(root, root))).T
 
 
-def huber_factors(distance: np.ndarray, share: float) -> tuple[float, float]:
+def huber_factors(distance: np.ndarray, fraction: float, dimension: int = 2,
+                  ) -> tuple[float, float]:
     """
     Tell what Huber's loss does to the inverse of the weighted normal matrix (Huber 1981, 7.6).
 
     Parameters
     ----------
     distance : ndarray, shape (N,)
-        Lengths of two-dimensional residuals, in sigmas.
-    share : float
+        Lengths of residuals, in sigmas.
+    fraction : float
         Degrees of freedom over the number of coordinates: residuals are smaller than the noise
         by its root.
+    dimension : int
+        m, coordinates of a residual.
 
     Returns
     -------
@@ -107,10 +129,18 @@ def huber_factors(distance: np.ndarray, share: float) -> tuple[float, float]:
         Covariance over that inverse; influence over weighted residuals times it.
 
     """
-    psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / 2 / share
+    psi_square = np.mean(np.minimum(distance, HUBER_SIGMAS)**2) / dimension / fraction
     # the normal matrix carries the weights, whose mean differs from that of ψ'
     weight = np.mean(huber_weights(distance, HUBER_SIGMAS))
     # beyond the threshold ψ' remains only across the residual's direction
+    across = (dimension - 1) / dimension
     slope = np.mean(np.where(distance <= HUBER_SIGMAS, 1.0,
-                             0.5 * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
+                             across * HUBER_SIGMAS / np.maximum(distance, 1e-300)))
     return float(psi_square * weight / slope**2), float(weight / slope)
+
+
+def winsorised_square(dimension: int) -> float:
+    """E[min(|z|, c)²] of a Gaussian z of m dimensions and unit variance, c = `HUBER_SIGMAS`."""
+    square = HUBER_SIGMAS**2
+    return float(dimension * chi2.cdf(square, dimension + 2)
+                 + square * chi2.sf(square, dimension))

@@ -22,12 +22,14 @@ from functools import cached_property
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.centres import centres_from_state, points_from_centres
-from selfcal_ros.calibration.bundle.information import Evidence
+from selfcal_ros.calibration.bundle.centres import points_from_centres
+from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
-from selfcal_ros.calibration.bundle.reprojection import Linearisation
-from selfcal_ros.calibration.bundle.state import (BundleState, holding, MotionModel, Prior,
-                                                  priors_from_facts, rescale)
+from selfcal_ros.calibration.bundle.model import Linearisation
+from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
+from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.values.tracks import of_longest
@@ -37,9 +39,6 @@ from selfcal_ros.values.tracks import of_longest
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
-#: How far a vehicle may leave the plane, before it is told apart from an exact plane: one
-#: degree, and two hundredths of the distance between views.
-NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
 #: Models that are tried when none is stated, the richest first. Tangential distortion is not
 #: among them: it trades against the principal point, which planar motion determines weakly enough.
 AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
@@ -93,9 +92,14 @@ class Fit:
     """An optimum, with the problem that it solves and the observations that it explains."""
 
     bundle: Bundle
-    state: BundleState
+    state: SceneState
     observations: Observations
     outliers: int
+
+    @property
+    def motion(self) -> MotionModel:
+        """The kind of motion."""
+        return self.bundle.model.motion
 
     @property
     def cost(self) -> float:
@@ -103,26 +107,31 @@ class Fit:
         return self.bundle.cost(self.state)
 
     @cached_property
-    def line(self) -> Linearisation:
+    def linearisation(self) -> Linearisation:
         """Residuals and their derivatives; computed once."""
         return self.bundle.linearise(self.state)
 
     @cached_property
-    def evidence(self) -> Evidence:
+    def information(self) -> Information:
         """Covariance, and the influence of every observation; computed once."""
-        return self.bundle.evidence(self.state, self.line)
+        return self.bundle.information(self.state, self.linearisation)
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the shared and per-view unknowns for independent noise, (n, n)."""
-        return self.evidence.covariance
+        """Covariance of lens and path for independent noise, (n, n)."""
+        return self.information.covariance
+
+    @property
+    def lens_covariance(self) -> np.ndarray:
+        """Covariance of `INTRINSIC_NAMES` for independent noise, (k, k)."""
+        return self.information.lens_covariance
 
     def __getstate__(self):
         """Leave out what is computed once: it is large, and can be computed again."""
         return {one.name: getattr(self, one.name) for one in fields(self)}
 
 
-def with_all_points(state: BundleState, observations: Observations) -> BundleState | None:
+def with_all_points(state: SceneState, observations: Observations) -> SceneState | None:
     """Intersect the points of all observations from the views and calibration of a state."""
     blocks = PointBlocks(observations.point, observations.view)
     camera = state.camera()
@@ -131,31 +140,31 @@ def with_all_points(state: BundleState, observations: Observations) -> BundleSta
         return None
     rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    directions = np.einsum('nji,nj->ni', state.rotations()[observations.view],
-                           rays @ state.mount)
-    points = points_from_centres(blocks, directions, centres_from_state(state))
+    directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
+                           rays @ state.path.mount)
+    points = points_from_centres(blocks, directions, state.path.centres())
     return replace(state, points=points)
 
 
-def bundle_of(observations: Observations, motion: MotionModel, priors: dict[int, Prior],
+def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
               sigma_px: float) -> Bundle:
-    """Set up the adjustment of observations."""
-    return Bundle(observations.view, observations.point, observations.xy, motion=motion,
+    """Set up the adjustment of observations of a scene."""
+    return Bundle(SceneModel(motion), observations.view, observations.point, observations.xy,
                   priors=priors, sigma_px=sigma_px)
 
 
-def fit_robustly(observations: Observations, state: BundleState, motion: MotionModel,
-                 priors: dict[int, Prior], sigma_px: float, rounds: int = 5) -> Fit:
+def fit_robustly(observations: Observations, state: SceneState, motion: MotionModel,
+                 priors: Priors, sigma_px: float, rounds: int = 5) -> Fit:
     """
     Optimise, estimate the noise, drop outliers, and repeat until nothing changes.
 
     Parameters
     ----------
     observations : Observations
-    state : BundleState
+    state : SceneState
         Its points belong to the observations.
     motion : MotionModel
-    priors : dict of int to Prior
+    priors : dict of str to Prior
     sigma_px : float
         First guess of the noise.
     rounds : int
@@ -169,7 +178,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
     for k in range(rounds):
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
-            state = bundle.settle_points(state)
+            state = bundle.refine_points(state)
         # no finer than the choice of outliers needs
         state = bundle.optimise(state, *((12, 2e-3 * bundle.cost(state)) if k == 0 else (3, 1.0)))
         estimate = bundle.noise_sigma(state)
@@ -184,7 +193,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
                 break
             continue
         smaller, points = observations.select(keep & verified(observations.point, keep))
-        if not len(smaller.view) or len(np.unique(smaller.view)) < len(state.views):
+        if not len(smaller.view) or len(np.unique(smaller.view)) < len(state.path):
             break
         # what agrees but goes with the rest of its track is no outlier
         before -= int(np.sum(keep & ~verified(observations.point, keep)))
@@ -193,7 +202,7 @@ def fit_robustly(observations: Observations, state: BundleState, motion: MotionM
         if settled:
             break
     bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescale(state), 30, 0.02)
+    state = bundle.optimise(rescaled(state), 30, 0.02)
     return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                before - len(observations.view))
 
@@ -204,21 +213,15 @@ def out_of_plane(fit: Fit) -> tuple[float, float]:
 
     Empirical Bayes: the mean of the squared estimates and of their variances.
     """
-    variance = np.diag(fit.covariance)[11:].reshape(-1, 6)
-    tilt = np.sqrt(np.mean(fit.state.views[:, 3:5]**2 + variance[:, 3:5]))
-    height = np.sqrt(np.mean(fit.state.views[1:, 5]**2 + variance[1:, 5]))
+    path, unknowns, variance = fit.state.path, fit.bundle.unknowns, np.diag(fit.covariance)
+    tilt = np.sqrt(np.mean(path.tilt**2 + variance[unknowns.of_views('tilt_x', 'tilt_y')]))
+    of_height = variance[unknowns.of_views('height')[1:, 0]]
+    height = np.sqrt(np.mean(path.translation[1:, 2]**2 + of_height))
     return (max(float(tilt), MINIMUM_TILT_RAD),
-            max(float(height) / fit.state.step_length(), MINIMUM_HEIGHT))
+            max(float(height) / path.step_length(), MINIMUM_HEIGHT))
 
 
-def flatten(state: BundleState) -> BundleState:
-    """Return the state with tilts and heights zero."""
-    views = state.views.copy()
-    views[:, 3:] = 0
-    return replace(state, views=views)
-
-
-def refit(fit: Fit, motion: MotionModel, state: BundleState | None = None) -> Fit:
+def refit(fit: Fit, motion: MotionModel, state: SceneState | None = None) -> Fit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
     state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
@@ -246,14 +249,15 @@ def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
     exact : bool
 
     """
-    exact = refit(relaxed, MotionModel(), flatten(relaxed.state))
-    freedom = 3 * len(relaxed.state.views) - 1
+    flat = replace(relaxed.state, path=relaxed.state.path.flat())
+    exact = refit(relaxed, PLANAR, flat)
+    freedom = 3 * len(flat.path) - 1
     excess = 2 * (exact.cost - relaxed.cost) / dependence
     if excess <= freedom + 4 * np.sqrt(2 * freedom):
         return exact, True
     fit = relaxed
     for _ in range(3):
-        before = fit.bundle.motion
+        before = fit.motion
         tilt, height = out_of_plane(fit)
         fit = refit(fit, MotionModel(tilt, height))
         if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
@@ -286,8 +290,8 @@ def choose_distortion(fit: Fit, facts: CameraFacts,
     for name in AUTOMATIC_DISTORTION:
         facts = replace(facts, distortion=name)
         priors = priors_from_facts(facts)
-        bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
-        state = bundle.optimise(holding(fit.state, priors), 25, 0.1)
+        bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
+        state = bundle.optimise(with_fixed(fit.state, priors), 25, 0.1)
         trial = Fit(bundle, state, fit.observations, fit.outliers)
         if determined(trial, facts):
             break

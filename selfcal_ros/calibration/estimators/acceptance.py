@@ -15,20 +15,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.lens import to_parameters
+from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import BundleState, parameter_covariance
 from selfcal_ros.calibration.estimators.model_selection import dependence_of, Model
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
 from selfcal_ros.calibration.initialisation.problem import Problem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
-from selfcal_ros.calibration.structure.structure_measurement import sample_structure
+from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_findings
 from selfcal_ros.calibration.uncertainty.distortion_misfit import find_lens_field, LensField
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
@@ -118,7 +119,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     facts, state = problem.facts, fit.state
     dependence = dependence_of(fit, problem.size)
     inner, findings = dependence.covariance, dependence.findings()
-    residuals = np.where(fit.line.ahead[:, None], fit.line.residual, np.nan)
+    residuals = np.where(fit.linearisation.ahead[:, None], fit.linearisation.residual, np.nan)
     field = find_lens_field(fit, problem.size, dependence.ratios['track']**2)
     if field is not None:
         # the field is what the image's regions share
@@ -128,13 +129,13 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
     inner = inner + added + model.valley * dependence.inflation**2
     findings += stretch_findings(ratio)
     camera = state.camera(*problem.size)
-    covariance = parameter_covariance(inner, state.intrinsics)
+    covariance = to_parameters(inner, state.lens)
     held = held_facts(facts)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held:
             covariance[k] = covariance[:, k] = 0
     outliers = fit.outliers + graph.rejected
-    path = describe_path(state, model.exact, problem.motion.keeps_plane, model.turned)
+    path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned)
     status = parameter_status(camera, covariance, facts)
     optimum = _Optimum(fit, model, problem, path, status, held,
                        outliers / max(outliers + len(fit.observations.view), 1), field)
@@ -147,18 +148,19 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
                      tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > WEAK:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in PARAMETER_NAMES[:5]))
+    precision = precision_of(fit)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
         facts=facts, frames=tuple(int(f) for f in graph.frames),
         reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=outliers,
-        reconstruction=Reconstruction(graph.frames, state.cam_from_world(),
-                                      fit.observations.track, state.points,
-                                      replace(fit)),      # without what it has computed
-        fixed_points=_fixed_points(state, camera.K) if problem.motion.keeps_plane else None,
+        reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),
+                                      fit.observations.track, state.points, precision),
+        fixed_points=_fixed_points(state.path, camera.K) if problem.motion.keeps_plane else None,
         findings=path.findings + findings, residuals=residuals, identifiability=known,
-        measured=sample_structure(fit, state.points, covariance))
+        measured=sample_structure(precision, fit.observations.track, state.points,
+                                  covariance))
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:
@@ -169,8 +171,8 @@ def unchecked(bundle: Bundle) -> NoEstimate | None:
                       images=bundle.blocks.view_count, freedom=bundle.degrees_of_freedom)
 
 
-def _fixed_points(state: BundleState, K: np.ndarray) -> FixedPoints:
+def _fixed_points(path: AxisPath, K: np.ndarray) -> FixedPoints:
     """Horizon, vanishing point and circular point of the estimated plane and axis."""
-    axis = state.mount[:, 2]
+    axis = path.mount[:, 2]
     return FixedPoints(np.linalg.solve(K.T, axis), K @ axis,
-                       K @ (state.mount[:, 0] + 1j * state.mount[:, 1]))
+                       K @ (path.mount[:, 0] + 1j * path.mount[:, 1]))

@@ -32,7 +32,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.state import parameter_covariance, priors_from_facts
+from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, INTRINSICS,
+                                                 Lens, MATRIX_NAMES, to_intrinsics, to_parameters)
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
@@ -132,14 +134,16 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
            != (first.camera.width, first.camera.height) for one in calibrations):
         raise InputError('Calibrations of different image sizes or facts cannot be combined.')
     priors = priors_from_facts(first.facts)
-    free = np.array([k for k in range(9) if k not in priors or priors[k].sigma > 0])
+    names = [name for name in INTRINSIC_NAMES if name not in priors or priors[name].sigma > 0]
+    free = intrinsic_places(names)
     # in units in which every parameter has a size of about one
-    unit = np.array([first.camera.K[0, 0], 1, *[first.camera.K[0, 0]] * 3, 1, 1, 1, 1])[free]
+    pixels = set(MATRIX_NAMES) - {'aspect'}
+    unit = np.array([first.camera.K[0, 0] if name in pixels else 1.0 for name in names])
     value, weight = np.zeros(len(free)), np.zeros(len(free))
-    for place, k in enumerate(free):
-        if k in priors:
-            value[place] = priors[k].value / unit[place]
-            weight[place] = (unit[place] / priors[k].sigma)**2
+    for place, name in enumerate(names):
+        if name in priors:
+            value[place] = priors[name].value / unit[place]
+            weight[place] = (unit[place] / priors[name].sigma)**2
     P = np.diag(weight)
     shares = [_share(one, free, unit, P, value) for one in calibrations]
     used = np.ones(len(shares), bool)
@@ -152,33 +156,23 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
         if scatter < NEARLY or alone or doubt[worst] * len(used) > SURE:
             break
         used[worst] = False
-    inner = np.zeros((9, 9))
+    inner = np.zeros((INTRINSICS, INTRINSICS))
     covariance = np.linalg.inv(information) * max(scatter, 1.0)**2
     inner[np.ix_(free, free)] = covariance * np.outer(unit, unit)
-    intrinsics = _intrinsics(first)
-    intrinsics[free] = x * unit
-    f, aspect, *rest = intrinsics
-    camera = Camera.from_parameters([f, aspect * f, *rest], first.camera.width,
-                                    first.camera.height)
-    found = _calibration([one for one, use in zip(calibrations, used) if use], camera,
-                         parameter_covariance(inner, intrinsics))
+    lens = Lens.of(first.camera).with_values(dict(zip(names, x * unit)))
+    found = _calibration([one for one, use in zip(calibrations, used) if use],
+                         lens.camera(first.camera.width, first.camera.height),
+                         to_parameters(inner, lens))
     p_value = float(chi2.sf(total, freedom)) if freedom else 1.0
     return JointCalibration(found, used, deviation, total, freedom, p_value)
 
 
-def _intrinsics(one: Calibration) -> np.ndarray:
-    """Return focal length, aspect ratio and the rest, shape (9,)."""
-    values = one.camera.parameters
-    return np.array([values[0], values[1] / values[0], *values[2:]])
-
-
 def _share(one: Calibration, free, unit, P, value) -> _Share:
     """Take the facts out of a calibration."""
-    fx, fy = one.camera.parameters[:2]
-    J = np.eye(9)
-    J[1, :2] = -fy / fx**2, 1 / fx
-    C = (J @ np.asarray(one.covariance, float) @ J.T)[np.ix_(free, free)] / np.outer(unit, unit)
-    x = _intrinsics(one)[free] / unit
+    lens = Lens.of(one.camera)
+    C = to_intrinsics(np.asarray(one.covariance, float), lens)[np.ix_(free, free)]
+    C = C / np.outer(unit, unit)
+    x = lens.values[free] / unit
     information = np.linalg.pinv((C + C.T) / 2, hermitian=True, rcond=1e-14)
     # rounding, and covariances that were widened, leave directions less than the facts alone
     values, vectors = np.linalg.eigh(information - P)

@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import to_parameters
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, choose_distortion, choose_motion,
                                                        Fit, fit_robustly, Observations, refit)
-from selfcal_ros.calibration.bundle.state import (aligned, BundleState, parameter_covariance,
-                                                  priors_from_facts)
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.initialisation.problem import Problem, start_priors
 from selfcal_ros.calibration.observability import parameter_status
@@ -47,9 +48,9 @@ class Model:
         The distortion model chosen.
     exact : bool
         Whether the motion is exactly planar.
-    stretches : (float, ndarray of shape (9, 9))
+    stretches : (float, ndarray of shape (k, k))
         Of `stretch_excess`.
-    valley : ndarray, shape (9, 9)
+    valley : ndarray, shape (k, k)
         Covariance of the internal parameters beyond that from the curvature at the optimum.
     turned : bool
         Whether the images show a rotation.
@@ -67,7 +68,7 @@ class Model:
     share: float
 
 
-def first_fit(problem: Problem, observations: Observations, state: BundleState) -> Fit:
+def first_fit(problem: Problem, observations: Observations, state: SceneState) -> Fit:
     """Fit a share of the tracks with soft priors, the models still open."""
     return fit_robustly(observations, state, problem.motion, start_priors(problem),
                         1.5 * problem.noise_px)
@@ -95,27 +96,26 @@ def choose_model(problem: Problem, fit: Fit, share: float) -> Model:
         dependence = dependence_of(fit, problem.size).inflation**2
 
         def determined(trial: Fit, trial_facts: CameraFacts) -> bool:
-            covariance = dependence * parameter_covariance(trial.covariance,
-                                                           trial.state.intrinsics)
+            covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
             status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
             return 'unobservable' not in status.values()
 
         fit, facts = choose_distortion(fit, facts, determined)
     else:
-        fit = replace(fit, bundle=bundle_of(fit.observations, fit.bundle.motion,
+        fit = replace(fit, bundle=bundle_of(fit.observations, fit.motion,
                                             priors_from_facts(facts), fit.bundle.sigma_px))
-        fit = refit(fit, fit.bundle.motion)
+        fit = refit(fit, fit.motion)
     known = dependence_of(fit, problem.size).inflation**2
     exact = False
     if problem.motion.keeps_plane:
         fit, exact = choose_motion(fit, known)
     turned = True
-    if largest_turn_rad(fit.state, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
-        every = tuple(range(len(fit.state.views)))
+    if largest_turn_rad(fit.state.path, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
+        every = tuple(range(len(fit.state.path)))
         turned = hold_parallel(fit, every, problem.size)[1] > 0
     fit, valley = follow_valley(fit, problem.size, share)
     valley = valley + bend_excess(fit, problem.size, share * known) / known
-    shared = stretch_excess(*leave_out_stretches(fit), fit.covariance[:9, :9], known)
+    shared = stretch_excess(*leave_out_stretches(fit), fit.lens_covariance, known)
     return Model(fit, facts, exact, shared, valley, turned, share)
 
 
@@ -134,16 +134,16 @@ def hold_parallel(fit: Fit, parallel: tuple[int, ...], size: tuple[int, int]) ->
         do not contradict.
 
     """
-    motion = replace(fit.bundle.motion, parallel=parallel)
-    held = refit(fit, motion, aligned(fit.state, motion))
+    motion = replace(fit.motion, parallel=parallel)
+    held = refit(fit, motion, replace(fit.state, path=fit.state.path.aligned(motion)))
     freedom = 3 * (len(parallel) - 1)
     excess = 2 * (held.cost - fit.cost) / dependence_of(fit, size).inflation**2
     if excess <= freedom + 4 * np.sqrt(2 * freedom):
         return held, 0.0
-    R = fit.state.rotations()[list(parallel)]
+    R = fit.state.path.rotations()[list(parallel)]
     return fit, float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
 
 
 def dependence_of(fit: Fit, size: tuple[int, int]) -> Dependence:
     """Assess how far the residuals of a fit are from independent."""
-    return assess_dependence(fit.evidence, fit.observations.point, fit.observations.xy, size)
+    return assess_dependence(fit.information, fit.observations.point, fit.observations.xy, size)

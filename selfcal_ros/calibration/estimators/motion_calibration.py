@@ -25,10 +25,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, flatten,
-                                                       NEARLY_PLANAR, with_all_points)
-from selfcal_ros.calibration.bundle.state import (aligned, BundleState, holding, MotionModel,
-                                                  priors_from_facts)
+from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
+from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, fit_robustly, with_all_points
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import conclude, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 hold_parallel, Model)
@@ -45,8 +45,6 @@ from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
-#: Motion that leaves the plane freely.
-GENERAL = MotionModel(np.inf, np.inf)
 #: Kinds of motion to try, by name.
 MOTION_MODELS = {
     'planar': (NEARLY_PLANAR,),
@@ -99,7 +97,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
                       flat=plane)
-    bundle = bundle_of(observations, MotionModel(), priors_from_facts(facts), 1.0)
+    bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
         return refusal
@@ -125,15 +123,15 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
         return NoEstimate('tracks_unexplained', left_px=float(noise_px),
                           noise_px=problem.noise_px, motion=motion)
     # far out of the plane, against a prior that pulls there: no need to go on
-    if problem.motion.keeps_plane and out_of_plane_rad(start) > 2 * MOST_TILT_RAD:
-        return not_planar(out_of_plane_rad(start))
+    if problem.motion.keeps_plane and out_of_plane_rad(start.path) > 2 * MOST_TILT_RAD:
+        return not_planar(out_of_plane_rad(start.path))
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:
         return NoEstimate('start_distortion_not_invertible')
     fit = first_fit(window, medium, state)
-    if problem.motion.keeps_plane and out_of_plane_rad(fit.state) > MOST_TILT_RAD:
-        return not_planar(out_of_plane_rad(fit.state))
+    if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MOST_TILT_RAD:
+        return not_planar(out_of_plane_rad(fit.state.path))
     findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
@@ -145,7 +143,7 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
                                 turned_deg=float(np.degrees(turned))),)
     model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
     # what the window's motion was found to be, and of all views which are parallel
-    motion = model.fit.bundle.motion
+    motion = model.fit.motion
     if motion.parallel:
         motion = problem.motion
     problem = replace(problem, facts=model.facts, motion=motion)
@@ -159,20 +157,22 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     return replace(result, findings=(*findings, *result.findings)) if result else result
 
 
-def extended(problem: Problem, model: Model) -> BundleState | None:
+def extended(problem: Problem, model: Model) -> SceneState | None:
     """Start for all views and tracks from what was found on a share of them."""
     found = model.fit.state
-    if len(found.views) == problem.views:
+    if len(found.path) == problem.views:
         return with_all_points(found, problem.observations)
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
     bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
                        10 * problem.noise_px)
     starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
-    starts = [state if state is None or not model.exact else flatten(state) for state in starts]
+    starts = [state if state is None or not model.exact
+              else replace(state, path=state.path.flat()) for state in starts]
     costs = [np.inf if state is None else bundle.cost(state) for state in starts]
     if not np.isfinite(min(costs)):
         return None
-    state = aligned(holding(starts[int(np.argmin(costs))], bundle.priors), bundle.motion)
+    state = with_fixed(starts[int(np.argmin(costs))], bundle.priors)
+    state = replace(state, path=state.path.aligned(problem.motion))
     state = bundle.optimise(state, 15, 1.0)
     return with_all_points(state, problem.observations)

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.centres import centres_from_state
-from selfcal_ros.calibration.bundle.state import BundleState
+from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -82,9 +81,9 @@ class PathDescription:
                           path=self.motion)
 
 
-def out_of_plane_rad(state: BundleState) -> float:
+def out_of_plane_rad(path: AxisPath) -> float:
     """Root mean square angle of the views out of the plane of motion."""
-    return float(np.sqrt(np.mean(np.sum(state.views[:, 3:5]**2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(path.tilt**2, axis=1))))
 
 
 def not_planar(tilt_rad: float) -> NoEstimate:
@@ -92,22 +91,22 @@ def not_planar(tilt_rad: float) -> NoEstimate:
     return NoEstimate('not_planar', tilt_deg=float(np.degrees(tilt_rad)), motion='general')
 
 
-def largest_turn_rad(state: BundleState, keeps_plane: bool) -> float:
+def largest_turn_rad(path: AxisPath, keeps_plane: bool) -> float:
     """Largest angle between a view and the first."""
-    R = state.rotations()
+    R = path.rotations()
     turn = float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
     # in a plane the way round may exceed half a turn
-    return max(turn, float(np.ptp(state.views[:, 0]))) if keeps_plane else turn
+    return max(turn, float(np.ptp(path.angle))) if keeps_plane else turn
 
 
-def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
+def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
                   turned: bool = True) -> PathDescription:
     """
     Classify the motion of an optimum of the bundle adjustment.
 
     Parameters
     ----------
-    state : BundleState
+    path : AxisPath
     exact : bool
         Whether the motion is exactly planar as far as the data can tell.
     keeps_plane : bool
@@ -120,9 +119,9 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
     PathDescription
 
     """
-    rotation = largest_turn_rad(state, keeps_plane)
-    tilt = out_of_plane_rad(state)
-    axis = state.mount[:, 2]
+    rotation = largest_turn_rad(path, keeps_plane)
+    tilt = out_of_plane_rad(path)
+    axis = path.mount[:, 2]
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     findings = []
@@ -133,7 +132,7 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
     elif keeps_plane and tilt > MOST_TILT_RAD:
         motion = 'general'
         refusal = not_planar(tilt)
-    elif keeps_plane and _is_circular(state):
+    elif keeps_plane and _is_circular(path):
         motion = 'circular'
         findings.append(Finding('circular_motion'))
     if motion in ('planar', 'circular') and not exact:
@@ -141,15 +140,15 @@ def describe_path(state: BundleState, exact: bool, keeps_plane: bool = True,
     return PathDescription(motion, rotation, tilt, refusal, tuple(findings), roll)
 
 
-def _is_circular(state: BundleState) -> bool:
+def _is_circular(path: AxisPath) -> bool:
     """Test whether one world axis keeps its place in all cameras: R_i c + p_i = constant."""
-    R = state.rotations()[:, :2, :2]
-    p = state.views[:, 1:3]
+    R = path.rotations()[:, :2, :2]
+    p = path.translation[:, :2]
     views = len(p)
     matrix = np.concatenate([R, np.broadcast_to(-np.eye(2), (views, 2, 2))], axis=2)
     solution, *_ = np.linalg.lstsq(matrix.reshape(-1, 4), -p.ravel(), rcond=None)
     error = (matrix.reshape(-1, 4) @ solution + p.ravel()).reshape(-1, 2)
     radius = np.linalg.norm(solution[2:])
-    span = np.ptp(centres_from_state(state)[:, :2], axis=0).max()
+    span = np.ptp(path.centres()[:, :2], axis=0).max()
     return bool(np.sqrt(np.mean(np.sum(error**2, axis=1)))
                 < CIRCULAR_SHARE * min(radius, 5 * span))

@@ -25,13 +25,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.affine.infinite_homography_calibration import (
-    camera_from_homographies)
-from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.robust_fit import Observations, OUTLIER_SIGMAS
-from selfcal_ros.calibration.bundle.state import (BundleState, F, holding, MotionModel,
-                                                  parameter_covariance, PER_VIEW,
-                                                  priors_from_facts, SHARED, SKEW)
+from selfcal_ros.calibration.affine.infinite_homography_calibration import camera_from_homographies
+from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
+from selfcal_ros.calibration.bundle.motion import ROTATION
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.rotation_homographies import (LEAST_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
@@ -60,36 +60,6 @@ _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Distortion models that are tried where none is stated, the richest first.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 _LENSES = ('radial2', 'radial1', 'none')
-_GENERAL = MotionModel(np.inf, np.inf)
-
-
-class RotatingBundle(Bundle):
-    """
-    Bundle adjustment of views from one place; points are directions.
-
-    Parameters
-    ----------
-    view, point, xy, priors, sigma_px
-        As for `Bundle`.
-
-    """
-
-    def __init__(self, view, point, xy, *, priors, sigma_px: float):
-        super().__init__(view, point, xy, motion=_GENERAL, priors=priors, sigma_px=sigma_px)
-        self.free[9:SHARED] = False
-        self.free[SHARED:].reshape(-1, PER_VIEW)[:, [1, 2, 5]] = False
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Observations less unknowns; a direction has two."""
-        facts = sum(0 < p.sigma < np.inf for p in self.priors.values())
-        unknowns = int(self.free.sum()) + 2 * self.blocks.point_count
-        return 2 * len(self.view) + facts - unknowns
-
-    def with_sigma(self, sigma_px: float) -> RotatingBundle:
-        """Return the same adjustment for another noise level."""
-        return RotatingBundle(self.view, self.point, self.xy, priors=self.priors,
-                              sigma_px=sigma_px)
 
 
 def epipolar_noise(tracks: Tracks, frames) -> float:
@@ -144,12 +114,11 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     best = None
     for K in _starting_cameras(conic, size, facts):
         state = _start(K, homographies.H, observed)
-        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
-                                sigma_px=max(sigma_px, 0.02))
+        bundle = bundle_of(observed, ROTATION, priors, max(sigma_px, 0.02))
         if bundle.degrees_of_freedom < LEAST_FREEDOM:
             return NoEstimate('too_few_observations', points=len(names), images=len(frames),
                               freedom=bundle.degrees_of_freedom, motion='rotation')
-        state = bundle.optimise(holding(state, priors), 30, 0.1)
+        state = bundle.optimise(with_fixed(state, priors), 30, 0.1)
         cost = bundle.cost(state)
         if best is None or cost < best[0]:
             best = cost, state
@@ -165,14 +134,13 @@ def _richest_lens(state, observed, facts, size):
     for name in _LENSES if facts.distortion == 'auto' else (facts.distortion,):
         stated = replace(facts, distortion=name)
         priors = priors_from_facts(stated)
-        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
-                                sigma_px=1.0)
-        state = holding(state, priors)
+        bundle = bundle_of(observed, ROTATION, priors, 1.0)
+        state = with_fixed(state, priors)
         bundle = bundle.with_sigma(max(bundle.noise_sigma(state), LEAST_NOISE_PX))
         found = bundle.optimise(state, 30, 0.1)
         bundle = bundle.with_sigma(max(bundle.noise_sigma(found), LEAST_NOISE_PX))
-        covariance = parameter_covariance(bundle.covariance(found), found.intrinsics)
-        if found.intrinsics[F] > 0 and 'unobservable' not in parameter_status(
+        covariance = to_parameters(bundle.covariance(found), found.lens)
+        if found.lens['f'] > 0 and 'unobservable' not in parameter_status(
                 found.camera(*size), covariance, stated).values():
             break
     return stated, found
@@ -181,8 +149,7 @@ def _richest_lens(state, observed, facts, size):
 def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
     """Drop gross errors, estimate the noise, and judge the optimum."""
     total = len(observed.view)
-    bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
-                            sigma_px=max(noise_px, 0.02))
+    bundle = bundle_of(observed, ROTATION, priors, max(noise_px, 0.02))
     for _ in range(3):
         sigma = max(bundle.noise_sigma(state), 1e-6)
         near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
@@ -191,8 +158,7 @@ def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
             if len(np.unique(smaller.view)) < len(frames):
                 break
             observed, state = smaller, replace(state, points=state.points[points])
-        bundle = RotatingBundle(observed.view, observed.point, observed.xy, priors=priors,
-                                sigma_px=sigma)
+        bundle = bundle_of(observed, ROTATION, priors, sigma)
         state = bundle.optimise(state, 30, 0.01)
         if near.all():
             break
@@ -200,14 +166,14 @@ def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
     if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
         return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
                           facts=facts)
-    focal, skew = state.intrinsics[F], state.intrinsics[SKEW]
+    focal, skew = state.lens['f'], state.lens['skew']
     if not 1 / MOST_FOCAL_SHARE < focal / max(size) < MOST_FOCAL_SHARE \
             or abs(skew) > MOST_SKEW_SHARE * focal:
         return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
                           motion='rotation', facts=facts)
     camera = state.camera(*size)
-    dependence = assess_dependence(bundle.evidence(state), observed.point, observed.xy, size)
-    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    dependence = assess_dependence(bundle.information(state), observed.point, observed.xy, size)
+    covariance = to_parameters(dependence.covariance, state.lens)
     held = held_facts(facts)
     for name in held:
         k = PARAMETER_NAMES.index(name)
@@ -224,7 +190,7 @@ def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
         reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
         noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
         outlier_count=total - len(observed.view),
-        reconstruction=Reconstruction(frames, state.cam_from_world(), observed.track,
+        reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points),
         residuals=residuals)
 
@@ -240,18 +206,15 @@ def _starting_cameras(conic, size, facts):
                         [0, 0, 1]])
 
 
-def _start(K, H, observed) -> BundleState:
+def _start(K, H, observed) -> SceneState:
     """Rotations nearest to K^-1 H K, and mean directions of the points."""
     camera = Camera(K)
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
     R = np.concatenate([np.eye(3)[None], U @ Vt])
-    values = np.zeros((len(R), PER_VIEW))
-    values[:, 0], values[:, 3:5] = swing_twist(R)
     rays = homogeneous(camera.normalised(observed.xy))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     world = np.einsum('nji,nj->ni', R[observed.view], rays)
     total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)
     points = np.column_stack([total / np.linalg.norm(total, axis=1, keepdims=True),
                               np.zeros(len(total))])
-    f, fy, *rest = camera.parameters
-    return BundleState(np.array([f, fy / f, *rest]), np.eye(3), values, points)
+    return SceneState(Lens.of(camera), AxisPath.at_origin(np.eye(3), *swing_twist(R)), points)

@@ -28,7 +28,8 @@ import numpy as np
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
 from selfcal_ros.calibration.affine.pair_distortion import estimate_radial, undo_radial
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
-from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion, GENERAL
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from_motion
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding

@@ -21,14 +21,17 @@ that are known already.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import lsqr
 
 from selfcal_ros.calibration.bundle.centres import MINIMUM_PARALLAX, points_from_centres
-from selfcal_ros.calibration.bundle.state import BundleState, rescale
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.scene_model import rescaled
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import homogeneous
@@ -282,7 +285,7 @@ def _step_direction(d_old, d_new, planar) -> np.ndarray:
 
 
 def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
-                 camera: Camera, exact: bool) -> BundleState | None:
+                 camera: Camera, exact: bool) -> SceneState | None:
     """
     Start for planar motion under a supposed calibration.
 
@@ -300,7 +303,7 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
 
     Returns
     -------
-    BundleState or None
+    SceneState or None
         None where the calibration cannot be (points that cannot be undistorted, no solution).
 
     """
@@ -308,23 +311,17 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
     relative = relative_rotations(pairs, camera)
     axis = common_axis(relative)
     mount = align_z(axis)
-    values = np.zeros((views, 6))
     if exact:
-        values[:, 0] = planar_angles(pairs, relative, axis, views)
+        path = AxisPath.at_origin(mount, planar_angles(pairs, relative, axis, views))
     else:
-        turned = mount.T @ chained_rotations(pairs, relative, views) @ mount
-        values[:, 0], values[:, 3:5] = swing_twist(turned)
-        values[:, 0] = np.unwrap(values[:, 0])
-    f, fy, cx, cy, skew, k1, k2, p1, p2 = camera.parameters
-    state = BundleState(np.array([f, fy / f, cx, cy, skew, k1, k2, p1, p2]), mount, values,
-                        np.zeros((blocks.point_count, 4)))
-    rotations = mount @ state.rotations()
+        twist, swing = swing_twist(mount.T @ chained_rotations(pairs, relative, views) @ mount)
+        path = AxisPath.at_origin(mount, np.unwrap(twist), swing)
+    rotations = mount @ path.rotations()
     centres = chained_centres(pairs, camera, rotations, planar=exact)
     rays = homogeneous(camera.normalised(xy))
     if not np.isfinite(rays).all():
         return None
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)
-    values[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', state.rotations(), centres)
-    return rescale(replace(state, views=values,
-                           points=points_from_centres(blocks, directions, centres)))
+    return rescaled(SceneState(Lens.of(camera), path.placed_at(centres),
+                               points_from_centres(blocks, directions, centres)))

@@ -19,8 +19,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
-from selfcal_ros.calibration.bundle.state import BundleState, holding
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.problem import Problem, start_priors, supposed_camera
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
@@ -41,13 +42,13 @@ GOOD_ENOUGH = 1.25
 START_TRACKS_PER_VIEW = 40
 
 
-def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[BundleState, float]]:
+def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[SceneState, float]]:
     """
     Follow proposed calibrations to their nearest optimum on a share of the tracks.
 
     Yields
     ------
-    BundleState
+    SceneState
         Without the points of the other tracks.
     float
         Robust estimate of the noise there, pixels.
@@ -65,7 +66,7 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Bund
         costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
         if not np.isfinite(min(costs)):
             continue
-        chosen = holding(candidates[int(np.argmin(costs))], priors)
+        chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
         state = coarse.optimise(chosen, 8, 1.0)
         state = fine.optimise(state, 12, 1.0)
@@ -92,7 +93,7 @@ def closed_form(problem: Problem) -> list[Camera]:
     return [Camera(K / K[2, 2], width=problem.size[0], height=problem.size[1])]
 
 
-def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | None, float]:
+def best_start(problem: Problem, first: list[Camera]) -> tuple[SceneState | None, float]:
     """
     Choose the start that explains the images best.
 
@@ -104,7 +105,7 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
 
     Returns
     -------
-    BundleState or None
+    SceneState or None
     float
         Robust estimate of the noise there, pixels.
 
@@ -130,6 +131,6 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[BundleState | Non
     return best, best_noise
 
 
-def _is_plausible(state: BundleState, size: tuple[int, int]) -> bool:
+def _is_plausible(state: SceneState, size: tuple[int, int]) -> bool:
     """Whether the principal point is in the image: else a rival may explain it better."""
-    return bool(np.all((state.intrinsics[2:4] > 0) & (state.intrinsics[2:4] < size)))
+    return 0 < state.lens['cx'] < size[0] and 0 < state.lens['cy'] < size[1]

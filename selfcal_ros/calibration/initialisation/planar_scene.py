@@ -21,12 +21,15 @@ ways (Ma et al. 2004, theorem 5.19); the normal that all views agree on tells wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.centres import points_from_centres
-from selfcal_ros.calibration.bundle.state import BundleState, rescale
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.scene_model import rescaled
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -59,7 +62,7 @@ class FlatScene:
         return cls(H[np.argsort(order)])
 
     def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
-              exact: bool) -> BundleState | None:
+              exact: bool) -> SceneState | None:
         """
         Start under a supposed calibration.
 
@@ -74,7 +77,7 @@ class FlatScene:
 
         Returns
         -------
-        BundleState or None
+        SceneState or None
             None where the calibration cannot be.
 
         """
@@ -93,16 +96,10 @@ class FlatScene:
         centres = centres @ mount
         if exact:
             swing, centres = 0 * swing, centres * [1, 1, 0]
-        values = np.zeros((len(R), 6))
-        values[:, 0], values[:, 3:5] = np.unwrap(twist), swing
-        f, fy, *rest = camera.parameters
-        state = BundleState(np.array([f, fy / f, *rest]), mount, values,
-                            np.zeros((blocks.point_count, 4)))
-        world = state.rotations()
-        values[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', world, centres)
-        directions = np.einsum('nji,nj->ni', (mount @ world)[blocks.view], rays)
-        return rescale(replace(state, views=values,
-                               points=points_from_centres(blocks, directions, centres)))
+        path = AxisPath.at_origin(mount, np.unwrap(twist), swing).placed_at(centres)
+        directions = np.einsum('nji,nj->ni', (mount @ path.rotations())[blocks.view], rays)
+        return rescaled(SceneState(Lens.of(camera), path,
+                                   points_from_centres(blocks, directions, centres)))
 
 
 def separate(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,22 +19,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import NEARLY_PLANAR, Observations
-from selfcal_ros.calibration.bundle.state import (ASPECT, BundleState, CX, CY, K1, K2, MotionModel,
-                                                  Prior, priors_from_facts, SKEW)
+from selfcal_ros.calibration.bundle.motion import MotionModel, NEARLY_PLANAR
+from selfcal_ros.calibration.bundle.priors import Prior, Priors, priors_from_facts
+from selfcal_ros.calibration.bundle.robust_fit import Observations
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import (planar_start,
                                                                       relative_rotations,
                                                                       spanning_order)
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.lenses import plumb_bob
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.values.tracks import Tracks
 
 #: While starts are compared, soft facts keep them from wandering: principal point within so
-#: much of the middle (share of the longer side), distortion of ordinary lenses.
+#: much of the middle (share of the longer side), distortion that of ordinary lenses.
 START_PRINCIPAL_POINT_SHARE = 0.06
-START_K1_SIGMA, START_K2_SIGMA = 0.2, 0.1
 #: Longer sequences are started, and their models chosen, on the stretch of so many successive
 #: views that turns most: the time for that does not grow with the sequence.
 WINDOW_VIEWS = 48
@@ -60,7 +61,7 @@ class Problem:
         return int(self.observations.view.max()) + 1
 
     def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
-              exact: bool) -> BundleState | None:
+              exact: bool) -> SceneState | None:
         """Start under a supposed calibration; see `planar_start`."""
         if self.flat is not None:
             return self.flat.start(blocks, xy, camera, exact)
@@ -98,14 +99,14 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) 
                    [0, 0, 1]], width=size[0], height=size[1])
 
 
-def start_priors(problem: Problem) -> dict[int, Prior]:
+def start_priors(problem: Problem) -> Priors:
     """Facts, and for the starts alone what most cameras have."""
     priors = priors_from_facts(problem.facts)
     longer = max(problem.size)
-    usual = {CX: Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
-             CY: Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
-             K1: Prior(0.0, START_K1_SIGMA), K2: Prior(0.0, START_K2_SIGMA),
-             ASPECT: Prior(1.0, 0.1), SKEW: Prior(0.0, 0.02 * longer)}
+    usual = {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+             'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer),
+             **{name: Prior(0.0, sigma) for name, sigma in plumb_bob.USUAL_SIGMA.items()}}
     return {**usual, **priors}
 
 

@@ -26,10 +26,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.state import (ASPECT, CX, CY, F, holding, parameter_covariance,
-                                                  Prior, priors_from_facts)
-from selfcal_ros.calibration.known_object.edge_bundle import EdgeBundle
-from selfcal_ros.calibration.known_object.object_bundle import ObjectState
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS, Lens, to_parameters
+from selfcal_ros.calibration.bundle.object_model import KnownEdges
+from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
+from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (assess_dependence,
@@ -133,11 +135,11 @@ class EdgeViews:
                        **{name: getattr(self, name)[mask] for name in (
                            'frame', 'point', 'primitive', 'points', 'tangents', 'xy')})
 
-    def bundle(self, priors, sigma_px: float) -> EdgeBundle:
-        """Return the adjustment of these edgels."""
+    def bundle(self, priors, sigma_px: float) -> Bundle:
+        """Return the adjustment of these edgels; sigma_px is that of a distance from an edge."""
         _, view = np.unique(self.frame, return_inverse=True)
-        return EdgeBundle(view, self.points, self.tangents, self.xy, priors=priors,
-                          sigma_px=sigma_px)
+        return Bundle(KnownEdges(self.points, self.tangents), view, view, self.xy, priors=priors,
+                      sigma_px=sigma_px)
 
 
 def calibrate_from_edges(views: EdgeViews, start: Camera, *,
@@ -192,15 +194,15 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
     missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
     low, high = FOCAL_SHARES[0] * max(size), FOCAL_SHARES[1] * max(size)
-    if not missing and not low < state.intrinsics[F] < high:
+    if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
     if missing:
         return NoEstimate('edges_leave_open', missing=missing, status=status)
     zoomed = _zoomed(used, state, inflation)
     if zoomed is not None:
         return zoomed
-    camera = _camera(state, size)
-    residuals = bundle.offsets(state)
+    camera = state.camera(*size)
+    residuals = _offsets(bundle, state)
     points, first_seen = np.unique(used.point, return_index=True)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held_facts(chosen),
@@ -209,7 +211,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         noise_sigma_px=bundle.sigma_px, observation_count=len(used),
         outlier_count=len(views) - len(used),
         reconstruction=Reconstruction(
-            used.frames, np.array(state.cam_from_object), points,
+            used.frames, np.array(state.path.cam_from_object), points,
             np.column_stack([used.points[first_seen], np.ones(len(points))])),
         findings=findings, residuals=residuals)
 
@@ -235,26 +237,30 @@ def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts):
         return None
     used, _, state = fit
     try:
-        camera = _camera(state, views.image_size)
+        camera = state.camera(*views.image_size)
     except ArgumentError:
         return None
-    return camera, dict(zip(used.frames.tolist(), state.cam_from_object))
+    return camera, dict(zip(used.frames.tolist(), state.path.cam_from_object))
 
 
 def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
-    fx, fy, *rest = start.parameters
-    return ObjectState(np.array([fx, fy / fx, *rest]), views.cam_from_object.copy())
+    return ObjectState(Lens.of(start), ObjectPoses(views.cam_from_object.copy()))
+
+
+def _offsets(bundle: Bundle, state: ObjectState) -> np.ndarray:
+    """Residuals as vectors from the edgel to its edge, (N, 2) pixels."""
+    return bundle.residuals(state) * bundle.model.normals(state, bundle.view, bundle.xy)
 
 
 def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
     """Adjust, estimate the noise, leave out outliers; returns views, bundle and state, or None."""
     priors = priors_from_facts(facts)
-    state = holding(state, priors)
+    state = with_fixed(state, priors)
     # at first the poses settle, and the principal point may not run away with them
     longer = max(views.image_size)
-    held = {CX: Prior((views.image_size[0] - 1) / 2, 0.05 * longer),
-            CY: Prior((views.image_size[1] - 1) / 2, 0.05 * longer), ASPECT: Prior(1.0, 0.05),
-            **priors}
+    held = {'cx': Prior((views.image_size[0] - 1) / 2, 0.05 * longer),
+            'cy': Prior((views.image_size[1] - 1) / 2, 0.05 * longer),
+            'aspect': Prior(1.0, 0.05), **priors}
     bundle = views.bundle(held, 1.0)
     if bundle.degrees_of_freedom < 1:
         return None
@@ -273,7 +279,7 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
         kept = np.isin(views.frames, rest.frames)
         if len(rest.frames) < 2:
             return None
-        state = replace(state, cam_from_object=state.cam_from_object[kept])
+        state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
         if bundle.degrees_of_freedom < 1:
             return None
@@ -281,27 +287,27 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
     return views, bundle, bundle.optimise(state, tolerance=1e-6)
 
 
-def _judge(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, facts: CameraFacts, size):
+def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
     """Return covariance, how much wider it is than for independent errors, findings and status."""
-    evidence = bundle.evidence(state)
+    information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)
     within = view * (int(views.primitive.max()) + 1) + views.primitive
-    by_primitive = assess_dependence(evidence, views.primitive, views.xy, size)
-    by_stay = assess_dependence(evidence, within, views.xy, size)
+    by_primitive = assess_dependence(information, views.primitive, views.xy, size)
+    by_stay = assess_dependence(information, within, views.xy, size)
     wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
     ratio, more = _stretches(views, bundle, state, wider)
-    covariance = parameter_covariance(wider.covariance + more, state.intrinsics)
+    covariance = to_parameters(wider.covariance + more, state.lens)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
     findings = wider.findings(track='errors_within_edge') + stretch_findings(ratio)
     return (covariance, wider.inflation * ratio, findings,
-            parameter_status(_camera(state, size), covariance, facts))
+            parameter_status(state.camera(*size), covariance, facts))
 
 
-def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
+def _stretches(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
     """Return what leaving out a stretch of images at a time tells: ratio and covariance."""
-    nothing = 1.0, np.zeros((9, 9))
+    nothing = 1.0, np.zeros((INTRINSICS, INTRINSICS))
     frames = views.frames
     if len(frames) < 3 * STRETCHES:
         return nothing
@@ -311,9 +317,9 @@ def _stretches(views: EdgeViews, bundle: EdgeBundle, state: ObjectState, known):
         keep = ~np.isin(views.frame, gone)
         rest = views.select(keep)
         part = rest.bundle(bundle.priors, bundle.sigma_px)
-        own = replace(state, cam_from_object=state.cam_from_object[np.isin(frames, rest.frames)])
+        own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
         moved = part.optimise(own, 20, 1e-4)
-        shifts.append(moved.intrinsics - state.intrinsics)
+        shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved))
     return stretch_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
 
@@ -324,26 +330,22 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
     if len(frames) < 8:
         return None
     half = frames[len(frames) // 2]
-    priors = {index: Prior(float(value), 0.0) for index, value in enumerate(state.intrinsics)
-              if index != F}
+    priors = {name: prior for name, prior in all_fixed(state.lens).items() if name != 'f'}
     found = []
     for keep in (views.frame < half, views.frame >= half):
         part = views.select(keep)
         if len(part.frames) < 3:
             return None
-        own = replace(state, cam_from_object=state.cam_from_object[np.isin(frames, part.frames)])
+        own = replace(state, path=state.path.of_views(np.isin(frames, part.frames)))
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
         own = bundle.optimise(own, 30, 1e-4)
-        found.append((own.intrinsics[F], float(np.sqrt(bundle.ideal_covariance(own)[F, F]))))
+        focal = intrinsic_places(('f',))[0]
+        variance = bundle.ideal_covariance(own)[focal, focal]
+        found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found
     limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
-                ZOOM_SHARE * state.intrinsics[F])
+                ZOOM_SHARE * state.lens['f'])
     if abs(a - b) < limit:
         return None
     return NoEstimate('focal_length_changes', first_px=float(a), second_px=float(b))
-
-
-def _camera(state: ObjectState, size) -> Camera:
-    f, aspect, *rest = state.intrinsics
-    return Camera.from_parameters([f, aspect * f, *rest], *size)

@@ -30,8 +30,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.known_object.object_bundle import ObjectState
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
+from selfcal_ros.calibration.bundle.state import ObjectState
+from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import (calibration_from_iac, euclidean, homogeneous,
                                              normalising_transform)
@@ -228,5 +230,4 @@ def start_state(K: np.ndarray, views: list[LinearView]) -> ObjectState:
         t = A[:, 3] / (scale[:2].mean() if view.flat else scale.mean())
         pose[:, :3] = R @ view.frame
         pose[:, 3] = t - pose[:, :3] @ view.centre
-    f = K[0, 0]
-    return ObjectState(np.array([f, K[1, 1] / f, K[0, 2], K[1, 2], K[0, 1], 0, 0, 0, 0]), poses)
+    return ObjectState(Lens.of(Camera(K)), ObjectPoses(poses))

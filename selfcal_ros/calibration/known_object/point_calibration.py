@@ -25,17 +25,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.state import (CX, CY, holding, K1, K2, P1, P2,
-                                                  parameter_covariance, Prior, priors_from_facts)
-from selfcal_ros.calibration.known_object.object_bundle import ObjectBundle, ObjectState, POSE
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.lens import to_parameters
+from selfcal_ros.calibration.bundle.object_model import KnownPoints
+from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
+from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_start import (linear_view, LinearView,
                                                                start_state, supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.lenses import plumb_bob
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -63,8 +67,9 @@ class _Views:
     xy: np.ndarray
     linear: list[LinearView]
 
-    def bundle(self, priors, sigma_px: float) -> ObjectBundle:
-        return ObjectBundle(self.view, self.points, self.xy, priors=priors, sigma_px=sigma_px)
+    def bundle(self, priors, sigma_px: float) -> Bundle:
+        return Bundle(KnownPoints(self.points), self.view, self.view, self.xy, priors=priors,
+                      sigma_px=sigma_px)
 
     def select(self, mask: np.ndarray) -> _Views:
         """Keep the observations in mask, of views that keep at least four."""
@@ -160,12 +165,12 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if len(lost):
         findings += (Finding('object_misfits_frames', frames=tuple(lost.tolist())),)
     # back to the object's own frame and unit
-    poses = np.array(state.cam_from_object)
+    poses = np.array(state.path.cam_from_object)
     poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin
     points = np.column_stack([target.points, np.ones(len(target))])
     rejected = len(views.view) - len(used.view)
     return Calibration(
-        camera=_camera(state, size), covariance=covariance, status=status,
+        camera=state.camera(*size), covariance=covariance, status=status,
         held_by=held_facts(chosen), motion=MOTION, facts=chosen,
         frames=tuple(int(f) for f in used.frames),
         reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
@@ -215,10 +220,10 @@ def _fit(views: _Views, size, facts: CameraFacts):
         if bundle.degrees_of_freedom < 1:
             if name != names[-1]:
                 continue
-            unknowns = int(bundle.free.sum()) + POSE * bundle.views
+            unknowns = bundle.unknowns.count + len(VIEW_NAMES) * len(views.frames)
             return NoEstimate('too_few_points', coordinates=2 * len(views.view),
                               unknowns=unknowns)
-        fit = _robust_fit(views, holding(state, bundle.priors), chosen)
+        fit = _robust_fit(views, with_fixed(state, bundle.priors), chosen)
         if fit is None:
             continue
         judgement = _judge(*fit, chosen, size)
@@ -234,15 +239,16 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     count = np.bincount(views.view)[views.view]
     few = views.select(rank * START_POINTS % count < START_POINTS)
     longer = max(size)
-    priors = {K1: Prior(0.0, 0.2), K2: Prior(0.0, 0.1), P1: Prior(0.0, 0.0), P2: Prior(0.0, 0.0),
-              CX: Prior((size[0] - 1) / 2, 0.2 * longer),
-              CY: Prior((size[1] - 1) / 2, 0.2 * longer), **priors_from_facts(facts)}
-    priors.update({index: Prior(0.0, 0.0) for index in (P1, P2)})
+    usual = plumb_bob.USUAL_SIGMA
+    priors = {**{name: Prior(0.0, sigma) for name, sigma in usual.items()},
+              'cx': Prior((size[0] - 1) / 2, 0.2 * longer),
+              'cy': Prior((size[1] - 1) / 2, 0.2 * longer), **priors_from_facts(facts),
+              **{name: Prior(0.0, 0.0) for name in plumb_bob.COEFFICIENTS if name not in usual}}
     # a pixel or two for what the linear solution and the short adjustment leave
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
     for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
-        state = bundle.optimise(holding(start_state(K, few.linear), priors), 25, 1e-2)
+        state = bundle.optimise(with_fixed(start_state(K, few.linear), priors), 25, 1e-2)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -274,7 +280,7 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
         if not len(rest.view) or rest.bundle(priors, sigma).degrees_of_freedom < 1:
             return None
         kept = np.isin(views.frames, rest.frames)
-        state = replace(state, cam_from_object=state.cam_from_object[kept])
+        state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
         state = bundle.optimise(state, tolerance=0.1)
         sigma = bundle.noise_sigma(state)
@@ -283,23 +289,18 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
     return views, bundle, state
 
 
-def _camera(state: ObjectState, size) -> Camera:
-    f, aspect, *rest = state.intrinsics
-    return Camera.from_parameters([f, aspect * f, *rest], *size)
-
-
-def _judge(views: _Views, bundle: ObjectBundle, state: ObjectState, facts: CameraFacts, size):
+def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
     """Return how far errors are shared, the covariance, and every parameter's status."""
-    dependence = assess_dependence(bundle.evidence(state), views.point, views.xy, size)
-    covariance = parameter_covariance(dependence.covariance, state.intrinsics)
+    dependence = assess_dependence(bundle.information(state), views.point, views.xy, size)
+    covariance = to_parameters(dependence.covariance, state.lens)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
-    status = parameter_status(_camera(state, size), covariance, facts)
+    status = parameter_status(state.camera(*size), covariance, facts)
     return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
 
-def _open_without_lens(bundle: ObjectBundle, state: ObjectState, facts: CameraFacts,
+def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
                        size) -> dict[str, str]:
     """
     Return the parameters that the same views leave open where the lens does not distort.
@@ -307,13 +308,15 @@ def _open_without_lens(bundle: ObjectBundle, state: ObjectState, facts: CameraFa
     The distortion of a board alone shows the principal point and with it the rest, but only as
     far as the lens is exactly what its model says.
     """
-    ideal = replace(state, intrinsics=np.where(np.arange(9) >= K1, 0.0, state.intrinsics))
     pinhole = replace(facts, distortion='none')
-    bare = ObjectBundle(bundle.view, bundle.points, bundle.xy, priors=priors_from_facts(pinhole),
-                        sigma_px=bundle.sigma_px)
-    bare.xy = bundle.xy + np.nan_to_num(bare.residuals(ideal))
-    covariance = parameter_covariance(bare.ideal_covariance(ideal), ideal.intrinsics)
-    status = parameter_status(_camera(ideal, size), covariance, pinhole)
+    priors = priors_from_facts(pinhole)
+    ideal, bare = with_fixed(state, priors), bundle.with_priors(priors)
+    # what that camera would have seen
+    exact = Bundle(bundle.model, bundle.view, bundle.part,
+                   bundle.xy + np.nan_to_num(bare.residuals(ideal)), priors=priors,
+                   sigma_px=bundle.sigma_px)
+    covariance = to_parameters(exact.ideal_covariance(ideal), ideal.lens)
+    status = parameter_status(ideal.camera(*size), covariance, pinhole)
     return {name: status[name] for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable'}
 
 

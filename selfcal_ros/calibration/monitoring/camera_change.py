@@ -19,12 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.state import CX, CY, F
 from selfcal_ros.errors import ArgumentError
 
 #: What may change suddenly. The aspect ratio belongs to the sensor; a change of the distortion
 #: shows as one of these.
-CHANGES = (F, CX, CY)
+CHANGES = ('f', 'cx', 'cy')
 CHANGE_NAMES = ('focal length', 'cx', 'cy')
 #: A parameter counts as changed when its change exceeds so many sigmas.
 SAID_SIGMAS = 3.0

@@ -29,7 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.state import ASPECT
+from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, Lens,
+                                                 to_intrinsics)
 from selfcal_ros.calibration.monitoring.camera_change import CameraChange, CHANGES, MonitorSettings
 from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
@@ -76,8 +77,8 @@ class ChangeMonitor:
     Attributes
     ----------
     calibration : Calibration
-    free : ndarray of int, shape (k,)
-        Indices into `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+    free : tuple of str
+        Those of `INTRINSIC_NAMES` that `window_score` has to differentiate by.
     in_force : ndarray, shape (k,)
         These parameters of the camera in force.
     camera : Camera
@@ -95,17 +96,18 @@ class ChangeMonitor:
     def __init__(self, calibration: Calibration, settings: MonitorSettings = MonitorSettings()):
         self.settings, self.calibration = settings, calibration
         self.camera = calibration.camera
-        fx, fy, *rest = self.camera.parameters
         covariance = _intrinsic_covariance(calibration)
-        self.free = np.flatnonzero((np.diag(covariance) > 0) | np.isin(np.arange(9), CHANGES))
-        self.in_force = np.array([fx, fy / fx, *rest])[self.free]
-        self._changes = np.searchsorted(self.free, CHANGES)
+        self.free = tuple(name for name, variance in zip(INTRINSIC_NAMES, np.diag(covariance))
+                          if variance > 0 or name in CHANGES)
+        places = intrinsic_places(self.free)
+        self.in_force = Lens.of(self.camera).take(self.free)
+        self._changes = [self.free.index(name) for name in CHANGES]
         size = np.hypot(self.camera.width, self.camera.height)
         focal = self.camera.K[0, 0]
         # displacement half a diagonal from the middle: of a focal length, and of the middle
         reach = 2 * focal / size
         self._least = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
-        prior = covariance[np.ix_(self.free, self.free)]
+        prior = covariance[np.ix_(places, places)]
         self._prior = self._stated = prior + np.diag(self._along(0.01 * self._least))
         self._old: list[_Block] = []
         self._new: list[_Block] = []
@@ -230,11 +232,12 @@ class ChangeMonitor:
     def _changed(self, change) -> Camera:
         """Return the camera in force after a change (3,), within reason."""
         camera = self.calibration.camera
-        values = camera.parameters
-        values[:2] *= np.clip(1 + change[0] / values[0], 0.5, 2.0)
-        values[2:4] += np.clip(change[1:], *(np.array([-0.25, 0.25])
-                                             * np.hypot(camera.width, camera.height)))
-        return Camera.from_parameters(values, camera.width, camera.height)
+        lens, reach = Lens.of(camera), 0.25 * np.hypot(camera.width, camera.height)
+        focal, *point = (lens[name] for name in CHANGES)
+        point = np.asarray(point) + np.clip(change[1:], -reach, reach)
+        focal *= np.clip(1 + change[0] / focal, 0.5, 2.0)
+        return lens.with_values(dict(zip(CHANGES, (focal, *point)))).camera(camera.width,
+                                                                            camera.height)
 
     def _holds_without_strongest(self, count, before, before_shift, after, after_shift) -> bool:
         """Tell whether the change is seen without any one of its newest windows, too."""
@@ -283,14 +286,12 @@ class ChangeMonitor:
 
 
 def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
-    """Covariance of `INTRINSIC_NAMES` from that of `PARAMETER_NAMES`, (9, 9)."""
-    fx, fy = calibration.camera.K[0, 0], calibration.camera.K[1, 1]
-    J = np.eye(9)
-    J[ASPECT, :2] = -fy / fx**2, 1 / fx
-    covariance = J @ calibration.covariance @ J.T
-    # an aspect ratio that a fact holds has no variance but that of rounding
-    if covariance[ASPECT, ASPECT] < 1e-14:
-        covariance[ASPECT] = covariance[:, ASPECT] = 0
+    """Covariance of `INTRINSIC_NAMES` from that of `PARAMETER_NAMES`, (k, k)."""
+    covariance = to_intrinsics(calibration.covariance, Lens.of(calibration.camera))
+    # an aspect ratio that a fact fixes has no variance but that of rounding
+    aspect = INTRINSIC_NAMES.index('aspect')
+    if covariance[aspect, aspect] < 1e-14:
+        covariance[aspect] = covariance[:, aspect] = 0
     return covariance
 
 

@@ -27,9 +27,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.information import Evidence
+from selfcal_ros.calibration.bundle.information import Information
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
-from selfcal_ros.calibration.bundle.state import BundleState, MotionModel, Prior
 from selfcal_ros.calibration.initialisation.initial_structure import planar_start
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, LEAST_NOISE_PX
@@ -43,14 +45,12 @@ WINDOW_TRACKS_PER_VIEW = 120
 #: Windows with fewer views or points say too little to be judged.
 LEAST_VIEWS, LEAST_POINTS = 4, 20
 #: No path is assumed: even where the calibration's motion was planar, the plane would add one
-#: hundredth to what a window tells, and could be violated by a bump.
-_ANY_MOTION = MotionModel(np.inf, np.inf)
 
 
 @dataclass(frozen=True)
 class WindowScore:
     """
-    Evidence of one window about `INTRINSIC_NAMES[free]`, first order.
+    Information of one window about some of `INTRINSIC_NAMES`, first order.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class WindowScore:
     misfit: float
 
 
-def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
+def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
                  rng: np.random.Generator) -> WindowScore | NoEstimate:
     """
     Score a window of keyframes against a camera.
@@ -92,8 +92,8 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
         Of these keyframes only, in pixels.
     camera : Camera
         That is supposed: the one in force, or where it is thought to be now.
-    free : ndarray of int, shape (k,)
-        Indices into `INTRINSIC_NAMES`.
+    free : tuple of str
+        Those of `INTRINSIC_NAMES` that it is to tell of.
     rng : numpy.random.Generator
         For RANSAC.
 
@@ -107,18 +107,18 @@ def window_score(tracks: Tracks, camera: Camera, free: np.ndarray,
     if isinstance(found, NoEstimate):
         return found
     graph, bundle, state, observations = found
-    free_bundle = without_camera(bundle, free)
-    evidence = free_bundle.evidence(state)
-    covariance = evidence.covariance[np.ix_(free, free)]
+    places = intrinsic_places(free)
+    told = without_camera(bundle, free).information(state)
+    covariance = told.covariance[np.ix_(places, places)]
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         return NoEstimate('window_singular')
     information = np.linalg.pinv(covariance / np.outer(scale, scale),
                                  hermitian=True) / np.outer(scale, scale)
     return WindowScore(
-        tuple(int(frame) for frame in graph.frames), state.intrinsics[free],
-        evidence.influence[:, free].sum(axis=0), information,
-        shared_within_tracks(evidence, observations.point, free, information),
+        tuple(int(frame) for frame in graph.frames), state.lens.values[places],
+        told.influence[:, places].sum(axis=0), information,
+        shared_within_tracks(told, observations.point, places, information),
         bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, LEAST_NOISE_PX))
 
 
@@ -128,7 +128,7 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
 
     Returns
     -------
-    ViewGraph, Bundle, BundleState, Observations
+    ViewGraph, Bundle, SceneState, Observations
         Or a NoEstimate, where the window says nothing.
 
     """
@@ -149,17 +149,16 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
     return graph, *fitted
 
 
-def without_camera(bundle: Bundle, free: np.ndarray) -> Bundle:
-    """Return the same adjustment with these internal parameters (k,) free."""
-    return bundle.with_priors({index: prior for index, prior in bundle.priors.items()
-                               if index not in free})
+def without_camera(bundle: Bundle, free: tuple[str, ...]) -> Bundle:
+    """Return the same adjustment with these unknowns of the lens free."""
+    return bundle.with_priors({name: prior for name, prior in bundle.priors.items()
+                               if name not in free})
 
 
 def _fit(graph, observations: Observations, camera: Camera):
     """Adjust poses and points with the camera held; gross errors go once."""
-    f, fy, *rest = camera.parameters
-    held = {k: Prior(float(value), 0.0) for k, value in enumerate([f, fy / f, *rest])}
-    bundle = bundle_of(observations, _ANY_MOTION, held, max(graph.noise_px, LEAST_NOISE_PX))
+    fixed = all_fixed(Lens.of(camera))
+    bundle = bundle_of(observations, GENERAL, fixed, max(graph.noise_px, LEAST_NOISE_PX))
     state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
@@ -167,20 +166,20 @@ def _fit(graph, observations: Observations, camera: Camera):
     sigma_px = bundle.noise_sigma(state)
     distance = np.linalg.norm(bundle.residuals(state), axis=1)
     fewer, points = observations.select(distance < OUTLIER_SIGMAS * sigma_px)
-    if not np.isfinite(sigma_px) or len(np.unique(fewer.view)) < len(state.views):
+    if not np.isfinite(sigma_px) or len(np.unique(fewer.view)) < len(state.path):
         return None
-    state: BundleState = replace(state, points=state.points[points])
-    bundle = bundle_of(fewer, _ANY_MOTION, held, sigma_px)
+    state = replace(state, points=state.points[points])
+    bundle = bundle_of(fewer, GENERAL, fixed, sigma_px)
     state = bundle.optimise(state, 15, 0.01)
     return bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX)), state, fewer
 
 
-def shared_within_tracks(evidence: Evidence, point, free, information) -> float:
+def shared_within_tracks(told: Information, point, places, information) -> float:
     """Variance of sums of influences over tracks, over that of independent errors."""
     points = int(point.max()) + 1
     sums = np.stack([np.bincount(point, column, points)
-                     for column in evidence.influence[:, free].T], axis=1)
+                     for column in told.influence[:, places].T], axis=1)
     # the step itself is no error: what it shifts, every track shares
     sums -= sums.mean(axis=0)
-    square = np.einsum('pi,ij,pj->', sums, information, sums) / evidence.track_share
-    return float(square * points / (points - 1) / len(free))
+    square = np.einsum('pi,ij,pj->', sums, information, sums) / told.track_fraction
+    return float(square * points / (points - 1) / len(places))

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.pixel_model import PixelModel
+from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, Projection
 from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated, StructureSample
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
@@ -107,23 +107,24 @@ def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, se
 
 
 def _directions(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit rays (N, 3) of pixels, and their derivatives (N, 3, 9) by `PARAMETER_NAMES`."""
-    fx, fy, *rest = camera.parameters
+    """Unit rays (N, 3) of pixels, and their derivatives (N, 3, k) by `PARAMETER_NAMES`."""
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
     x, y = camera.normalised(pixels).T
-    model = PixelModel(np.array([fx, fy / fx, *rest]), x, y)
-    by_camera = model.by_intrinsics(np.ones(9, bool))
+    model = Projection(Lens.of(camera), x, y)
+    by_camera = model.by_intrinsics()
     # of (f, aspect) by (fx, fy)
     by_camera[:, :, 0] -= fy / fx**2 * by_camera[:, :, 1]
     by_camera[:, :, 1] /= fx
     # the pixel stays: what the parameters move, the ray has to make good
     seen = np.isfinite(x) & np.isfinite(y)
-    moved = np.full((len(x), 2, 9), np.nan)
+    moved = np.full((len(x), 2, INTRINSICS), np.nan)
     moved[seen] = -np.linalg.solve(model.by_points(np.ones(len(x)))[seen, :, :2],
                                    by_camera[seen])
     ray = np.column_stack([x, y, np.ones(len(x))])
     length = np.linalg.norm(ray, axis=1)[:, None]
     unit = ray / length
-    change = np.concatenate([moved, np.zeros((len(x), 1, 9))], axis=1) / length[:, :, None]
+    moved = np.concatenate([moved, np.zeros((len(x), 1, INTRINSICS))], axis=1)
+    change = moved / length[:, :, None]
     return unit, change - unit[:, :, None] * np.einsum('ni,nik->nk', unit, change)[:, None]
 
 

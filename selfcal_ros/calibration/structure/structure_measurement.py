@@ -25,10 +25,10 @@ from operator import index
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens, to_intrinsics
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import intrinsic_covariance
 from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated, Reconstruction,
-                                            StructureSample)
+                                            StructurePrecision, StructureSample)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.projective import tangent_basis
 
@@ -80,7 +80,7 @@ def length_ratio(result: Calibration | NotCalibrated, first: tuple[int, int],
 
     """
     shape, rows = _found(result, [(first, 2), (second, 2)])
-    return distance_ratio(shape.fit, tuple(rows[:2]), tuple(rows[2:]), result.covariance,
+    return distance_ratio(shape.precision, tuple(rows[:2]), tuple(rows[2:]), result.covariance,
                           shape.points)
 
 
@@ -122,13 +122,13 @@ def structure_angle(result: Calibration | NotCalibrated, corner: tuple[int, int,
 
     """
     shape, rows = _found(result, [(corner, 3)])
-    return corner_angle(shape.fit, tuple(rows), result.covariance, shape.points)
+    return corner_angle(shape.precision, tuple(rows), result.covariance, shape.points)
 
 
 def _found(result, groups) -> tuple[Reconstruction, np.ndarray]:
     """Return the reconstruction and the rows of tracks; groups are pairs (tracks, how many)."""
     shape = result.reconstruction if isinstance(result, Calibration) else None
-    if shape is None or shape.fit is None:
+    if shape is None or shape.precision is None:
         raise ArgumentError('There is no adjusted structure to measure in; use what calibrate '
                             'returns for a camera that moves and is calibrated.')
     rows = []
@@ -156,8 +156,18 @@ def _all_different(ends, name: str) -> None:
                             'different points.')
 
 
-def sample_structure(fit: Fit, points: np.ndarray, covariance: np.ndarray,
-                     ) -> StructureSample | None:
+def precision_of(fit: Fit) -> StructurePrecision:
+    """Take from an optimum what the sigmas of lengths and angles need."""
+    unknowns = fit.bundle.unknowns
+    factor, _ = fit.bundle.loss_factors(fit.linearisation)
+    return StructurePrecision(
+        fit.state.camera(), fit.state.points, unknowns.free_lens_names,
+        fit.covariance[np.ix_(unknowns.members, unknowns.members)],
+        fit.information.system.elimination(unknowns.selection), factor)
+
+
+def sample_structure(precision: StructurePrecision, tracks: np.ndarray, points: np.ndarray,
+                     covariance: np.ndarray) -> StructureSample | None:
     """
     Measure a typical ratio of lengths and a typical angle.
 
@@ -167,11 +177,12 @@ def sample_structure(fit: Fit, points: np.ndarray, covariance: np.ndarray,
 
     Parameters
     ----------
-    fit : Fit
-        At its optimum.
+    precision : StructurePrecision
+    tracks : ndarray of int, shape (P,)
+        Identity of each point.
     points : ndarray, shape (P, 4)
-        Of the result, in the order of the fit's.
-    covariance : ndarray, shape (9, 9)
+        Of the result, in the same order.
+    covariance : ndarray, shape (k, k)
         Of `PARAMETER_NAMES`.
 
     Returns
@@ -184,11 +195,11 @@ def sample_structure(fit: Fit, points: np.ndarray, covariance: np.ndarray,
     if ends is None:
         return None
     a, b, c, d, apex = ends
-    ratio = distance_ratio(fit, (a, b), (c, d), covariance, points)
-    angle = corner_angle(fit, (a, apex, b), covariance, points)
+    ratio = distance_ratio(precision, (a, b), (c, d), covariance, points)
+    angle = corner_angle(precision, (a, apex, b), covariance, points)
     if not np.isfinite([ratio.value, ratio.sigma, angle.value, angle.sigma]).all():
         return None
-    a, b, c, d, apex = (int(fit.observations.track[k]) for k in ends)
+    a, b, c, d, apex = (int(tracks[k]) for k in ends)
     return StructureSample(ratio, (a, b), (c, d),
                            Measured(*np.degrees([angle.value, angle.sigma]).tolist()),
                            (a, apex, b))
@@ -226,9 +237,9 @@ def _extremes(X: np.ndarray) -> tuple[int, int]:
             int(np.argmax(place >= place.max() - margin)))
 
 
-# ---------------------------------------------------------------------- by the rows of a fit
+# ---------------------------------------------------------------------- by rows of points
 
-def distance_ratio(fit: Fit, first: tuple[int, int], second: tuple[int, int],
+def distance_ratio(precision: StructurePrecision, first: tuple[int, int], second: tuple[int, int],
                    covariance: np.ndarray | None = None,
                    points: np.ndarray | None = None) -> Measured:
     """
@@ -236,14 +247,13 @@ def distance_ratio(fit: Fit, first: tuple[int, int], second: tuple[int, int],
 
     Parameters
     ----------
-    fit : Fit
-        At its optimum.
+    precision : StructurePrecision
     first, second : (int, int)
-        Points (rows of the state's points) that each segment connects.
-    covariance : ndarray, shape (9, 9), optional
+        Points (rows of the points) that each segment connects.
+    covariance : ndarray, shape (k, k), optional
         Of `PARAMETER_NAMES`, if it is to count in place of that for independent errors.
     points : ndarray, shape (P, 4), optional
-        Where the points are thought to be, if not where the fit has them.
+        Where the points are thought to be, if not where the adjustment has them.
 
     Returns
     -------
@@ -258,10 +268,11 @@ def distance_ratio(fit: Fit, first: tuple[int, int], second: tuple[int, int],
     """
     _all_different(first, 'Point')
     _all_different(second, 'Point')
-    return _measured(fit, [*first, *second], _ratio, covariance, points)
+    return _measured(precision, [*first, *second], _ratio, covariance, points)
 
 
-def corner_angle(fit: Fit, corner: tuple[int, int, int], covariance: np.ndarray | None = None,
+def corner_angle(precision: StructurePrecision, corner: tuple[int, int, int],
+                 covariance: np.ndarray | None = None,
                  points: np.ndarray | None = None) -> Measured:
     """
     Angle at the second of three points of the structure, radians; see `distance_ratio`.
@@ -269,7 +280,7 @@ def corner_angle(fit: Fit, corner: tuple[int, int, int], covariance: np.ndarray 
     NaN with a point at infinity or all three on one line.
     """
     _all_different(corner, 'Point')
-    return _measured(fit, list(corner), _angle, covariance, points)
+    return _measured(precision, list(corner), _angle, covariance, points)
 
 
 def _ratio(X: np.ndarray) -> tuple[float, np.ndarray]:
@@ -291,9 +302,10 @@ def _angle(X: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.arctan2(sine, cosine)), np.array([pull[0], -pull.sum(axis=0), pull[1]])
 
 
-def _measured(fit: Fit, rows: list[int], quantity, covariance, points) -> Measured:
+def _measured(precision: StructurePrecision, rows: list[int], quantity, covariance,
+              points) -> Measured:
     """Value and sigma of a quantity that depends on some points and on no scale."""
-    p = fit.state.points[rows]
+    p = precision.points[rows]
     with np.errstate(divide='ignore', invalid='ignore'):
         X = p[:, :3] / p[:, 3:]
         value, slope = quantity(X)
@@ -304,16 +316,17 @@ def _measured(fit: Fit, rows: list[int], quantity, covariance, points) -> Measur
     # of X = p / w by steps along the tangents of the homogeneous unit vector
     basis = tangent_basis(p)
     by_point = (basis[:, :3] - X[:, :, None] * basis[:, 3:]) / p[:, 3:, None]
-    form = np.zeros((len(fit.state.points), 3))
+    form = np.zeros((len(precision.points), 3))
     np.add.at(form, rows, np.einsum('pi,pij->pj', slope, by_point))
-    carried, own = fit.evidence.system.point_form(form)
-    factor, _ = fit.bundle.loss_factors(fit.line.residual[fit.line.ahead])
-    joint = fit.covariance
-    variance = factor * own + carried @ joint @ carried
+    carried, own = precision.elimination.point_form(form)
+    joint = precision.covariance
+    variance = precision.noise_factor * own + carried @ joint @ carried
     if covariance is not None:
-        inner = joint[:9, :9]
-        pull = regression(inner, joint[:9] @ carried)
-        variance += pull @ (intrinsic_covariance(covariance, fit.state.intrinsics) - inner) @ pull
+        count, places = len(precision.lens), intrinsic_places(precision.lens)
+        inner = joint[:count, :count]
+        pull = regression(inner, joint[:count] @ carried)
+        stated = to_intrinsics(covariance, Lens.of(precision.camera))[np.ix_(places, places)]
+        variance += pull @ (stated - inner) @ pull
     return Measured(value, float(np.sqrt(max(variance, 0))))
 
 

@@ -28,12 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.information import Evidence
+from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.findings.finding import Finding
 
-#: Number of internal parameters: only they are judged, since the axis may rest on the prior of the
-#: tilts.
-CALIBRATION = 9
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
 #: A way of clustering counts when the variance that it finds exceeds that of independent errors
@@ -52,7 +49,7 @@ class Dependence:
         Sigma of the calibration with errors shared within 'track' or 'region' over
         sigma with independent errors, mean over the estimated parameters; 1 where nothing
         significant was found.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
         Of the internal parameters, dependence included.
 
     """
@@ -77,14 +74,15 @@ def stretch_findings(ratio: float) -> tuple[Finding, ...]:
     return () if ratio <= 1 else (Finding('errors_within_stretch', ratio=float(ratio)),)
 
 
-def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
+def assess_dependence(information: Information, track: np.ndarray, xy: np.ndarray,
                       size: tuple[int, int]) -> Dependence:
     """
     Widen a covariance by the dependence that the residuals show.
 
     Parameters
     ----------
-    evidence : Evidence
+    information : Information
+        Only the lens is judged, since the axis may rest on the prior of the tilts.
     track : ndarray of int, shape (N,)
     xy : ndarray, shape (N, 2)
         Pixels.
@@ -96,11 +94,11 @@ def assess_dependence(evidence: Evidence, track: np.ndarray, xy: np.ndarray,
     Dependence
 
     """
-    base = evidence.covariance[:CALIBRATION, :CALIBRATION]
+    base = information.lens_covariance
     whiten, unwhiten, free = _whitening(base)
-    effects = evidence.influence[:, :CALIBRATION][:, free] @ whiten.T
-    of_tracks = effects / np.sqrt(evidence.track_share)
-    effects /= np.sqrt(evidence.freedom_share)
+    effects = information.lens_influence[:, free] @ whiten.T
+    of_tracks = effects / np.sqrt(information.track_fraction)
+    effects /= np.sqrt(information.freedom_fraction)
     widened = base.copy()
     ratios = {}
     # unequal noise counts with the tracks, and must not count again with the regions

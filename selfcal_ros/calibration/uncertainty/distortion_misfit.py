@@ -31,8 +31,9 @@ from numpy.polynomial import legendre
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
+from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import BundleState, SHARED
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
@@ -60,9 +61,9 @@ class LensField:
         Root mean square displacement of the most probable field at the observations.
     region_ratio : float
         Of sigmas with errors that the regions of the image still share to those without.
-    state : BundleState
+    state : SceneState
         The optimum with the field allowed for.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
         Of the internal parameters.
     residual : ndarray, shape (N, 2)
         Residuals that remain beside the field, pixels.
@@ -72,7 +73,7 @@ class LensField:
     size_px: float
     rms_px: float
     region_ratio: float
-    state: BundleState
+    state: SceneState
     covariance: np.ndarray
     residual: np.ndarray
 
@@ -129,7 +130,8 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
         None where the residuals show none.
 
     """
-    bundle, state, line = fit.bundle, fit.state, fit.line
+    bundle, state, line = fit.bundle, fit.state, fit.linearisation
+    unknowns, shared_count = bundle.unknowns, bundle.unknowns.shared.stop
     # where the points project: at the measured places the modes would carry the noise itself,
     # and one that the rest of the adjustment all but absorbs would explain the residuals by it
     modes = displacement_modes(bundle.xy + line.residual, size)
@@ -139,17 +141,18 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
     root = np.sqrt(weight)[:, None]
     shared = np.concatenate([line.shared, modes], axis=2)
     system = bundle.blocks.reduce(shared * root[..., None], line.view * root[..., None],
-                                  line.point * root[..., None], line.residual * root)
-    place = np.r_[:SHARED, SHARED + count:len(system.matrix)]     # of the adjustment's unknowns
+                                  line.eliminated * root[..., None], line.residual * root)
+    # of the adjustment's unknowns, and of the field
+    place = np.r_[:shared_count, shared_count + count:len(system.matrix)]
+    field = np.arange(shared_count, shared_count + count)
     _, gradient, diagonal = bundle.prior_terms(state)
     system.gradient[place] += gradient / known
     system.matrix[place, place] += diagonal / known
-    gauge = bundle.gauge(state)
+    gauge = bundle.model.gauge(state, unknowns)
     system.matrix[np.ix_(place, place)] += np.mean(system.diagonal[place]) * np.outer(gauge, gauge)
 
-    E = bundle.unknowns()
+    E = unknowns.selection
     matrix = E.T @ (E.T @ system.matrix[np.ix_(place, place)]).T
-    field = np.arange(SHARED, SHARED + count)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     try:
         factor = cho_factor(matrix / np.outer(scale, scale))
@@ -176,19 +179,19 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
     step[field] = coefficients
     step[place] = -E @ ((cho_solve(factor, slope) + solved @ coefficients) / scale)
     points = system.point_steps(step)
-    chosen = np.flatnonzero(bundle.free[:9])
+    chosen = unknowns.free_lens
     unit = np.zeros((len(scale), len(chosen)))
     unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
     through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
     # rows of the joint covariance of the adjustment's unknowns and the field
-    rows = np.zeros((9, len(system.matrix)))
+    rows = np.zeros((INTRINSICS, len(system.matrix)))
     rows[np.ix_(chosen, place)] = (E @ ((cho_solve(factor, unit).T
                                          + (through * posterior) @ (solved @ vectors).T)
                                         / scale).T).T
     rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
-    inner = rows[:, :9]
-    found = bundle.apply(state, step[place], points)
-    if not abs(found.intrinsics[0] / state.intrinsics[0] - 1) < MOST_SHIFT:
+    inner = rows[:, unknowns.lens]
+    found = bundle.moved(state, step[place], points)
+    if not abs(found.lens['f'] / state.lens['f'] - 1) < MOST_SHIFT:
         return None
     displacement = modes @ coefficients
     change = system.predict(step, points)

@@ -26,14 +26,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.centres import centres_from_state
+from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS, Lens, to_parameters
+from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel
+from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import (BundleState, MotionModel, parameter_covariance,
-                                                  PER_VIEW)
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
-from selfcal_ros.geometry.rotation import pad, rotation_matrix, swing_twist, twist_matrix
+from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist, twist_matrix
 
 #: Views and points of a motion that is simulated.
 VIEWS, POINTS = 12, 150
@@ -93,30 +95,30 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
     state = _plausible(state, bundle, size)
     limits = observability_limits(state.camera(*size))
     place = [PARAMETER_NAMES.index(name) for name in names]
-    free = np.flatnonzero(bundle.free[:9])
+    free = bundle.unknowns.free_lens
 
     def rank(candidates, motion):
         found = []
-        for name, views, near in candidates:
-            seen = _simulate(state, views, near * depths, size, bundle, motion, rng)
+        for name, path, near in candidates:
+            seen = _simulate(state, path, near * depths, size, bundle, motion, rng)
             if seen is None:
                 continue
             total = at_hand + _information(*seen, with_facts=False)
             scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-            covariance = np.zeros((9, 9))
+            covariance = np.zeros((INTRINSICS, INTRINSICS))
             covariance[np.ix_(free, free)] = np.linalg.pinv(
                 total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
-            variance = np.diag(parameter_covariance(covariance, state.intrinsics))
+            variance = np.diag(to_parameters(covariance, state.lens))
             sigma = np.sqrt(np.maximum(variance, 0))
             found.append(Suggestion(name, dict(zip(PARAMETER_NAMES, sigma.tolist())),
                                     float(np.max(sigma[place] / limits[place]))))
         return sorted(found, key=lambda one: one.worst_share)
 
-    if bundle.motion.keeps_plane:
-        found = rank(_in_the_plane(state), replace(bundle.motion, parallel=()))
+    if fit.motion.keeps_plane:
+        found = rank(_in_the_plane(state.path), replace(fit.motion, parallel=()))
         if found and found[0].worst_share < 1:
             return found
-    return rank(_anyhow(state), MotionModel(np.inf, np.inf))
+    return rank(_anyhow(state.path), GENERAL)
 
 
 def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, ...]:
@@ -128,14 +130,14 @@ def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, .
                     sigma={name: best.sigma[name] for name in names}),)
 
 
-def _information(bundle: Bundle, state: BundleState, with_facts: bool = True) -> np.ndarray:
+def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> np.ndarray:
     """Information on the free internal parameters: poses, axis and points eliminated."""
     matrix = bundle.normal_equations(state, robust=False).matrix
     if not with_facts:
         matrix = matrix - np.diag(bundle.prior_terms(state)[2])
-    free = np.flatnonzero(bundle.free)
+    free = np.flatnonzero(bundle.unknowns.free)
     matrix = matrix[np.ix_(free, free)]
-    inner = int(np.count_nonzero(bundle.free[:9]))
+    inner = len(bundle.unknowns.free_lens)
     rest = matrix[inner:, inner:]
     scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
     inverse = np.linalg.pinv(rest * np.outer(scale, scale), 1e-11, hermitian=True)
@@ -143,31 +145,32 @@ def _information(bundle: Bundle, state: BundleState, with_facts: bool = True) ->
     return matrix[:inner, :inner] - cross @ inverse @ cross.T
 
 
-def _plausible(state: BundleState, bundle: Bundle, size: tuple[int, int]) -> BundleState:
+def _plausible(state: SceneState, bundle: Bundle, size: tuple[int, int]) -> SceneState:
     """Put what the images leave open at what most cameras have, so as to simulate one."""
     camera = state.camera(*size)
-    covariance = parameter_covariance(bundle.covariance(state), state.intrinsics)
-    unknown = bundle.free[:9] & (np.sqrt(np.diag(covariance)) > observability_limits(camera))
-    usual = np.array([max(size), 1.0, (size[0] - 1) / 2, (size[1] - 1) / 2, 0, 0, 0, 0, 0])
-    return replace(state, intrinsics=np.where(unknown, usual, state.intrinsics))
+    covariance = to_parameters(bundle.covariance(state), state.lens)
+    unknown = bundle.unknowns.free[bundle.unknowns.lens] & (
+        np.sqrt(np.diag(covariance)) > observability_limits(camera))
+    known = {'f': max(size), 'aspect': 1.0, 'cx': (size[0] - 1) / 2, 'cy': (size[1] - 1) / 2}
+    usual = np.array([known.get(name, 0.0) for name in INTRINSIC_NAMES])
+    return replace(state, lens=Lens(np.where(unknown, usual, state.lens.values)))
 
 
 def _depths(fit: Fit) -> np.ndarray | None:
     """Distances along the optical axis of the observed points, or None."""
-    state, view, point = fit.state, fit.bundle.view, fit.bundle.point
-    local = np.einsum('nij,nj->ni', state.cam_from_world()[view], state.points[point])
+    state, view, point = fit.state, fit.bundle.view, fit.bundle.part
+    local = np.einsum('nij,nj->ni', state.path.cam_from_world()[view], state.points[point])
     with np.errstate(divide='ignore', invalid='ignore'):
         depth = local[:, 2] / state.points[point, 3]
     depth = depth[np.isfinite(depth) & (depth > 0)]
     return np.quantile(depth, np.linspace(0.1, 0.9, 17)) if len(depth) > 10 else None
 
 
-def _in_the_plane(state: BundleState):
-    """Yield motions of a vehicle: name, unknowns of the views (V, 6), factor of the depths."""
-    step = state.step_length()
-    angle = state.views[:, 0]
-    forward = np.einsum('vij,vj->vi', twist_matrix(angle[:-1])[:, :2, :2],
-                        np.diff(centres_from_state(state)[:, :2], axis=0)).mean(axis=0)
+def _in_the_plane(path: AxisPath):
+    """Yield motions of a vehicle: name, path, factor of the depths."""
+    step = path.step_length()
+    forward = np.einsum('vij,vj->vi', twist_matrix(path.angle[:-1])[:, :2, :2],
+                        np.diff(path.centres()[:, :2], axis=0)).mean(axis=0)
     ahead = np.arctan2(*forward[::-1]) if np.linalg.norm(forward) > 1e-9 else 0.0
     along = np.linspace(0, 1, VIEWS)
     for name, heading, near in (
@@ -177,18 +180,15 @@ def _in_the_plane(state: BundleState):
             ('straight_near', 0 * along, 1 / 3),
             ('s_20_near', np.interp(along, [0, 0.5, 1], [0, 20, 0]), 1 / 3)):
         heading = np.radians(heading)
-        centres = step * np.cumsum(np.column_stack([np.cos(heading + ahead),
-                                                    np.sin(heading + ahead)]), axis=0)
-        views = np.zeros((VIEWS, PER_VIEW))
-        views[:, 0] = -heading
-        turned = twist_matrix(-heading)[:, :2, :2]
-        views[:, 1:3] = -np.einsum('vij,vj->vi', turned, centres - centres[0])
-        yield name, views, near
+        centres = step * np.cumsum(np.column_stack(
+            [np.cos(heading + ahead), np.sin(heading + ahead), 0 * heading]), axis=0)
+        yield (name, AxisPath.at_origin(path.mount, -heading).placed_at(centres - centres[0]),
+               near)
 
 
-def _anyhow(state: BundleState):
-    """Yield motions of an arm or a hand: name, views (V, 6), factor of the depths."""
-    reach = float(np.sqrt(np.mean(np.var(centres_from_state(state), axis=0)))) or 1.0
+def _anyhow(path: AxisPath):
+    """Yield motions of an arm or a hand: name, path, factor of the depths."""
+    reach = float(np.sqrt(np.mean(np.var(path.centres(), axis=0)))) or 1.0
     phase = np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
     turn = np.sin(phase)
     aside = reach * np.column_stack([np.sin(2 * phase), np.cos(phase), 0.5 * np.sin(phase + 1)])
@@ -201,38 +201,32 @@ def _anyhow(state: BundleState):
             ('translation', [[0, 0, 0]])):
         axis = np.array(axes, float)[np.arange(VIEWS) * len(axes) // VIEWS]
         R = rotation_matrix(np.radians(20) * turn[:, None] * axis)
-        twist, swing = swing_twist(state.mount.T @ R @ state.mount)
-        views = np.zeros((VIEWS, PER_VIEW))
-        views[:, 0], views[:, 3:5] = twist, swing
-        world = rotation_matrix(pad(swing)) @ twist_matrix(twist)
-        views[:, [1, 2, 5]] = -np.einsum('vij,vj->vi', world, aside - aside[0])
-        yield name, views, 1.0
+        turned = AxisPath.at_origin(path.mount, *swing_twist(path.mount.T @ R @ path.mount))
+        yield name, turned.placed_at(aside - aside[0]), 1.0
 
 
-def _simulate(state: BundleState, views: np.ndarray, depths: np.ndarray, size, bundle: Bundle,
-              motion: MotionModel, rng) -> tuple[Bundle, BundleState] | None:
+def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size, bundle: Bundle,
+              motion: MotionModel, rng) -> tuple[Bundle, SceneState] | None:
     """Set up the adjustment of simulated views of points before them, at its optimum."""
     camera = state.camera(*size)
-    moved = replace(state, views=views)
     xy = rng.uniform((0, 0), size, (POINTS, 2))
     rays = np.column_stack([camera.normalised(xy), np.ones(POINTS)])
     local = rays * rng.choice(depths, POINTS)[:, None]
-    anchor = rng.integers(0, len(views), POINTS)
-    poses = moved.cam_from_world()
+    anchor = rng.integers(0, len(path), POINTS)
+    poses = path.cam_from_world()
     points = np.einsum('pji,pj->pi', poses[anchor, :, :3], local - poses[anchor, :, 3])
     seen = np.einsum('vij,pj->pvi', poses[:, :, :3], points) + poses[:, :, 3]
     pixels = camera.project(np.where(seen[..., 2:] > 0, seen, np.nan).reshape(-1, 3))
-    pixels = pixels.reshape(POINTS, len(views), 2)
+    pixels = pixels.reshape(POINTS, len(path), 2)
     with np.errstate(invalid='ignore'):
         inside = ((pixels >= 0) & (pixels < size)).all(axis=2)
     inside[inside.sum(axis=1) < 2] = False
     point, view = np.nonzero(inside)
-    if len(np.unique(view)) < len(views):
+    if len(np.unique(view)) < len(path):
         return None
     kept, index = np.unique(point, return_inverse=True)
     homogeneous = np.column_stack([points[kept], np.ones(len(kept))])
     homogeneous /= np.linalg.norm(homogeneous, axis=1, keepdims=True)
-    made = Bundle(view, index, pixels[inside], motion=motion, priors=bundle.priors,
+    made = Bundle(SceneModel(motion), view, index, pixels[inside], priors=bundle.priors,
                   sigma_px=bundle.sigma_px)
-    made.free[:9] = bundle.free[:9]
-    return made, replace(moved, points=homogeneous)
+    return made, replace(state, path=path, points=homogeneous)

@@ -25,8 +25,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.information import inverse_information
-from selfcal_ros.calibration.bundle.reprojection import Linearisation
+from selfcal_ros.calibration.bundle.lens import INTRINSICS
+from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit
 
 #: Stretches of views that are left out in turn, and the views that this needs.
@@ -44,39 +44,43 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    shifts : ndarray, shape (G, 9)
+    shifts : ndarray, shape (G, k)
         Change of the internal parameters; G = 0 where too few views would remain.
-    covariances : ndarray, shape (G, 9, 9)
+    covariances : ndarray, shape (G, k, k)
         Of the estimates without a stretch, for independent errors.
 
     """
-    views = len(fit.state.views)
+    views = len(fit.state.path)
     groups = min(views, STRETCHES) if views >= LEAST_VIEWS else 0
     stretch = (np.arange(views) * groups // views)[fit.observations.view]
     found = [_without(fit, stretch != k) for k in range(groups)]
     shifts, covariances = zip(*filter(None, found)) if any(found) else ((), ())
-    return np.array(shifts).reshape(-1, 9), np.array(covariances).reshape(-1, 9, 9)
+    return (np.array(shifts).reshape(-1, INTRINSICS),
+            np.array(covariances).reshape(-1, INTRINSICS, INTRINSICS))
 
 
 def _without(fit: Fit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Shift (9,) and covariance (9, 9) of the estimate from some observations, or None."""
+    """Shift (k,) and covariance (k, k) of the estimate from some observations, or None."""
     observations = fit.observations
     rest, points = observations.select(kept)
     seen, view = np.unique(rest.view, return_inverse=True)
     if len(seen) < 3:
         return None
     rows = kept & np.isin(observations.point, points)
-    line = Linearisation(*(getattr(fit.line, field.name)[rows] for field in fields(fit.line)))
-    state = replace(fit.state, views=fit.state.views[seen], points=fit.state.points[points])
-    bundle = bundle_of(replace(rest, view=view), fit.bundle.motion.of_views(seen),
+    every = fit.linearisation
+    line = Linearisation(*(getattr(every, field.name)[rows] for field in fields(every)))
+    state = replace(fit.state, path=fit.state.path.of_views(seen),
+                    points=fit.state.points[points])
+    bundle = bundle_of(replace(rest, view=view), fit.motion.of_views(seen),
                        fit.bundle.priors, fit.bundle.sigma_px)
-    system, root = bundle.weighted_equations(state, line=line)
-    inverse = inverse_information(system.matrix, bundle.unknowns())
+    system, root = bundle.weighted_equations(state, linearisation=line)
+    inverse = bundle.inverse(system)
     # the gradient's slope is not the weight where Huber's loss is no parabola
-    _, pull = bundle.loss_factors(line.residual[line.ahead])
+    _, pull = bundle.loss_factors(line)
     step = -inverse @ system.gradient
     change = pull * system.predict(step, system.point_steps(step))
     # without the stretch the rest is explained better; the small difference of two covariances
     # is what counts, so that the noise must be that of this estimate
-    there = line.residual[line.ahead] + change[line.ahead] / root[line.ahead]
-    return pull * step[:9], bundle.loss_factors(there)[0] * inverse[:9, :9]
+    there = line.residual + change / np.maximum(root, 1e-300)
+    lens = bundle.unknowns.lens
+    return pull * step[lens], bundle.loss_factors(line, there)[0] * inverse[lens, lens]

@@ -22,17 +22,18 @@ information. An exact fact brings in no variance; what rests on it shows when it
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS, to_parameters
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import ASPECT, CX, CY, parameter_covariance, SKEW
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.result import Identifiability
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
-#: Facts that may be stated, and the internal parameters that each is about.
-FACTS = {'aspect ratio': (ASPECT,), 'skew': (SKEW,), 'principal point': (CX, CY)}
+#: Facts that may be stated, and the unknowns of the lens that each is about.
+FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
 #: Parameters of a direction that weigh less than this share of the heaviest are left out of words.
 MINOR = 0.2
 
@@ -55,23 +56,22 @@ def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiabili
     Identifiability
 
     """
-    state, priors = fit.state, fit.bundle.priors
-    internal = fit.covariance[:9, :9]
-    soft = np.zeros(9)
-    for index, prior in priors.items():
-        if 0 < prior.sigma < np.inf:
-            soft[index] = 1 / prior.sigma**2
-    total = np.diag(parameter_covariance(internal, state.intrinsics))
-    brought = np.diag(parameter_covariance((internal * soft) @ internal, state.intrinsics))
+    state, internal = fit.state, fit.lens_covariance
+    soft = np.zeros(INTRINSICS)
+    for name, prior in fit.bundle.priors.items():
+        if prior.is_soft:
+            soft[intrinsic_places((name,))] = 1 / prior.sigma**2
+    total = np.diag(to_parameters(internal, state.lens))
+    brought = np.diag(to_parameters((internal * soft) @ internal, state.lens))
     place = [PARAMETER_NAMES.index(name) for name in estimated]
     limits = observability_limits(state.camera(*size))
     without = {}
     for fact, covariance in _without_facts(fit).items():
-        alone = np.diag(parameter_covariance(covariance, state.intrinsics))
+        alone = np.diag(to_parameters(covariance, state.lens))
         without[fact] = {
             PARAMETER_NAMES[k]: float(np.sqrt(alone[k] / total[k]))
             if alone[k] < limits[k]**2 else np.inf for k in place}
-    scaled = parameter_covariance(internal, state.intrinsics) / np.outer(limits, limits)
+    scaled = to_parameters(internal, state.lens) / np.outer(limits, limits)
     values, vectors = np.linalg.eigh(scaled[np.ix_(place, place)])
     weakest = np.sqrt(max(values[-1], 0)) * vectors[:, -1] * limits[place]
     heavy = np.abs(vectors[:, -1]) > MINOR * np.abs(vectors[:, -1]).max()
@@ -92,12 +92,12 @@ def _without_facts(fit: Fit) -> dict[str, np.ndarray]:
     # linearised once with all of them free; those that stay add what they know
     open_ones = set().union(*stated.values())
     none = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in open_ones})
-    line = none.linearise(state)
-    system = none.normal_equations(state, line=line)
+    linearisation = none.linearise(state)
+    system = none.normal_equations(state, linearisation=linearisation)
     result = {}
     for fact, about in stated.items():
         freed = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in about})
         known = freed.prior_terms(state)[2] - none.prior_terms(state)[2]
-        result[fact] = (inverse_information(system.matrix + np.diag(known), freed.unknowns())
-                        * freed.loss_factors(line.residual[line.ahead])[0])
+        system_with = replace(system, matrix=system.matrix + np.diag(known))
+        result[fact] = freed.inverse(system_with) * freed.loss_factors(linearisation)[0]
     return result

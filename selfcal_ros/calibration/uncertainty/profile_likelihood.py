@@ -27,8 +27,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit
-from selfcal_ros.calibration.bundle.state import ASPECT, F, parameter_covariance, Prior, SHARED
+from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, INTRINSICS,
+                                                 to_parameters)
+from selfcal_ros.calibration.bundle.priors import Prior
+from selfcal_ros.calibration.bundle.robust_fit import Fit
 from selfcal_ros.calibration.observability import LOST, observability_limits
 
 #: Sigmas that the parameter is moved by; the quadratic rises by half their square.
@@ -63,48 +65,51 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     -------
     Fit
         A better optimum, if there was one in the valley.
-    ndarray, shape (9, 9)
+    ndarray, shape (k, k)
         Covariance to add to that of the internal parameters from all observations, for
         independent errors.
 
     """
     joint = share * fit.covariance
-    covariance = joint[:9, :9]
+    lens, unknowns = fit.state.lens, fit.bundle.unknowns
+    inner = unknowns.lens
     limits = observability_limits(fit.state.camera(*size))
-    sigma = np.sqrt(np.diag(parameter_covariance(covariance, fit.state.intrinsics)))
-    weakest = int(np.argmax(sigma / limits))
-    if weakest == ASPECT and not fit.bundle.free[ASPECT]:
-        weakest = F
-    nothing = np.zeros((9, 9))
-    if not WEAK * limits[weakest] < sigma[weakest] < LOST * limits[weakest]:
+    sigma = np.sqrt(np.diag(to_parameters(joint, lens)))
+    place = int(np.argmax(sigma / limits))
+    weakest = INTRINSIC_NAMES[place]
+    if weakest == 'aspect' and not unknowns.free[place]:
+        place, weakest = intrinsic_places('f')[0], 'f'
+    nothing = np.zeros((INTRINSICS, INTRINSICS))
+    if not WEAK * limits[place] < sigma[place] < LOST * limits[place]:
         return fit, nothing
-    along = joint[weakest] / np.sqrt(joint[weakest, weakest])
-    likely = LIKELY_ASPECT - fit.state.intrinsics[ASPECT] if weakest == ASPECT else 0.0
+    along = joint[place] / np.sqrt(joint[place, place])
+    likely = LIKELY_ASPECT - lens['aspect'] if weakest == 'aspect' else 0.0
     sides = []
     for side in (-1, 1):
-        found = _walk(fit, weakest, side * along, share, max(side * likely, 0.0))
+        found = _displaced(fit, weakest, side * along, share, max(side * likely, 0.0))
         if isinstance(found, Fit):
             return follow_valley(found, size, share)
         sides.append(found)
     # truths and estimates lie to either side equally often: the mean square of both ways
     scale = np.outer(limits, limits)
-    more = (np.einsum('si,sj->ij', sides, sides) / 2 - np.outer(along[:9], along[:9])) / scale
+    first_order = np.outer(along[inner], along[inner])
+    more = (np.einsum('si,sj->ij', sides, sides) / 2 - first_order) / scale
     values, vectors = np.linalg.eigh(more)
     excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
     # what is held has no variance, not even that of rounding
-    return fit, excess * np.outer(fit.bundle.free[:9], fit.bundle.free[:9])
+    return fit, excess * np.outer(unknowns.free[inner], unknowns.free[inner])
 
 
-def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float, least: float = 0.0,
-          ) -> np.ndarray | Fit:
+def _displaced(fit: Fit, name: str, sigma: np.ndarray, share: float, least: float = 0.0,
+               ) -> np.ndarray | Fit:
     """
     Move one parameter, let the rest follow, and compare the rise of the cost with a quadratic.
 
     Parameters
     ----------
     fit : Fit
-    index : int
-        Of the parameter.
+    name : str
+        Of the parameter, among `INTRINSIC_NAMES`.
     sigma : ndarray, shape (n,)
         Change of all unknowns but the points where it moves by one sigma, to first order.
     share : float
@@ -113,18 +118,18 @@ def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float, least: float = 
 
     Returns
     -------
-    ndarray, shape (9,)
+    ndarray, shape (k,)
         The way to where the cost of all observations has risen by a half, as one sigma; or
     Fit
         where the cost is lower than at the optimum.
 
     """
     state, step, before = fit.state, REACH * sigma, fit.cost
+    unknowns = fit.bundle.unknowns
     for _ in range(DOUBLINGS):
-        start = fit.bundle.apply(state, step, np.zeros((len(state.points), 3)))
-        priors = {**fit.bundle.priors, index: Prior(start.intrinsics[index], 0.0)}
-        bundle = bundle_of(fit.observations, fit.bundle.motion, priors, fit.bundle.sigma_px)
-        moved = bundle.optimise(bundle.settle_points(start), 30, 0.02 * share)
+        start = fit.bundle.moved(state, step)
+        bundle = fit.bundle.with_priors({**fit.bundle.priors, name: Prior(start.lens[name], 0.0)})
+        moved = bundle.optimise(bundle.refine_points(start), 30, 0.02 * share)
         # a fact with a sigma counts, also where it is about the parameter that was moved
         rise = fit.bundle.cost(moved) - before
         if rise < -FALL:
@@ -133,11 +138,11 @@ def _walk(fit: Fit, index: int, sigma: np.ndarray, share: float, least: float = 
                 return better
         # of one sigma: the quadratic rises with the square of the way
         sigmas = np.sqrt(2 * max(rise, 1e-6) / share)
-        way = moved.intrinsics - fit.state.intrinsics
-        if sigmas > 0.7 * REACH and abs(way[index]) >= least:
+        way = moved.lens.values - fit.state.lens.values
+        if sigmas > 0.7 * REACH and abs(moved.lens[name] - fit.state.lens[name]) >= least:
             break
         # as far again, the way the valley went
-        step[:9] = way
-        step[SHARED:] = (moved.views - fit.state.views).ravel()
+        step[unknowns.lens] = way
+        step[unknowns.by_view] = fit.state.path.steps_to(moved.path)
         state = moved
     return way / sigmas

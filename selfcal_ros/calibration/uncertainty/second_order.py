@@ -27,9 +27,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.information import inverse_information
+from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.bundle.state import ASPECT, F
 from selfcal_ros.calibration.observability import LOST, observability_limits
 
 #: The bend is followed along what is determined worst: the directions whose sigma exceeds this
@@ -78,16 +77,16 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
 
     Returns
     -------
-    ndarray, shape (9, 9)
+    ndarray, shape (k, k)
         For errors of that variance. Zero where every direction is determined well, and where one
         is not determined at all.
 
     """
-    bundle, nothing = fit.bundle, np.zeros((9, 9))
-    free = np.flatnonzero(bundle.free[:9])
+    bundle, nothing = fit.bundle, np.zeros((INTRINSICS, INTRINSICS))
+    free = bundle.unknowns.free_lens
     joint = scale * fit.covariance
     limits = observability_limits(fit.state.camera(*size))
-    limits[ASPECT] /= fit.state.intrinsics[F]
+    limits[intrinsic_places(('aspect',))] /= fit.state.lens['f']
     limits = limits[free]
     squares, vectors = np.linalg.eigh(joint[np.ix_(free, free)] / np.outer(limits, limits))
     if not (squares[0] > 0 and WEAK**2 < squares[-1] < LOST**2):
@@ -95,12 +94,11 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
     # columns: independent changes of the parameters, one sigma each; everything else follows
     root = limits[:, None] * vectors * np.sqrt(squares)
     ways = np.linalg.solve(root, joint[free]).T
-    system = bundle.normal_equations(fit.state, line=fit.line)
-    unknowns = bundle.unknowns()
+    system = bundle.normal_equations(fit.state, linearisation=fit.linearisation)
 
     def information(step):
-        there = bundle.apply(fit.state, step, system.point_steps(step))
-        inverse = inverse_information(bundle.normal_equations(there).matrix, unknowns)
+        there = bundle.moved(fit.state, step, system.point_steps(step))
+        inverse = bundle.inverse(bundle.normal_equations(there))
         return root.T @ np.linalg.solve(scale * inverse[np.ix_(free, free)], root)
 
     slopes = np.zeros((len(free),) * 3)
@@ -110,7 +108,7 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
     except np.linalg.LinAlgError:
         # a sigma away there is no camera any more
         return nothing
-    excess = np.zeros((9, 9))
+    excess = nothing.copy()
     excess[np.ix_(free, free)] = root @ mean_square_bend(slopes) @ root.T
     p = len(free)
     # of |u|⁴ at the surface to its mean

@@ -1,0 +1,137 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What a product of blocks offers to the adjustment.
+
+    u(observation) = lens( path[view] · point )
+
+One block is eliminated from the normal equations: the points of a scene, or the poses before an
+object whose points are known. What remains has names (`Unknowns`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.lens import Projection
+from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.geometry.optimise import PointBlocks
+
+#: Depth below which a point counts as behind the camera, relative to its distance.
+MINIMUM_DEPTH = 1e-6
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """
+    Residuals of every observation, and their derivatives.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (N, m)
+        Pixels; m = 2 for points, 1 for the distance from an edge.
+    ahead : ndarray of bool, shape (N,)
+        False behind the camera.
+    shared : ndarray, shape (N, m, g)
+        By what all observations share.
+    view : ndarray, shape (N, m, v)
+        By the unknowns of the view, where these are not eliminated.
+    eliminated : ndarray, shape (N, m, p)
+        By the block that is eliminated.
+
+    """
+
+    residual: np.ndarray
+    ahead: np.ndarray
+    shared: np.ndarray
+    view: np.ndarray
+    eliminated: np.ndarray
+
+
+class Model(Protocol):
+    """
+    A product of blocks.
+
+    Attributes
+    ----------
+    dimension : int
+        m, coordinates of a residual.
+    eliminated : int
+        p, unknowns of one part of the block that is eliminated.
+    eliminated_freedom : int
+        How many of them the images could determine at all.
+    within_tracks : bool
+        Whether what is eliminated belongs to one track, and absorbs part of its errors.
+    has_scale_gauge : bool
+        Whether one of the unknowns only scales the world.
+
+    """
+
+    dimension: int
+    eliminated: int
+    eliminated_freedom: int
+    within_tracks: bool
+    has_scale_gauge: bool
+
+    def unknowns(self, views: int) -> Unknowns:
+        """Lay out what remains, facts not yet regarded."""
+
+    def linearise(self, state: Any, blocks: PointBlocks, xy: np.ndarray,
+                  unknowns: Unknowns, jacobians: bool) -> Linearisation:
+        """Project every observation and differentiate."""
+
+    def moved(self, state: Any, step: np.ndarray, steps: np.ndarray, unknowns: Unknowns) -> Any:
+        """Move a state by a step (n,) of what remains and steps (P, p) of what is eliminated."""
+
+    def prior_terms(self, state: Any, unknowns: Unknowns):
+        """Return cost, gradient (n,) and diagonal (n,) of what the blocks suppose themselves."""
+
+    def prior_count(self, views: int) -> int:
+        """Count the measurements that these stand for."""
+
+    def gauge(self, state: Any, unknowns: Unknowns) -> np.ndarray | None:
+        """Return the direction (n,) that no image can determine, if there is one."""
+
+
+def residuals_only(residual: np.ndarray, ahead: np.ndarray) -> Linearisation:
+    """Return a linearisation without derivatives."""
+    empty = np.empty(0)
+    return Linearisation(residual, ahead, empty, empty, empty)
+
+
+def look(lens, X: np.ndarray, ahead: np.ndarray | None = None) -> tuple[np.ndarray, Projection]:
+    """
+    Project points of the camera frame.
+
+    Parameters
+    ----------
+    lens : Lens
+    X : ndarray, shape (N, 3)
+    ahead : ndarray of bool, shape (N,), optional
+        Points elsewhere get the least depth; by default depths of either sign count, as
+        homogeneous points have them.
+
+    Returns
+    -------
+    depth : ndarray, shape (N,)
+    Projection
+
+    """
+    depth = X[:, 2]
+    depth = (np.where(np.abs(depth) > 1e-12, depth, 1e-12) if ahead is None
+             else np.where(ahead, depth, MINIMUM_DEPTH))
+    return depth, Projection(lens, X[:, 0] / depth, X[:, 1] / depth)

@@ -1,0 +1,157 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Lens · poses · points or edges of a known object; the poses are eliminated.
+
+Every observation belongs to one view, so that the poses (six unknowns each) go view by view and
+only the equations of the lens remain. An edgel lies somewhere on the image of its edge: one
+equation, its distance from the projected edge (thesis 7.2, equation 7.12, with the calibration
+among the unknowns; 8.2 asks for it).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.model import Linearisation, look, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
+from selfcal_ros.calibration.bundle.state import ObjectState
+from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.geometry.optimise import PointBlocks
+
+#: An edgel may slide along its edge by so much of the depth; beyond it the first order of the
+#: projection means nothing.
+MAX_SLIDE = 0.1
+
+
+class _PoseElimination:
+    """What points and edges of known objects have in common."""
+
+    eliminated = eliminated_freedom = len(VIEW_NAMES)
+    within_tracks = has_scale_gauge = False
+
+    def unknowns(self, views: int) -> Unknowns:
+        """Lay out what remains once the poses are eliminated: the lens."""
+        return Unknowns.all_free()
+
+    def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
+              unknowns: Unknowns) -> ObjectState:
+        """Move a state by a step (n,) of the lens and steps (V, 6) of the poses."""
+        return ObjectState(state.lens.moved(step[unknowns.lens]), state.path.moved(steps))
+
+    def prior_terms(self, state: ObjectState, unknowns: Unknowns):
+        """Nothing is supposed of the poses."""
+        return 0.0, np.zeros(len(unknowns)), np.zeros(len(unknowns))
+
+    def prior_count(self, views: int) -> int:
+        """Nothing is supposed of the poses."""
+        return 0
+
+    def gauge(self, state: ObjectState, unknowns: Unknowns) -> None:
+        """Return None: the object fixes the frame and the scale."""
+
+
+@dataclass(frozen=True)
+class KnownPoints(_PoseElimination):
+    """
+    Known points, one for every observation.
+
+    Attributes
+    ----------
+    points : ndarray, shape (N, 3)
+        In the object's frame.
+
+    """
+
+    points: np.ndarray
+
+    dimension = 2
+
+    def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
+                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
+        """Project every point and differentiate; see `SceneModel.linearise`."""
+        turned = state.path.turned(self.points, blocks.view)
+        X = turned + state.path.translations(blocks.view)
+        ahead = X[:, 2] > MINIMUM_DEPTH
+        depth, pixels = look(state.lens, X, ahead)
+        residual = pixels.uv - xy
+        if not jacobians:
+            return residuals_only(residual, ahead)
+        return Linearisation(residual, ahead, pixels.by_intrinsics(unknowns.free),
+                             np.empty((len(xy), 2, 0)),
+                             ObjectPoses.by_steps(pixels.by_points(depth), turned))
+
+
+@dataclass(frozen=True)
+class KnownEdges(_PoseElimination):
+    """
+    Known edges, one for every edgel.
+
+    Attributes
+    ----------
+    points, tangents : ndarray, shape (N, 3)
+        A point of each edgel's edge, near where it was seen, and the edge's direction there, in
+        the object's frame.
+
+    """
+
+    points: np.ndarray
+    tangents: np.ndarray
+
+    dimension = 1
+
+    def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
+                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
+        """Measure every edgel from its edge and differentiate; see `SceneModel.linearise`."""
+        turned, depth, ahead, pixels, normal, by_point = self._nearest(state, blocks.view, xy)
+        residual = np.einsum('ni,ni->n', pixels.uv - xy, normal)[:, None]
+        if not jacobians:
+            return residuals_only(residual, ahead)
+        J = np.einsum('nij,ni->nj', by_point, normal)[:, None]
+        shared = np.einsum('nij,ni->nj', pixels.by_intrinsics(unknowns.free), normal)[:, None]
+        return Linearisation(residual, ahead, shared, np.empty((len(xy), 1, 0)),
+                             ObjectPoses.by_steps(J, turned))
+
+    def normals(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        """Unit normals (N, 2) of the projected edges, where each lies nearest to its edgel."""
+        return self._nearest(state, view, xy)[4]
+
+    def _nearest(self, state: ObjectState, view: np.ndarray, xy: np.ndarray):
+        """
+        Project the point of each edge that lies nearest to its edgel.
+
+        Returns the turned points, depth, which are ahead, the projection, the normals (N, 2),
+        and the derivatives by the points (N, 2, 3).
+        """
+        turned = state.path.turned(self.points, view)
+        along = state.path.turned(self.tangents, view)
+        move = state.path.translations(view)
+
+        def project(turned):
+            X = turned + move
+            ahead = X[:, 2] > MINIMUM_DEPTH
+            depth, pixels = look(state.lens, X, ahead)
+            by_point = pixels.by_points(depth)
+            run = np.einsum('nij,nj->ni', by_point, along)
+            length = np.maximum(np.linalg.norm(run, axis=1), 1e-12)
+            return depth, ahead, pixels, by_point, run / length[:, None], length
+
+        depth, ahead, pixels, _, run, length = project(turned)
+        slide = np.einsum('ni,ni->n', xy - pixels.uv, run) / length
+        limit = MAX_SLIDE * depth
+        turned = turned + np.clip(slide, -limit, limit)[:, None] * along
+        depth, ahead, pixels, by_point, run, _ = project(turned)
+        return (turned, depth, ahead, pixels, np.column_stack([-run[:, 1], run[:, 0]]), by_point)

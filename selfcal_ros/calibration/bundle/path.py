@@ -1,0 +1,287 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The path block of a moving camera: poses about one axis, in a plane, near it, or anywhere.
+
+The world frame lies in the plane of motion, its z axis along the rotation axis. View i is
+
+    X_camera = A (S(tilt_i) R_z(angle_i) Y + w (x_i, y_i, h_i)),    Y, w a homogeneous world point,
+
+with one mount rotation A for all views. In planar motion the tilts and heights are zero, so that
+v ~ K A e3 and the circular points ~ K A (1, ±i, 0) are in the parameters themselves; nearly
+planar motion gives tilt and height a prior, general motion leaves them free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.motion import MotionModel
+from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.geometry.rotation import (left_jacobian, pad, rotation_matrix, swing_twist,
+                                           twist_matrix)
+
+#: Unknowns that all views share: the direction of the axis in the camera, as small turns (rad).
+SHARED_NAMES = ('axis_x', 'axis_y')
+#: Unknowns of each view: angle about the axis (rad), place in the plane, tilt (rad), height.
+VIEW_NAMES = ('angle', 'x', 'y', 'tilt_x', 'tilt_y', 'height')
+_TURNS, _MOVES = ('angle', 'tilt_x', 'tilt_y'), ('x', 'y', 'height')
+
+
+@dataclass(frozen=True)
+class AxisPath:
+    """
+    Poses of all views.
+
+    Attributes
+    ----------
+    mount : ndarray, shape (3, 3)
+        A, camera from world rotation of a view with angle and tilt zero.
+    angle : ndarray, shape (V,)
+        About the axis, radians.
+    tilt : ndarray, shape (V, 2)
+        Out of the plane, radians.
+    translation : ndarray, shape (V, 3)
+        World origin in the turned frame of each view: in the plane (2), and height.
+
+    """
+
+    mount: np.ndarray
+    angle: np.ndarray
+    tilt: np.ndarray
+    translation: np.ndarray
+
+    @classmethod
+    def at_origin(cls, mount: np.ndarray, angle: np.ndarray,
+                  tilt: np.ndarray | None = None) -> AxisPath:
+        """Return views that turn about the origin, by angles (V,) and tilts (V, 2)."""
+        views = len(angle)
+        return cls(mount, np.asarray(angle, float),
+                   np.zeros((views, 2)) if tilt is None else np.asarray(tilt, float),
+                   np.zeros((views, 3)))
+
+    @classmethod
+    def of_poses(cls, mount: np.ndarray, poses: np.ndarray) -> AxisPath:
+        """Take poses [R | t] of every view, shape (V, 3, 4), apart for a mount (3, 3)."""
+        turned = mount.T @ poses
+        angle, tilt = swing_twist(turned[:, :, :3])
+        return cls(mount, angle, tilt, turned[:, :, 3])
+
+    def __len__(self) -> int:
+        """Count the views."""
+        return len(self.angle)
+
+    # ------------------------------------------------------------------ what it says
+
+    def rotations(self) -> np.ndarray:
+        """Return world-to-view rotations before the mount, shape (V, 3, 3)."""
+        return rotation_matrix(pad(self.tilt)) @ twist_matrix(self.angle)
+
+    def cam_from_world(self) -> np.ndarray:
+        """Return [R | t] of every view, shape (V, 3, 4)."""
+        poses = np.concatenate([self.rotations(), self.translation[..., None]], axis=2)
+        return self.mount @ poses
+
+    def centres(self) -> np.ndarray:
+        """Camera centres in the world, shape (V, 3)."""
+        return -np.einsum('vji,vj->vi', self.rotations(), self.translation)
+
+    def step_length(self) -> float:
+        """Root mean square distance between the camera centres of successive views."""
+        return float(np.sqrt(np.mean(np.sum(np.diff(self.centres(), axis=0)**2, axis=1)))) or 1.0
+
+    # ------------------------------------------------------------------ others like it
+
+    def placed_at(self, centres: np.ndarray) -> AxisPath:
+        """Return the path with other camera centres (V, 3), world coordinates."""
+        return replace(self, translation=-np.einsum('vij,vj->vi', self.rotations(), centres))
+
+    def flat(self) -> AxisPath:
+        """Return the path with tilts and heights zero."""
+        return replace(self, tilt=np.zeros_like(self.tilt),
+                       translation=self.translation * [1.0, 1.0, 0.0])
+
+    def scaled(self, factor: float) -> AxisPath:
+        """Return the path in a world that is larger by a factor."""
+        return replace(self, translation=self.translation * factor)
+
+    def of_views(self, kept: np.ndarray) -> AxisPath:
+        """Return the path of some of the views."""
+        return replace(self, angle=self.angle[kept], tilt=self.tilt[kept],
+                       translation=self.translation[kept])
+
+    def aligned(self, motion: MotionModel) -> AxisPath:
+        """Give the views that are stated to be parallel the orientation of the first of them."""
+        if not motion.parallel:
+            return self
+        views, first = list(motion.parallel), motion.parallel[0]
+        angle, tilt = self.angle.copy(), self.tilt.copy()
+        angle[views], tilt[views] = angle[first], tilt[first]
+        return replace(self, angle=angle, tilt=tilt)
+
+    def moved(self, shared: np.ndarray, steps: np.ndarray) -> AxisPath:
+        """Return the path after steps of `SHARED_NAMES` (2,) and `VIEW_NAMES` (V, 6)."""
+        mount = self.mount @ rotation_matrix(np.array([shared[0], shared[1], 0.0]))
+        return AxisPath(mount, self.angle + steps[:, 0], self.tilt + steps[:, 3:5],
+                        self.translation + steps[:, [1, 2, 5]])
+
+    def steps_to(self, other: AxisPath) -> np.ndarray:
+        """Return the steps of `VIEW_NAMES`, shape (V, 6), that lead to another path's views."""
+        moved = other.translation - self.translation
+        return np.column_stack([other.angle - self.angle, moved[:, :2],
+                                other.tilt - self.tilt, moved[:, 2]])
+
+    # ------------------------------------------------------------------ derivatives
+
+    def turned(self, vectors: np.ndarray, view: np.ndarray) -> np.ndarray:
+        """Turn world vectors (N, 3) into the frames of views (N,), before the mount."""
+        return np.einsum('nij,nj->ni', self.rotations()[view], vectors)
+
+    def by_axis(self, J: np.ndarray, placed: np.ndarray, out: np.ndarray) -> None:
+        """
+        Differentiate by `SHARED_NAMES`.
+
+        Parameters
+        ----------
+        J : ndarray, shape (N, m, 3)
+            Derivatives by the points before the mount.
+        placed : ndarray, shape (N, 3)
+            These points.
+        out : ndarray, shape (N, m, 2)
+            Where the derivatives go.
+
+        """
+        out[:, :, 0] = _along_cross(J, np.array([1.0, 0, 0]), placed)
+        out[:, :, 1] = _along_cross(J, np.array([0, 1.0, 0]), placed)
+
+    def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
+                 view: np.ndarray, planar: bool) -> np.ndarray:
+        """
+        Differentiate by `VIEW_NAMES`.
+
+        Parameters
+        ----------
+        J : ndarray, shape (N, m, 3)
+            Derivatives by the points before the mount.
+        turned : ndarray, shape (N, 3)
+            Of `turned`.
+        weight : ndarray, shape (N, 1)
+            Last coordinate of the homogeneous points.
+        view : ndarray of int, shape (N,)
+        planar : bool
+            Tilts and heights are fixed; their derivatives are zero.
+
+        Returns
+        -------
+        ndarray, shape (N, m, 6)
+
+        """
+        own = np.empty((*J.shape[:2], len(VIEW_NAMES)))
+        tilt = pad(self.tilt)
+        axis = rotation_matrix(tilt)[:, :, 2]
+        own[:, :, 0] = _along_cross(J, axis[view], turned)
+        own[:, :, 1] = J[:, :, 0] * weight
+        own[:, :, 2] = J[:, :, 1] * weight
+        if planar:
+            own[:, :, 3:] = 0
+            return own
+        by_tilt = left_jacobian(tilt)
+        own[:, :, 3] = _along_cross(J, by_tilt[view, :, 0], turned)
+        own[:, :, 4] = _along_cross(J, by_tilt[view, :, 1], turned)
+        own[:, :, 5] = J[:, :, 2] * weight
+        return own
+
+
+def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Product J (axis × vector) for every observation, shape (N, m)."""
+    return np.einsum('nki,ni->nk', J, np.cross(axis, vector))
+
+
+# ---------------------------------------------------------------------- the motion as constraint
+
+def path_unknowns(motion: MotionModel, views: int) -> Unknowns:
+    """
+    Lay out the unknowns of a kind of motion: what is gauge, fixed, or shared by views.
+
+    Parameters
+    ----------
+    motion : MotionModel
+    views : int
+
+    Returns
+    -------
+    Unknowns
+        Those of the lens are all free.
+
+    """
+    unknowns = Unknowns.all_free(SHARED_NAMES, VIEW_NAMES, views)
+    free, axis = unknowns.free, unknowns.places(SHARED_NAMES)
+    # the world frame is that of the first view
+    free[unknowns.of_views('angle', *_MOVES)[0]] = False
+    tilts = unknowns.of_views('tilt_x', 'tilt_y')
+    if motion.tilt_sigma_rad == 0:
+        free[tilts] = False
+    elif not motion.keeps_plane:
+        # no plane: the world's directions are gauge, too
+        free[tilts[0]] = False
+        free[axis] = False
+    if motion.height_sigma == 0:
+        free[unknowns.of_views('height')] = False
+    if motion.fixed_centre:
+        free[unknowns.of_views(*_MOVES)] = False
+    if motion.parallel:
+        turns, tied = unknowns.of_views(*_TURNS), unknowns.moves_with
+        tied[turns[list(motion.parallel)]] = turns[motion.parallel[0]]
+    return unknowns
+
+
+def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns):
+    """
+    Cost of the path's distance from its plane, which is measured like anything else.
+
+    Returns
+    -------
+    cost : float
+    gradient, diagonal : ndarray, shape (n,)
+        Of all unknowns, in 1 / sigma².
+
+    """
+    gradient, diagonal = np.zeros(len(unknowns)), np.zeros(len(unknowns))
+    cost = 0.0
+    scale = path.step_length() if motion.height_sigma else 1.0
+    for name, values, sigma in (('tilt_x', path.tilt[:, 0], motion.tilt_sigma_rad),
+                                ('tilt_y', path.tilt[:, 1], motion.tilt_sigma_rad),
+                                ('height', path.translation[:, 2], motion.height_sigma * scale)):
+        if 0 < sigma < np.inf:
+            place = unknowns.of_views(name)[:, 0]
+            cost += 0.5 * float(np.sum((values / sigma)**2))
+            gradient[place] += values / sigma**2
+            diagonal[place] += 1 / sigma**2
+    return cost, gradient, diagonal
+
+
+def path_prior_count(motion: MotionModel, views: int) -> int:
+    """Count the measurements that `path_prior` stands for."""
+    return (2 * views * (0 < motion.tilt_sigma_rad < np.inf)
+            + views * (0 < motion.height_sigma < np.inf))
+
+
+def scale_gauge(path: AxisPath, unknowns: Unknowns) -> np.ndarray:
+    """Return the direction in the unknowns that only scales the world, unit length, (n,)."""
+    direction = np.zeros(len(unknowns))
+    direction[unknowns.of_views(*_MOVES)] = path.translation
+    direction[~unknowns.free] = 0
+    return direction / max(float(np.linalg.norm(direction)), 1e-300)

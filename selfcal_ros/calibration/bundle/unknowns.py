@@ -1,0 +1,118 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Named unknowns: which are free, which move together, and where they stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS
+from selfcal_ros.geometry.optimise import unknowns_of
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """
+    Layout of the unknowns that remain once one block is eliminated.
+
+    The lens comes first, then what all views share of the path, then the unknowns of each view.
+    Nothing outside this class counts columns.
+
+    Attributes
+    ----------
+    shared_names, view_names : tuple of str
+        Of the path, for all views and of each.
+    views : int
+    free : ndarray of bool, shape (n,)
+        False for what is fixed.
+    moves_with : ndarray of int, shape (n,)
+        The unknown that each is tied to; itself where it is not.
+
+    """
+
+    shared_names: tuple[str, ...]
+    view_names: tuple[str, ...]
+    views: int
+    free: np.ndarray
+    moves_with: np.ndarray
+
+    @classmethod
+    def all_free(cls, shared_names: tuple[str, ...] = (), view_names: tuple[str, ...] = (),
+                 views: int = 0) -> Unknowns:
+        """Lay out a lens, and a path with these unknowns."""
+        count = INTRINSICS + len(shared_names) + views * len(view_names)
+        return cls(shared_names, view_names, views, np.ones(count, bool), np.arange(count))
+
+    def __len__(self) -> int:
+        """Count all, the fixed ones too."""
+        return len(self.free)
+
+    @property
+    def lens(self) -> slice:
+        """Where `INTRINSIC_NAMES` stand."""
+        return slice(0, INTRINSICS)
+
+    @property
+    def shared(self) -> slice:
+        """Where the unknowns stand that every observation shares."""
+        return slice(0, INTRINSICS + len(self.shared_names))
+
+    @property
+    def path(self) -> slice:
+        """Where all unknowns of the path stand, shared and of the views."""
+        return slice(INTRINSICS, len(self.free))
+
+    @cached_property
+    def by_view(self) -> np.ndarray:
+        """Where the unknowns of each view stand, shape (views, len(view_names))."""
+        first = self.shared.stop
+        return np.arange(first, len(self.free)).reshape(self.views, len(self.view_names))
+
+    def of_views(self, *names: str) -> np.ndarray:
+        """Where these unknowns of every view stand, shape (views, len(names))."""
+        return self.by_view[:, [self.view_names.index(name) for name in names]]
+
+    def places(self, names) -> np.ndarray:
+        """Where shared unknowns stand, by name, shape (k,)."""
+        every = (*INTRINSIC_NAMES, *self.shared_names)
+        return np.array([every.index(name) for name in names], dtype=int)
+
+    @property
+    def free_lens(self) -> np.ndarray:
+        """Where the free unknowns of the lens stand, shape (k,)."""
+        return np.flatnonzero(self.free[self.lens])
+
+    @property
+    def free_lens_names(self) -> tuple[str, ...]:
+        """Names of the free unknowns of the lens; they are the first independent ones."""
+        return tuple(INTRINSIC_NAMES[place] for place in self.free_lens)
+
+    @cached_property
+    def members(self) -> np.ndarray:
+        """Where one of each of the independent unknowns stands, shape (k,)."""
+        return np.unique(self.moves_with[self.free[self.moves_with]])
+
+    @cached_property
+    def selection(self) -> csr_array:
+        """Relate all to the independent ones: steps (n,) = selection · steps (k,)."""
+        return unknowns_of(self.free, self.moves_with)
+
+    @property
+    def count(self) -> int:
+        """Count the independent ones."""
+        return int(self.selection.shape[1])

@@ -1,0 +1,250 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Derivatives of every block, and of every product of blocks, against differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS, Lens, Projection
+from selfcal_ros.calibration.bundle.motion import (GENERAL, MotionModel, NEARLY_PLANAR, PLANAR,
+                                                   ROTATION)
+from selfcal_ros.calibration.bundle.object_model import KnownEdges, KnownPoints
+from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES as POSE_NAMES
+from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAMES, VIEW_NAMES
+from selfcal_ros.calibration.bundle.priors import Prior
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.state import ObjectState, SceneState
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+#: Derivatives agree with differences to this fraction of the largest.
+AGREE = 1e-6
+LENS = Lens(np.array([620.0, 1.03, 322.0, 236.0, 1.5, -0.12, 0.05, 0.002, -0.003]))
+VIEWS, POINTS = 4, 12
+
+
+def difference(function, size, scale=1.0):
+    """Differentiate a function of a step (size,) by fourth-order differences, last axis."""
+    columns = []
+    for k in range(size):
+        h = 1e-4 * (scale if np.isscalar(scale) else scale[k])
+        step = np.zeros(size)
+        step[k] = h
+        columns.append((8 * (function(step) - function(-step))
+                        - function(2 * step) + function(-2 * step)) / (12 * h))
+    return np.stack(columns, axis=-1)
+
+
+def agrees(analytic, numeric):
+    return np.abs(analytic - numeric).max() < AGREE * max(np.abs(numeric).max(), 1e-3)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(4)
+
+
+@pytest.fixture
+def path(rng):
+    mount = rotation_matrix(np.array([1.2, 0.3, -0.2]))
+    return AxisPath(mount, rng.normal(0, 0.2, VIEWS), rng.normal(0, 0.05, (VIEWS, 2)),
+                    rng.normal(0, 0.3, (VIEWS, 3)))
+
+
+#: A change of f of one pixel, of the aspect ratio of a thousandth, ... have like effects.
+LENS_SCALE = np.array([100.0, 0.1, 100, 100, 100, *[1.0] * (INTRINSICS - 5)])
+
+
+def test_lens_by_points_and_by_its_unknowns(rng):
+    X = rng.normal(size=(20, 3)) * [0.4, 0.3, 0.2] + [0, 0, 1.5]
+
+    def pixels(lens, X):
+        return Projection(lens, X[:, 0] / X[:, 2], X[:, 1] / X[:, 2])
+
+    here = pixels(LENS, X)
+    assert agrees(here.by_points(X[:, 2]), difference(lambda step: pixels(LENS, X + step).uv, 3))
+    assert agrees(here.by_intrinsics(),
+                  difference(lambda step: pixels(LENS.moved(step), X).uv, INTRINSICS,
+                             LENS_SCALE))
+
+
+def test_path_by_its_axis_and_by_its_views(path, rng):
+    view, Y = np.arange(VIEWS), rng.normal(size=(VIEWS, 4))
+    J = np.tile(np.eye(3), (VIEWS, 1, 1))
+
+    def placed(shared, steps):
+        """Points of each view's camera, turned back by the mount at hand."""
+        moved = path.moved(shared, steps)
+        X = moved.turned(Y[:, :3], view) + moved.translation * Y[:, 3:]
+        return X @ moved.mount.T @ path.mount
+
+    none, still = np.zeros((VIEWS, len(VIEW_NAMES))), np.zeros(2)
+    turned = path.turned(Y[:, :3], view)
+    axis = np.empty((VIEWS, 3, 2))
+    path.by_axis(J, placed(still, none), axis)
+    assert agrees(axis, difference(lambda step: placed(step, none), len(SHARED_NAMES)))
+    assert agrees(path.by_views(J, turned, Y[:, 3:], view, planar=False),
+                  difference(lambda step: placed(still, none + step), len(VIEW_NAMES)))
+
+
+def test_object_poses_by_their_steps(rng):
+    poses = np.concatenate([rotation_matrix(rng.normal(size=(VIEWS, 3))),
+                            rng.normal(size=(VIEWS, 3, 1))], axis=2)
+    block, view, X = ObjectPoses(poses), np.arange(VIEWS), rng.normal(size=(VIEWS, 3))
+
+    def seen(step):
+        moved = block.moved(np.zeros((VIEWS, len(POSE_NAMES))) + step)
+        return moved.turned(X, view) + moved.translations(view)
+
+    J = np.tile(np.eye(3), (VIEWS, 1, 1))
+    assert agrees(ObjectPoses.by_steps(J, block.turned(X, view)),
+                  difference(seen, len(POSE_NAMES)))
+
+
+@pytest.mark.parametrize('motion', [NEARLY_PLANAR, MotionModel(0.1, 0.0), MotionModel(0.0, 0.2)])
+def test_the_prior_of_the_path_by_its_unknowns(path, motion):
+    unknowns = SceneModel(motion).unknowns(VIEWS)
+    scale = path.step_length()
+
+    def cost(step):
+        moved = path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
+        # the scale of the prior is that of the path at hand
+        return np.array(path_prior(moved.scaled(1.0), replace(
+            motion, height_sigma=motion.height_sigma * scale / moved.step_length()), unknowns)[0])
+
+    _, gradient, _ = path_prior(path, motion, unknowns)
+    assert agrees(gradient, difference(cost, len(unknowns)))
+
+
+def scene(motion, path, rng):
+    """A product of lens, path and points, with noise."""
+    points = np.column_stack([rng.normal(size=(POINTS, 3)), np.ones(POINTS)])
+    local = points[:, :3] * [1.5, 1.2, 0.5] + [0, 0, 6]
+    points[:, :3] = local @ path.mount
+    if motion.fixed_centre:
+        points[:, 3], path = 0, path.scaled(0)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    if motion in (PLANAR,):
+        path = path.flat()
+    state = SceneState(LENS, path.aligned(motion), points)
+    view, point = np.tile(np.arange(VIEWS), POINTS), np.repeat(np.arange(POINTS), VIEWS)
+    bundle = Bundle(SceneModel(motion), view, point, np.zeros((len(view), 2)),
+                    priors={'cx': Prior(300.0, 20.0)}, sigma_px=1.0)
+    bundle.xy = bundle.residuals(state) + rng.normal(0, 0.5, (len(view), 2))
+    return bundle, state
+
+
+def known(kind, rng):
+    """A product of lens, poses and known points or edges; edges are seen exactly."""
+    X = rng.normal(size=(POINTS, 3)) * 0.3
+    poses = np.concatenate([rotation_matrix(0.4 * rng.normal(size=(VIEWS, 3))),
+                            (rng.normal(size=(VIEWS, 3)) * 0.1 + [0, 0, 2.5])[..., None]], axis=2)
+    state, view = ObjectState(LENS, ObjectPoses(poses)), np.repeat(np.arange(VIEWS), POINTS)
+    points = np.tile(X, (VIEWS, 1))
+    bundle = Bundle(KnownPoints(points), view, view, np.zeros((len(view), 2)), priors={},
+                    sigma_px=1.0)
+    seen = bundle.residuals(state)
+    if kind == 'points':
+        bundle.xy = seen + rng.normal(0, 0.5, seen.shape)
+        return bundle, state
+    tangents = np.tile(rng.normal(size=(POINTS, 3)), (VIEWS, 1))
+    # edgels lie elsewhere on their edges: so near that one step along the edge finds the foot
+    shift = KnownPoints(points + 1e-5 * rng.normal(size=(len(points), 1)) * tangents)
+    along = Bundle(shift, view, view, np.zeros((len(view), 2)), priors={}, sigma_px=1.0)
+    return Bundle(KnownEdges(points, tangents), view, view, along.residuals(state), priors={},
+                  sigma_px=1.0), state
+
+
+PRODUCTS = {
+    'planar': PLANAR, 'nearly planar': NEARLY_PLANAR, 'general': GENERAL, 'rotation': ROTATION,
+    'translation': replace(GENERAL, parallel=(0, 2, 3)), 'points': None, 'edges': None}
+
+
+@pytest.mark.parametrize('name', PRODUCTS)
+def test_every_product_of_blocks_by_every_unknown(name, path, rng):
+    motion = PRODUCTS[name]
+    bundle, state = known(name, rng) if motion is None else scene(motion, path, rng)
+    line, unknowns = bundle.linearise(state), bundle.unknowns
+    assert line.ahead.all()
+    parts = (bundle.blocks.point_count, bundle.model.eliminated)
+    size = len(unknowns)
+
+    def residuals(step):
+        moved = bundle.moved(state, step[:size], step[size:].reshape(parts))
+        return bundle.linearise(moved, jacobians=False).residual
+
+    analytic = np.zeros((*line.residual.shape, size + np.prod(parts)))
+    analytic[:, :, unknowns.shared] = line.shared
+    for k, (view, part) in enumerate(zip(bundle.view, bundle.part)):
+        if unknowns.views:
+            analytic[k][:, unknowns.by_view[view]] = line.view[k]
+        place = size + part * parts[1] + np.arange(parts[1])
+        analytic[k][:, place] = line.eliminated[k]
+    # as the adjustment moves them: fixed ones not at all, parallel views together
+    free = np.zeros((analytic.shape[2],) * 2)
+    free[:size, :size] = (unknowns.selection @ unknowns.selection.T).toarray()
+    free[size:, size:] = np.eye(free.shape[0] - size)
+    scale = np.r_[LENS_SCALE, np.ones(free.shape[0] - INTRINSICS)]
+
+    assert agrees(analytic @ free, difference(lambda step: residuals(free @ step),
+                                              free.shape[0], scale))
+
+
+@pytest.mark.parametrize('name', ['nearly planar', 'rotation', 'points', 'edges'])
+def test_the_gradient_is_that_of_the_cost(name, path, rng):
+    motion = PRODUCTS[name]
+    bundle, state = known(name, rng) if motion is None else scene(motion, path, rng)
+    if name == 'edges':
+        bundle.xy = bundle.xy + rng.normal(0, 0.05, bundle.xy.shape)
+    elif name == 'nearly planar':
+        state = replace(state, path=state.path.flat())
+    state = replace(state, lens=state.lens.with_values({'f': 621.0, 'cx': 323.0}))
+    lens = bundle.unknowns.lens
+
+    def cost(step):
+        whole = np.zeros(len(bundle.unknowns))
+        whole[lens] = step
+        return np.array(bundle.cost(bundle.moved(state, whole)))
+
+    line = bundle.linearise(state)
+    root = bundle.weighted_equations(state)[1]
+    own = np.einsum('nmk,nm->k', line.shared * root[..., None], line.residual * root)
+    own += bundle.prior_terms(state)[1][bundle.unknowns.shared]
+    numeric = difference(cost, INTRINSICS, LENS_SCALE)
+    assert np.abs((own[lens] - numeric) * LENS_SCALE).max() < (
+        1e-2 if name == 'edges' else 1e-5) * np.abs(numeric * LENS_SCALE).max()
+
+
+def test_unknowns_are_found_by_name():
+    unknowns = SceneModel(PLANAR).unknowns(3)
+    assert len(unknowns) == INTRINSICS + 2 + 3 * len(VIEW_NAMES)
+    assert unknowns.places(('cx', 'axis_y')).tolist() == [2, INTRINSICS + 1]
+    heights = unknowns.of_views('height')[:, 0]
+    assert not unknowns.free[heights].any() and unknowns.free[unknowns.of_views('angle')[1:]].all()
+    assert unknowns.count == INTRINSICS + 2 + 2 * 3
+    assert INTRINSIC_NAMES[:2] == ('f', 'aspect')
+    with pytest.raises(ValueError):
+        unknowns.places(('no such',))
+
+
+def test_parallel_views_share_their_rotation():
+    unknowns = SceneModel(replace(GENERAL, parallel=(1, 3))).unknowns(4)
+    apart = SceneModel(GENERAL).unknowns(4)
+    assert unknowns.count == apart.count - 3
+    step = np.zeros(unknowns.count)
+    step[:] = np.arange(unknowns.count)
+    every = unknowns.selection @ step
+    turns = unknowns.of_views('angle', 'tilt_x', 'tilt_y')
+    np.testing.assert_array_equal(every[turns[1]], every[turns[3]])
