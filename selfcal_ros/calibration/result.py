@@ -68,10 +68,13 @@ class StructurePrecision:
         Of the adjustment.
     points : ndarray, shape (P, 4)
         Where it put the points, unit homogeneous coordinates.
-    covariance : ndarray, shape (n, n)
-        Of lens and path, for independent noise; the lens comes first.
+    lens : tuple of str
+        Unknowns of the lens that were estimated (`INTRINSIC_NAMES`).
+    covariance : ndarray, shape (k, k)
+        Of the independent unknowns of lens and path, for independent noise; those of `lens` come
+        first.
     elimination : Elimination
-        By what the points follow lens and path.
+        By what the points follow these unknowns.
     noise_factor : float
         Variance of the noise over that which `elimination` supposes.
 
@@ -79,6 +82,7 @@ class StructurePrecision:
 
     camera: Camera
     points: np.ndarray
+    lens: tuple[str, ...]
     covariance: np.ndarray
     elimination: Elimination
     noise_factor: float
