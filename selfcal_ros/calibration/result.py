@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.findings.finding import Finding
+from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import Elimination
@@ -197,7 +197,7 @@ class Identifiability:
 
     def sentences(self) -> tuple[str, ...]:
         """Say what rests on which fact."""
-        return tuple(finding.sentence for finding in self.findings())
+        return sentences(self.findings())
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ class Calibration:
     @property
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
-        return tuple(finding.sentence for finding in self.findings)
+        return sentences(self.findings)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import itertools
 import os
 
@@ -27,6 +27,7 @@ from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
@@ -50,15 +51,20 @@ class Extraction:
         Frame indices used.
     mode : {'video', 'wide'}
         How points were followed.
-    notes : tuple of str
-        What was dropped and why, for people.
+    findings : tuple of Finding
+        What was dropped and why.
 
     """
 
     tracks: Tracks
     keyframes: np.ndarray
     mode: str
-    notes: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings in words, one sentence each."""
+        return sentences(self.findings)
 
 
 def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int = 40,
@@ -102,13 +108,13 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
         probe = list(itertools.islice(frames, _PROBE_FRAMES))
         mode, why = _choose_mode([grey for _, grey, _ in probe])
         frames = itertools.chain(probe, frames)
-        notes = [why]
+        found = [why]
     else:
-        notes = []
+        found = []
     report = progress or (lambda text, done: None)
     run = _video if mode == 'video' else _wide
-    tracks, keyframes = run(frames, report, max_keyframes, seed, notes)
-    return Extraction(tracks, keyframes, mode, tuple(notes))
+    tracks, keyframes = run(frames, report, max_keyframes, seed, found)
+    return Extraction(tracks, keyframes, mode, tuple(found))
 
 
 def _checked(frames):
@@ -133,16 +139,15 @@ def _checked(frames):
 def _choose_mode(images):
     """Video where corners survive there and back and move little, otherwise wide."""
     if len(images) < _PROBE_FRAMES:
-        return 'wide', f'{len(images)} images only: matched as photographs.'
+        return 'wide', Finding('few_images', images=len(images))
     shares, steps = zip(*(followed_share(a, b) for a, b in zip(images, images[1:])))
     diagonal = float(np.hypot(*images[0].shape))
     share, step = float(np.median(shares)), float(np.median(steps)) / diagonal
     mode = 'video' if share > 0.8 and step < 0.04 else 'wide'
-    return mode, (f'Corners followed between the first frames: {share:.0%}, moving by '
-                  f'{step:.1%} of the image diagonal: {mode} mode.')
+    return mode, Finding('mode_chosen', followed=share, step=step, mode=mode)
 
 
-def _wide(frames, report, max_keyframes, seed, notes):
+def _wide(frames, report, max_keyframes, seed, findings: list[Finding]):
     """Match descriptors between neighbours, loop closures and look-alikes."""
     indices, stamps, images, features = [], {}, [], []
     stride, last = 1, None
@@ -163,7 +168,7 @@ def _wide(frames, report, max_keyframes, seed, notes):
         chosen = np.unique(np.linspace(0, len(images) - 1, max_keyframes).round().astype(int))
         indices, images = [indices[k] for k in chosen], [images[k] for k in chosen]
     if stride > 1 or len(indices) < len(stamps):
-        notes.append(f'{len(indices)} of the frames were used, evenly spaced.')
+        findings.append(Finding('frames_thinned', frames=len(indices)))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         for found in pool.map(detect, images):
             features.append(found)
@@ -173,13 +178,11 @@ def _wide(frames, report, max_keyframes, seed, notes):
                                             lambda share: report('matching', share))
     image, place, track, contradictory = link(features, matches)
     if division:
-        notes.append(f'Verified with division-model distortion {division:g}.')
+        findings.append(Finding('division_model', distortion=float(division)))
     if static:
-        notes.append(f'Up to {static} matches a pair stay still in the image while the scene '
-                     "moves (dirt, the robot's own body, background of a turntable); they had no "
-                     'vote on the geometry.')
+        findings.append(Finding('static_matches', matches=int(static)))
     if contradictory:
-        notes.append(f'{contradictory} tracks that contradicted themselves were dropped.')
+        findings.append(Finding('tracks_contradictory', tracks=int(contradictory)))
     keyframes = np.array(indices)
     stamps = {index: stamps[index] for index in indices}
     if not len(image):
@@ -192,13 +195,13 @@ def _wide(frames, report, max_keyframes, seed, notes):
     xy, good, sigma_px = refine(images, image, track, xy, size_px)
     if good.any():
         good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *_SIGMA_LIMIT_PX)
-    notes.append(f'{(~good).sum()} of {len(good)} positions could not be registered to '
-                 'sub-pixel accuracy and were dropped.')
+    findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
+                            positions=len(good)))
     tracks = Tracks(keyframes[image[good]], track[good], xy[good], size, stamps)
-    return _finish(tracks, notes, seed), keyframes
+    return _finish(tracks, findings, seed), keyframes
 
 
-def _video(frames, report, max_keyframes, seed, notes):
+def _video(frames, report, max_keyframes, seed, findings: list[Finding]):
     """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
     tracker, selector, kept, stamps = KltTracker(), None, [], {}
     size = None
@@ -223,17 +226,16 @@ def _video(frames, report, max_keyframes, seed, notes):
                     np.concatenate([ids for _, ids, _ in kept] or [[]]),
                     np.concatenate([xy for _, _, xy in kept] or [np.empty((0, 2))]),
                     size, {index: stamps[index] for index in keyframes.tolist()})
-    notes.append(f'{len(keyframes)} keyframes chosen by parallax out of {count + 1} frames.')
-    return _finish(tracks.with_at_least(2), notes, seed), keyframes
+    findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
+    return _finish(tracks.with_at_least(2), findings, seed), keyframes
 
 
-def _finish(tracks, notes, seed):
+def _finish(tracks, findings: list[Finding], seed):
     """Drop static points, then what contradicts epipolar geometry."""
     tracks, static = drop_static(tracks)
     if static:
-        notes.append(f'{static} tracks stay still in the image while the scene moves (dirt, the '
-                     "robot's own body, background of a turntable); they were dropped.")
+        findings.append(Finding('static_tracks', tracks=int(static)))
     tracks, removed, _ = verify(tracks, seed=seed)
     if removed:
-        notes.append(f'{removed} positions that contradict the epipolar geometry were dropped.')
+        findings.append(Finding('positions_contradictory', positions=int(removed)))
     return tracks

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -99,3 +99,8 @@ class Finding:
                   if isinstance(value, Mapping) and value.get('kind') in KINDS else value
                   for name, value in content.items() if name != 'kind'}
         return Finding(content['kind'], **values)
+
+
+def sentences(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Put findings in words, a sentence each."""
+    return tuple(finding.sentence for finding in findings)

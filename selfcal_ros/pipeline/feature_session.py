@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -33,8 +34,8 @@ class ExtractedTracks:
     tracks : Tracks
     description : str
         The input in a few words.
-    notes : tuple of str
-        What a user should know, one sentence each.
+    findings : tuple of Finding
+        What a user should know.
     clock : str
         Where the stamps come from; see `FrameSource.clock`.
 
@@ -42,8 +43,13 @@ class ExtractedTracks:
 
     tracks: Tracks
     description: str
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     clock: str = 'none'
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings in words, one sentence each."""
+        return sentences(self.findings)
 
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
@@ -94,4 +100,4 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
                              'texture and overlap.')
-        return ExtractedTracks(found.tracks, source.description, found.notes, source.clock)
+        return ExtractedTracks(found.tracks, source.description, found.findings, source.clock)

@@ -33,6 +33,7 @@ import numpy as np
 from selfcal_ros.calibration.estimators.joint import combine, JointCalibration
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.engines import CRASHED, run_jobs
@@ -62,7 +63,7 @@ class Outcome:
         Time of the first image, where the recording has a clock.
     seconds : float
         Time that it took.
-    notes : tuple of str
+    findings : tuple of Finding
 
     """
 
@@ -73,7 +74,12 @@ class Outcome:
     error: str = ''
     start_ns: int | None = None
     seconds: float = 0.0
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings in words, one sentence each."""
+        return sentences(self.findings)
 
     @property
     def camera_key(self) -> tuple:
@@ -96,7 +102,7 @@ class CameraSummary:
         None if no recording calibrates.
     members : tuple of int
         Which of the outcomes the joint estimate was offered, in its order.
-    notes : tuple of str
+    findings : tuple of Finding
 
     """
 
@@ -105,7 +111,12 @@ class CameraSummary:
     outcomes: tuple[Outcome, ...]
     joint: JointCalibration | None = None
     members: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings in words, one sentence each."""
+        return sentences(self.findings)
 
 
 @dataclass(frozen=True)
@@ -216,7 +227,8 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
     start = min(stamps.values()) if stamps and reading.clock in ('header', 'log') else None
     size = reading.tracks.image_size or (
         (result.camera.width, result.camera.height) if result else None)
-    return Outcome(path, topic, size, result, '', start, time.monotonic() - began, reading.notes)
+    return Outcome(path, topic, size, result, '', start, time.monotonic() - began,
+                   reading.findings)
 
 
 def _sentence(error: Exception) -> str:
@@ -291,7 +303,7 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
     # where recordings chose different distortion models, they are asked again for the usual one
     usual = max(sorted(set(models)), key=models.count)
     again = [number for number in good if results[number].facts.distortion != usual]
-    notes = []
+    findings: tuple[Finding, ...] = ()
     if again:
         facts = replace(settings.facts, distortion=usual)
         jobs = [Job(group[number].path, replace(settings, facts=facts,
@@ -305,8 +317,8 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
                 results[again[place]] = result
             if progress:
                 progress(f'Again with distortion {usual}', done, len(jobs))
-        notes.append(f'{len(again)} of {len(good)} recordings chose another distortion model '
-                     f'than {usual}; for the joint estimate they were calibrated with that one.')
+        findings = (Finding('recordings_asked_again', again=len(again), recordings=len(good),
+                            model=usual),)
     members = tuple(sorted(results))
     joint = combine([results[number] for number in members])
-    return replace(empty, joint=joint, members=members, notes=tuple(notes))
+    return replace(empty, joint=joint, members=members, findings=findings)

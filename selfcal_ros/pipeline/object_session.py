@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.tracks import Tracks
@@ -86,15 +87,15 @@ def read_object_views(path, target: Target, topic: str | None = None,
             raise InputError(f'The object was found in none of the {looked} images of {path}; '
                              'check its numbers of columns and rows (inner corners of a board, '
                              'squares of a Tsai grid), and that it is seen whole and sharp.')
-        notes = () if len(views) == looked else (
-            f'The object was found anew in {len(views)} of {looked} images.',)
+        findings = () if len(views) == looked else (
+            Finding('object_seen', views=len(views), images=looked),)
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
-            notes += (f'{most} of these views were used.',)
+            findings += (Finding('views_used', views=most),)
         frame = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
         tracks = Tracks(frame, np.concatenate([identity for _, identity, _ in views]),
                         np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
-        return ExtractedTracks(tracks, source.description, notes, source.clock)
+        return ExtractedTracks(tracks, source.description, findings, source.clock)
 
 
 def _moved(last, now, step_px: float) -> bool:

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.known_object.edge_calibration import (adjust_to_edg
                                                                    calibrate_from_edges, EdgeViews)
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
@@ -316,10 +317,10 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
 
 def _reading(source, passage: _Passage, edges: EdgeViews | None) -> ExtractedTracks:
     """Return the edgels as tracks, one a control point, for the report."""
-    notes = (f'The object was followed in {passage.tracked} of {passage.images} images; its edges '
-             f'were measured in {len(passage.views)} of them.',)
+    findings = (Finding('object_followed', tracked=passage.tracked, images=passage.images,
+                        measured=len(passage.views)),)
     if edges is None:
         nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
-        return ExtractedTracks(nothing, source.description, notes)
+        return ExtractedTracks(nothing, source.description, findings)
     return ExtractedTracks(Tracks(edges.frame, edges.point, edges.xy, edges.image_size),
-                           source.description, notes)
+                           source.description, findings)

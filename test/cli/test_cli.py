@@ -26,6 +26,7 @@ from selfcal_ros import CameraFacts
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from
 from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import pure_translation
 from test_support.command_line import selfcal, SIZE
@@ -120,7 +121,8 @@ def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, mo
 
     def noted(*args):
         result, reading = plain(*args)
-        return result, replace(reading, notes=('Eleven of twelve images were used.',))
+        return result, replace(reading, findings=(
+            Finding('note', text='Eleven of twelve images were used.'),))
 
     monkeypatch.setattr(calibrate_input, 'calibrate_input', noted)
     assert selfcal('calibrate', driven[0], *SIZE, '--report', 'r.html', '--camera-name',
