@@ -33,8 +33,8 @@ REMARKS: dict[str, Phrase] = {
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Sharper images and distinct corners drift less.'),
     'errors_within_region': Phrase(
-        'Errors are shared within a region of the image, as with a lens that the distortion '
-        'model does not describe: sigmas are {ratio:.1f} times as wide.',
+        'Errors are shared within a region of the image, as with a lens unlike its distortion '
+        'model: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
     'errors_within_stretch': Phrase(
@@ -44,12 +44,12 @@ REMARKS: dict[str, Phrase] = {
         'Record a calmer drive, or a scene where nothing moves.'),
     'errors_at_object_points': Phrase(
         'Errors are shared at the same points of the object in every view, as when its '
-        'coordinates are not quite right: sigmas are {ratio:.1f} times as wide.',
+        'coordinates are wrong: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Measure the object anew, or use a flatter board.'),
     'errors_within_edge': Phrase(
-        'Errors are shared by the edgels of one edge, as when the model is not quite right or '
-        'light moves it: sigmas are {ratio:.1f} times as wide.',
+        'Errors are shared by the edgels of one edge, as when the model is wrong or light moves '
+        'it: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Check the proportions of the model; light the object evenly.'),
     'lens_deviates': Phrase(
@@ -149,14 +149,16 @@ REMARKS: dict[str, Phrase] = {
         'The lens bends epipolar lines visibly. Matches were verified with a rough model of it.',
         'Nothing.'),
     'static_matches': Phrase(
-        "Up to {matches} matches a pair stay still in the image while the scene moves (dirt, the "
-        "robot's body, a background); they had no vote on the geometry.",
-        'What moves with the camera says nothing of the scene.',
+        'Up to {matches} matches a pair stay still in the image while the scene moves (dirt, the '
+        'robot); they had no vote on the geometry.',
+        'What moves with the camera says nothing of the scene. Neither does the background of a '
+        'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
     'static_tracks': Phrase(
-        "{tracks} tracks stay still in the image while the scene moves (dirt, the robot's body, "
-        "a background); they were dropped.",
-        'What moves with the camera says nothing of the scene.',
+        "{tracks} tracks stay still in the image while the scene moves (dirt, the robot's body); "
+        "they were dropped.",
+        'What moves with the camera says nothing of the scene. Neither does the background of a '
+        'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
     'tracks_contradictory': Phrase(
         '{tracks} tracks that contradicted themselves were dropped.',

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.planar.pair_means import (agreed_pairs, best_batch,
 from selfcal_ros.calibration.planar.triplet_means import circular_point_influence, combine_triplets
 from selfcal_ros.calibration.planar.triplets import choose_triplets, dense_tracks
 from selfcal_ros.calibration.result import FixedPoints
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry import planar_batch, planar_pairs
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
@@ -81,7 +82,7 @@ class FixedPointEstimate:
     triplet_kappas : ndarray of complex, shape (t,)
     screw_axis : ndarray, shape (3,)
         Image m of the common screw axis where the motion is circular, else of the first pair.
-    notes : tuple of str
+    findings : tuple of Finding
 
     """
 
@@ -96,7 +97,7 @@ class FixedPointEstimate:
     triplet_frames: np.ndarray
     triplet_kappas: np.ndarray
     screw_axis: np.ndarray
-    notes: tuple = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: int = 24,
@@ -171,13 +172,12 @@ def fixed_points(tracks: Tracks, triplets=None, method: str = 'batch', limit: in
     i, i_moved = circular_point_influence(combined.kappa, H, l_px, v_px, kappa_moved, frame_moved)
     variance = found.variance
     together = np.concatenate([frame_moved, i_moved, found.influence[..., 6:]], axis=2)
-    notes = () if len(found.kept) == len(wanted) else (
-        f'{len(wanted) - len(found.kept)} of {len(wanted)} image pairs were degenerate and left '
-        'out.',)
+    findings = () if len(found.kept) == len(wanted) else (
+        Finding('pairs_degenerate', left_out=len(wanted) - len(found.kept), pairs=len(wanted)),)
     return FixedPointEstimate(
         FixedPoints(l_px, v_px, i), found.motion, found.result, frames[wanted[found.kept]], H,
         combined.kappa, variance * spread(combined.direct), variance * spread(together),
-        frames[combined.triplets], combined.kappas, found.screw_axis, notes)
+        frames[combined.triplets], combined.kappas, found.screw_axis, findings)
 
 
 def calibrate_estimate(estimate: FixedPointEstimate, facts):

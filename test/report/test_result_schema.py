@@ -1,0 +1,115 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Real results are as docs/result.schema.json says."""
+
+import json
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.result import MOTIONS, NotCalibrated
+from selfcal_ros.report.result_json import result_to_dict, SCHEMA
+from selfcal_ros.synthetic.scenes import sequence_si
+from selfcal_ros.synthetic.special_scenes import pure_rotation, pure_translation
+
+DOCS = Path(__file__).resolve().parents[2] / 'docs'
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
+TYPES = {'object': dict, 'array': list, 'string': str, 'integer': int, 'number': (int, float),
+         'null': type(None)}
+
+
+@pytest.fixture(scope='module')
+def schema():
+    return json.loads((DOCS / 'result.schema.json').read_text(encoding='utf-8'))
+
+
+def problems(value, schema, place='result'):
+    """List what contradicts a schema, of the keywords that ours uses."""
+    unknown = schema.keys() - {
+        '$schema', 'title', 'description', 'type', 'properties', 'required', 'items', 'enum',
+        'additionalProperties', 'const', 'pattern', 'minItems', 'minimum'}
+    assert not unknown, unknown
+    found = []
+    if 'const' in schema and value != schema['const']:
+        found.append(f'{place} is {value!r}, not {schema["const"]!r}')
+    if 'enum' in schema and value not in schema['enum']:
+        found.append(f'{place} is {value!r}, none of {schema["enum"]}')
+    names = schema.get('type', list(TYPES))
+    names = [names] if isinstance(names, str) else names
+    if isinstance(value, bool) or not any(isinstance(value, TYPES[name]) for name in names):
+        return [*found, f'{place} is {value!r}, not of type {names}']
+    if isinstance(value, str) and not re.search(schema.get('pattern', ''), value):
+        found.append(f'{place} is {value!r}, not like {schema["pattern"]}')
+    if isinstance(value, (int, float)) and value < schema.get('minimum', -np.inf):
+        found.append(f'{place} is {value!r}, too small')
+    if isinstance(value, list):
+        if len(value) < schema.get('minItems', 0):
+            found.append(f'{place} is empty')
+        for k, item in enumerate(value):
+            found += problems(item, schema.get('items', {}), f'{place}[{k}]')
+    if isinstance(value, dict):
+        found += [f'{place} lacks {name}' for name in schema.get('required', ())
+                  if name not in value]
+        for name, item in value.items():
+            other = schema.get('properties', {}).get(name,
+                                                     schema.get('additionalProperties', True))
+            if other is False:
+                found.append(f'{place} has {name}')
+            elif other is not True:
+                found += problems(item, other, f'{place}.{name}')
+    return found
+
+
+def written(result):
+    """Return the result as a program reads it."""
+    return json.loads(json.dumps(result_to_dict(result), allow_nan=False))
+
+
+def test_calibrations_are_as_the_schema_says(schema):
+    result = calibrate(sequence_si(np.random.default_rng(0), 0.1).tracks, facts=FACTS)
+    assert result
+    content = written(result)
+    assert not problems(content, schema)
+    assert content.keys() <= schema['properties'].keys(), 'a key that the schema does not know'
+
+
+@pytest.mark.parametrize('scene', [pure_translation, pure_rotation])
+def test_refusals_are_as_the_schema_says(schema, scene):
+    result = calibrate(scene(np.random.default_rng(0), 0.1).tracks, facts=FACTS, motion='planar')
+    assert not result and result.kind
+    content = written(result)
+    assert not problems(content, schema)
+    assert content['kind'] == content['findings'][0]['kind'] == result.kind
+    assert not problems(written(NotCalibrated('Of an older file.')), schema)
+
+
+def test_what_contradicts_the_schema_is_found(schema):
+    content = written(calibrate(pure_rotation(np.random.default_rng(0), 0.1).tracks, facts=FACTS))
+    for change in ({'status': 'perhaps'}, {'findings': []}, {'findings': [{}]}, {'notes': None},
+                   {'camera': {'width': 640}}, {'schema': 1}, {'kind': 'Not a kind'},
+                   {'frames': {'count': -1, 'used': []}}, {'parameters': {'fx': 'good'}}):
+        assert problems({**content, **change}, schema), change
+    assert problems({name: value for name, value in content.items() if name != 'facts'}, schema)
+
+
+def test_version_motions_and_keys_are_those_of_the_code_and_of_the_page(schema):
+    assert schema['properties']['schema']['const'] == SCHEMA
+    assert tuple(schema['properties']['motion']['enum']) == MOTIONS
+    page = (DOCS / 'result-json.md').read_text(encoding='utf-8')
+    table = page[page.index('| key'):page.index('## Kinds')]
+    listed = {name for row in table.splitlines() if row.startswith('| `')
+              for name in re.findall(r'`(\w+)`', row.split('|')[1])}
+    assert listed == schema['properties'].keys()
