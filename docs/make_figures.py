@@ -21,7 +21,9 @@ that the same versions of the libraries give the same files.
 from __future__ import annotations
 
 import argparse
+import io
 from pathlib import Path
+import re
 import sys
 
 import diagrams
@@ -31,6 +33,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.pair_geometry import pair_geometry
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, styled
@@ -287,7 +290,12 @@ def main(argv: list[str] | None = None) -> int:
             FigureCanvasAgg(figure)
             draw(figure)
             metadata = {'Date': None, 'Creator': None} if args.format == 'svg' else {}
-            figure.savefig(args.output_dir / f'{name}.{args.format}', dpi=100, metadata=metadata)
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format=args.format, dpi=100, metadata=metadata)
+        content = drawn.getvalue()
+        if args.format == 'svg':
+            content = re.sub(rb'[ \t]+$', b'', content, flags=re.M)
+        atomic_write(args.output_dir / f'{name}.{args.format}', content)
     return 0
 
 
