@@ -56,9 +56,7 @@ def main() -> None:
     points = points[np.linalg.norm(points[:, :2] - centres[:, :2].mean(axis=0), axis=1) < reach]
     right.plot(*points[:, :2].T, '.', color='0.6', markersize=1.5, label='scene')
     right.plot(*centres[:, :2].T, 'o-', color='#1b9e77', markersize=3, label='camera')
-    f, sigma = result.camera.K[0, 0], result.sigma['fx']
-    right.set(title=f'path and scene, seen from above: f = {f:.2f} ± {sigma:.2f} px (true 520)',
-              xticks=[], yticks=[], aspect='equal')
+    right.set(title='path and scene, seen from above', xticks=[], yticks=[], aspect='equal')
     right.legend(loc='upper left', fontsize='small')
     figure.savefig(ROOT / 'docs' / 'images' / 'agv_drive.png', dpi=80,
                    metadata={'Software': None})
