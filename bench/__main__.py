@@ -44,6 +44,8 @@ BENCHES = {
     'tracking_poses': 'tracker against truth: accuracy, covariances, motion models, zoom',
     'tracking_stereo': 'the tea box before two cameras that must agree',
     'tracking_speed': 'time of the tracker and its parts, 10 000 images',
+    'object_models': 'models of objects from two translated images, rendered and real',
+    'visibility_tables': 'visibility tables of the thesis beside the direct test',
     'tracked_calibration': 'calibration from the edges of a tracked object against truth',
     'speed': 'time of the estimate, of the command, and their growth',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',

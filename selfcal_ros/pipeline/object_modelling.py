@@ -32,8 +32,8 @@ from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, Acquir
 #: Where in a clip a partner of the first image is looked for, as a share of its length.
 _PARTNERS = (0.25, 0.5, 0.75, 1.0)
 #: Noise of a corner where lines that were found meet, and of one picked by hand, pixels. Measured:
-#: 0.1 px on rendered objects, 0.5 px on the rounded corners of a wooden cube.
-_FOUND_PX, _PICKED_PX = 0.2, 0.5
+#: 0.05 to 0.1 px on rendered objects, 0.5 px on the rounded corners of a wooden cube.
+_FOUND_PX, _PICKED_PX = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,8 @@ def model_recording(source: FrameSource, request: ModelRequest,
 
     """
     first, *others = _frames(source, images, request)
-    outcomes = [(_model(first.image, other.image, request, np.random.default_rng(seed)), other)
+    outcomes = [(model_of_images(first.image, other.image, request,
+                                 np.random.default_rng(seed)), other)
                 for other in reversed(others)]
     made = [ModelledObject(acquired, (first.index, other.index)) for acquired, other in outcomes
             if not isinstance(acquired, NoEstimate)]
@@ -229,8 +230,29 @@ def _spread(source, search: bool) -> list[Frame]:
     return frames
 
 
-def _model(first, second, request: ModelRequest, rng) -> AcquiredModel | NoEstimate:
-    """Make a model of two images."""
+def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest,
+                    rng: np.random.Generator) -> AcquiredModel | NoEstimate:
+    """
+    Make a model of an object from two images.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (H, W), uint8
+        Grey.
+    request : ModelRequest
+    rng : numpy.random.Generator
+        For the samples of RANSAC.
+
+    Returns
+    -------
+    AcquiredModel or NoEstimate
+
+    Raises
+    ------
+    ArgumentError
+        If vertices are named that the model does not have.
+
+    """
     picked, camera = request.picked, request.camera
     names: list[str]
     if picked is None:

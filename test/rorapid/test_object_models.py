@@ -17,10 +17,10 @@ from dataclasses import replace
 import json
 from pathlib import Path
 
+from bench.object_models import MOVED, onto, PICKED_CUBE, translated, wholly_visible
 import cv2
 import numpy as np
 import pytest
-
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -32,53 +32,17 @@ from selfcal_ros.rorapid.acquisition.two_view_model import points_from_translati
 from selfcal_ros.rorapid.estimation.initial_pose import read_pose_file
 from selfcal_ros.rorapid.model import read_model, write_model
 from selfcal_ros.rorapid.tracker import RorapidTracker
-from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.synthetic.object_shapes import SHAPES
-from selfcal_ros.synthetic.objects import tracked_object
 from selfcal_ros.synthetic.paths import look_at
 from selfcal_ros.synthetic.recordings import default_camera, write_image_folder
 
 CUBE = Path(__file__).resolve().parents[2].parent / 'shared' / 'data' / 'visp_mbt_cube'
-MOVED = np.array([-0.06, 0.01, 0.02])
-#: The corners of the wooden cube as seen by eye in images 48 and 102, between which a hand pushed
-#: it without turning it (by 0.07 degrees, says a tracker that has the true model).
-PICKED = """
-vertices:
-  back: [376.5, 180.8, 344.5, 125.5]
-  left: [321.7, 218.5, 295.5, 154.2]
-  right: [444.2, 218.2, 401.2, 153.8]
-  front: [389.2, 261.2, 351.5, 185.5]
-  left_foot: [321.5, 276.2, 297.5, 211.2]
-  front_foot: [381.2, 320.8, 347.5, 244.2]
-  right_foot: [435.7, 271.8, 395.7, 207]
-faces:
-- [left, front, right, back]
-- [left, left_foot, front_foot, front]
-- [front, front_foot, right_foot, right]
-"""
-
-
-def _translated(shape, **options):
-    """Return a recording of two views between which the object was translated."""
-    recording = tracked_object(2, shape, 'translation', noise_sigma=1.5, **options)
-    poses = recording.cam_from_world.copy()
-    poses[:, :, 3] *= 0.7
-    poses[1] = poses[0]
-    poses[1, :, 3] += MOVED
-    return replace(recording, cam_from_world=poses)
-
-
-def _wholly_visible(model, pose):
-    """Lines of which nothing is hidden, as pairs of vertices."""
-    seen = VisibleModel(model).control_points(pose[:, :3], pose[:, 3])
-    return {frozenset(map(int, model.lines[k])) for k in np.unique(seen.primitive)
-            if seen.kind[k] == 'line' and seen.visible[seen.primitive == k].all()}
 
 
 @pytest.mark.parametrize('shape, faces', [('box', 3), ('step_block', 5), ('l_block', 5),
                                           ('cube', 3)])
 def test_lines_and_faces_of_rendered_objects_come_out_right(shape, faces, tmp_path):
-    recording = _translated(shape, background=False, distortion=(-0.1, 0.02, 0, 0))
+    recording = translated(shape, background=False, distortion=(-0.1, 0.02, 0, 0))
     write_image_folder(recording, tmp_path / 'images')
     with open_source(tmp_path / 'images') as source:
         made = model_recording(source, ModelRequest(
@@ -91,7 +55,7 @@ def test_lines_and_faces_of_rendered_objects_come_out_right(shape, faces, tmp_pa
     assert len(set(nearest)) == len(nearest)
     assert apart.min(axis=1).max() < 0.01 * np.linalg.norm(np.ptp(truth.vertices, axis=0))
     assert {frozenset(map(int, nearest[list(line)])) for line in model.lines} \
-        == _wholly_visible(truth, pose)
+        == wholly_visible(truth, pose)
     known = {frozenset(face.indices) for face in truth.faces}
     found = [frozenset(map(int, nearest[list(face.indices)])) for face in model.faces]
     assert len(set(found)) == len(found) == faces and set(found) <= known
@@ -99,7 +63,7 @@ def test_lines_and_faces_of_rendered_objects_come_out_right(shape, faces, tmp_pa
 
 
 def test_a_known_length_fixes_the_scale_and_the_pose_starts_the_tracker(tmp_path):
-    recording = _translated('l_block', background=False)
+    recording = translated('l_block', background=False)
     write_image_folder(recording, tmp_path / 'images')
     with open_source(tmp_path / 'images') as source:
         request = ModelRequest(recording.camera, length_m=0.1, name='L')
@@ -128,18 +92,10 @@ def test_the_spread_within_the_object_is_what_the_covariance_says():
         for _ in range(200):
             found = points_from_translation(*(view + rng.normal(0, sigma, view.shape)
                                               for view in views), camera, sigma_px=sigma, **fact)
-            squares.append(((_onto(found.points, X) - X)**2).sum(axis=1))
+            squares.append(((onto(found.points, X) - X)**2).sum(axis=1))
         stated = np.trace(found.shape_covariances, axis1=1, axis2=2)
         # of 200 runs a mean square is known to some 10 %
         assert np.abs(np.mean(squares, axis=0) / stated - 1).max() < 0.35
-
-
-def _onto(points, others):
-    """Turn and shift points (N, 3) onto others."""
-    a, b = points - points.mean(axis=0), others - others.mean(axis=0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    return a @ R.T + others.mean(axis=0)
 
 
 def test_a_marking_on_a_face_is_no_face():
@@ -216,7 +172,7 @@ def test_two_images_of_a_real_cube_make_a_model_that_tracks_it(tmp_path):
               for path in sorted((CUBE / 'images').glob('*.jpg'))]
     reference = _tracked(true, camera, images, *read_pose_file(CUBE / 'cube.0.pos'))
     picked = tmp_path / 'picked.yaml'
-    picked.write_text(PICKED)
+    picked.write_text(PICKED_CUBE)
     with open_source(CUBE / 'images') as source:
         made = model_recording(source, ModelRequest(
             camera, length_m=0.084, between=('left', 'front'), picked=read_picked(picked)),
