@@ -121,6 +121,12 @@ class DampedFactor:
         return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))
 
 
+def straight_step(system: ReducedSystem, factor: DampedFactor):
+    """Return the Levenberg-Marquardt step (n,) and that of the points (P, p)."""
+    step = factor.solve(-system.gradient)
+    return step, system.point_steps(step)
+
+
 def curved_step(system: ReducedSystem, factor: DampedFactor, ahead, reach: float = 0.1):
     """
     Levenberg-Marquardt step with geodesic acceleration (Transtrum and Sethna 2012).
@@ -143,8 +149,7 @@ def curved_step(system: ReducedSystem, factor: DampedFactor, ahead, reach: float
     point_steps : ndarray, shape (P, 3)
 
     """
-    step = factor.solve(-system.gradient)
-    points = system.point_steps(step)
+    step, points = straight_step(system, factor)
     change = (ahead(reach * step, reach * points) - system.residual) / reach
     second = 2 / reach * (change - system.predict(step, points))
     gradient, half_b = system.right_hand_side(second)

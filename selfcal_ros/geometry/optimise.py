@@ -75,6 +75,16 @@ class PointBlocks:
         """Add rows (N, k) of each view: (V, k)."""
         return self._view_sum @ values
 
+    def _products(self, jac_point: np.ndarray, jac_shared: np.ndarray):
+        """Sum Jᵀ J (P, p, p) and Jᵀ S (P, p, g) over points that many observations see."""
+        p, g = jac_point.shape[2], jac_shared.shape[2]
+        H, cross = np.empty((self.point_count, p, p)), np.empty((self.point_count, p, g))
+        for k, (first, length) in enumerate(zip(self.first, self.length)):
+            J = jac_point[first:first + length].reshape(-1, p)
+            np.matmul(J.T, J, out=H[k])
+            np.matmul(J.T, jac_shared[first:first + length].reshape(-1, g), out=cross[k])
+        return H, cross
+
     def reduce(self, jac_shared, jac_view, jac_point, residual, damping=0.0) -> ReducedSystem:
         """
         Eliminate the points from the normal equations.
@@ -114,15 +124,17 @@ class PointBlocks:
             matrix[own, own] = gram[g:, g:]
         diagonal = np.diag(matrix).copy()
 
-        jpt = np.swapaxes(jac_point, 1, 2)
-        H = self.sum_over_points(jpt @ jac_point)
+        if v:
+            jpt = np.swapaxes(jac_point, 1, 2)
+            H, cross = self.sum_over_points(jpt @ jac_point), jpt @ full      # (N, p, g + v)
+            shared = self.sum_over_points(cross[..., :g])
+        else:
+            H, shared = self._products(jac_point, full)
         scale = np.einsum('pii->pi', H)
         # a floor keeps points without parallax invertible
         H = H + np.einsum('pi,ij->pij', scale * damping + 1e-12 * scale.sum(1, keepdims=True)
                           + 1e-300, np.eye(p))
         inverse_root = np.linalg.inv(np.linalg.cholesky(H))   # L⁻¹, H⁻¹ = L⁻ᵀ L⁻¹
-        cross = jpt @ full                                    # (N, p, g + v)
-        shared = self.sum_over_points(cross[..., :g])
         factors = []
         for members, rows, slot, column, low, high in self._groups:
             W = np.zeros((len(members), p, g + (high - low) * v))

@@ -32,7 +32,8 @@ from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIG
 from selfcal_ros.calibration.bundle.model import Linearisation, Model
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
-from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor, minimise
+from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
+                                                      straight_step)
 from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks, ReducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
@@ -200,8 +201,9 @@ class Bundle:
                                   self.unknowns.selection)
             if not factor.usable:
                 return None, 0.0
-            step, steps = curved_step(system, factor, partial(
-                self._weighted_residuals, state, root))
+            step, steps = (
+                curved_step(system, factor, partial(self._weighted_residuals, state, root))
+                if self.model.is_bent else straight_step(system, factor))
             return self.moved(state, step, steps), -0.5 * float(system.gradient @ step)
 
         return minimise(state, self.cost, self.linearise, attempt, iterations, tolerance)

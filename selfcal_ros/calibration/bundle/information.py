@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc
 
 from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
@@ -142,5 +142,4 @@ def huber_factors(distance: np.ndarray, fraction: float, dimension: int = 2,
 def winsorised_square(dimension: int) -> float:
     """E[min(|z|, c)²] of a Gaussian z of m dimensions and unit variance, c = `HUBER_SIGMAS`."""
     square = HUBER_SIGMAS**2
-    return float(dimension * chi2.cdf(square, dimension + 2)
-                 + square * chi2.sf(square, dimension))
+    return float(dimension * chdtr(dimension + 2, square) + square * chdtrc(dimension, square))

@@ -78,6 +78,8 @@ class Model(Protocol):
         Whether what is eliminated belongs to one track, and absorbs part of its errors.
     has_scale_gauge : bool
         Whether one of the unknowns only scales the world.
+    is_bent : bool
+        Whether the cost has long bent valleys, along which steps pay that bend as they do.
 
     """
 
@@ -86,6 +88,7 @@ class Model(Protocol):
     eliminated_freedom: int
     within_tracks: bool
     has_scale_gauge: bool
+    is_bent: bool
 
     def unknowns(self, views: int) -> Unknowns:
         """Lay out what remains, facts not yet regarded."""

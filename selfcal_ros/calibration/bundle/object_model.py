@@ -41,7 +41,7 @@ class _PoseElimination:
     """What points and edges of known objects have in common."""
 
     eliminated = eliminated_freedom = len(VIEW_NAMES)
-    within_tracks = has_scale_gauge = False
+    within_tracks = has_scale_gauge = is_bent = False
 
     def unknowns(self, views: int) -> Unknowns:
         """Lay out what remains once the poses are eliminated: the lens."""

@@ -44,8 +44,11 @@ class ObjectPoses:
         return len(self.cam_from_object)
 
     def turned(self, vectors: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Turn vectors (N, 3) of the object's frame into those of the views' cameras."""
-        return np.einsum('nij,nj->ni', self.cam_from_object[view, :, :3], vectors)
+        """Turn vectors (N, 3) of the object's frame into those of views (N,), ascending."""
+        first, turned = np.searchsorted(view, np.arange(len(self) + 1)), np.empty_like(vectors)
+        for R, begin, end in zip(self.cam_from_object[:, :, :3], first, first[1:]):
+            np.matmul(vectors[begin:end], R.T, out=turned[begin:end])
+        return turned
 
     def translations(self, view: np.ndarray) -> np.ndarray:
         """Translations (N, 3) of the views."""

@@ -44,7 +44,7 @@ class SceneModel:
 
     dimension = 2
     eliminated = 3
-    within_tracks = True
+    within_tracks = is_bent = True
 
     @property
     def eliminated_freedom(self) -> int:
