@@ -37,7 +37,7 @@ def main() -> None:
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    left.imshow(image, cmap='grey', vmin=0, vmax=255)
+    left.imshow(image, cmap='gray', vmin=0, vmax=255)
     frames = [f for f in result.frames if shown - 8 <= f <= shown]
     near = reading.tracks.in_frames(frames)
     for track in np.unique(near.track[near.frame == shown]):

@@ -121,6 +121,12 @@ REMARKS: dict[str, Phrase] = {
         'The object was found anew in {views} of {images} images.',
         'In the others it was not found, or had not moved.',
         'Nothing.'),
+    'image_size_not_stated': Phrase(
+        'The size of the images is not stated, so the smallest that holds all points is taken: '
+        'state it with --image-size.',
+        'A table of tracks does not tell the size, and drivers refuse a calibration of another '
+        'one.',
+        'Give --image-size W H.'),
     'views_used': Phrase(
         '{views} of these views were used.',
         'More would cost time and tell little.',

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
-from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -50,6 +50,13 @@ class ExtractedTracks:
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
         return sentences(self.findings)
+
+
+def tracks_of_table(source: FrameSource) -> ExtractedTracks:
+    """Return the tracks of a table; with a remark where nobody has told the size of the images."""
+    tracks = source.tracks()
+    return ExtractedTracks(tracks, source.description,
+                           () if tracks.image_size else (Finding('image_size_not_stated'),))
 
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
@@ -84,8 +91,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
     """
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            tracks = source.tracks()
-            return ExtractedTracks(tracks, source.description)
+            return tracks_of_table(source)
         # OpenCV loads here, not where the command line starts
         from selfcal_ros.features.extraction import extract_tracks
         total = source.count

@@ -22,7 +22,7 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.feature_session import ExtractedTracks, tracks_of_table
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -65,7 +65,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
     most = MOST_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            return ExtractedTracks(source.tracks(), source.description)
+            return tracks_of_table(source)
         if target.find is None:
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '

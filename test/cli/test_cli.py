@@ -150,9 +150,11 @@ def test_demo_without_nodes_prints_the_truth_beside_the_estimate(capsys):
     assert Path('out/camera.yaml').is_file() and Path('out/report.html').is_file()
 
 
-def test_tracks_without_an_image_size_are_either_used_or_refused_in_a_sentence(driven, capsys):
-    status = selfcal('calibrate', driven[0], '--distortion', 'none')
-    heard = capsys.readouterr()
-    assert status in (0, 2)
-    if status == 2:
-        assert '--image-size' in heard.err or 'image size' in heard.err
+def test_tracks_without_an_image_size_are_used_and_the_size_is_asked_for(driven, capsys):
+    path, camera = driven
+    assert selfcal('calibrate', path, '--distortion', 'none', '--json', 'result.json') == 0
+    assert 'state it with --image-size' in capsys.readouterr().out
+    content = json.loads(Path('result.json').read_text(encoding='utf-8'))
+    assert abs(content['camera']['fx'] - camera.K[0, 0]) < 4 * content['sigma']['fx']
+    assert selfcal('calibrate', path, *SIZE) == 0
+    assert '--image-size' not in capsys.readouterr().out
