@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,7 +47,7 @@ METHODS = (*MOTION_MODELS, 'translation', 'rotation')
 
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
               rng: np.random.Generator | None = None, start: Camera | None = None,
-              translation_frames=None) -> Calibration | NotCalibrated:
+              translation_frames: Sequence[int] | None = None) -> Calibration | NotCalibrated:
     """
     Calibrate a camera from tracks of scene points.
 

@@ -20,9 +20,9 @@ words lie below, in `selfcal_ros.findings`, so that both print themselves withou
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 
@@ -177,9 +177,9 @@ class Identifiability:
 
     """
 
-    from_images: dict
-    without: dict
-    weakest: dict
+    from_images: dict[str, float]
+    without: dict[str, dict[str, float]]
+    weakest: dict[str, float]
     weakest_share: float
 
     def findings(self) -> tuple[Finding, ...]:
@@ -223,7 +223,8 @@ class Calibration:
     noise_sigma_px : float
         Estimated standard deviation of one image coordinate.
     observation_count, outlier_count : int
-    reconstruction : Reconstruction
+    reconstruction : Reconstruction or None
+        None where calibrations were combined or read from a file.
     fixed_points : FixedPoints, optional
     findings : tuple of Finding
         What a user should know.
@@ -252,16 +253,16 @@ class Calibration:
 
     camera: Camera
     covariance: np.ndarray
-    status: dict
-    held_by: dict
+    status: dict[str, str]
+    held_by: dict[str, str]
     motion: str
     facts: CameraFacts
-    frames: tuple
+    frames: tuple[int, ...]
     reprojection_rms_px: float
     noise_sigma_px: float
     observation_count: int
     outlier_count: int
-    reconstruction: Reconstruction
+    reconstruction: Reconstruction | None
     fixed_points: FixedPoints | None = None
     findings: tuple[Finding, ...] = ()
     software: str = ''
@@ -269,7 +270,7 @@ class Calibration:
     identifiability: Identifiability | None = field(default=None, repr=False)
     measured: StructureSample | None = field(default=None, repr=False)
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""
         return True
 
@@ -284,7 +285,7 @@ class Calibration:
         return PARAMETER_NAMES
 
     @property
-    def sigma(self) -> dict:
+    def sigma(self) -> dict[str, float]:
         """Standard deviation of each of `PARAMETER_NAMES`, zero where held."""
         return dict(zip(PARAMETER_NAMES, np.sqrt(np.diag(self.covariance)).tolist()))
 
@@ -332,16 +333,16 @@ class NotCalibrated:
     reason: str
     advice: str = ''
     motion: str = 'unknown'
-    frames: tuple = ()
+    frames: tuple[int, ...] = ()
     facts: CameraFacts = CameraFacts()
-    status: dict = field(default_factory=dict)
+    status: dict[str, str] = field(default_factory=dict)
     software: str = ''
     kind: str = ''
     values: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
 
     @staticmethod
-    def of(refusal: NoEstimate, *, frames=(), facts: CameraFacts = CameraFacts(),
+    def of(refusal: NoEstimate, *, frames: Iterable[int] = (), facts: CameraFacts = CameraFacts(),
            motion: str = 'unknown', software: str = '') -> NotCalibrated:
         """
         Put the failure of a method before the user.
@@ -351,7 +352,7 @@ class NotCalibrated:
         refusal : NoEstimate
             Its values `motion`, `status` and `facts` stand for what is given here, where it has
             them; those in `further` are findings of their own.
-        frames : sequence of int
+        frames : iterable of int
         facts : CameraFacts
         motion, software : str
 
@@ -367,7 +368,7 @@ class NotCalibrated:
         return NotCalibrated(refusal.reason, advice, motion, tuple(int(f) for f in frames), facts,
                              dict(status), software, refusal.kind, values, further)
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:
         """Be false: there is no calibration."""
         return False
 
@@ -375,7 +376,7 @@ class NotCalibrated:
         """Say why, and what would help."""
         return f'Not calibrated: {self.reason}' + (f' {self.advice}' if self.advice else '')
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> NoReturn:
         """Refuse to be used as a calibration."""
         if name.startswith('_'):
             raise AttributeError(name)

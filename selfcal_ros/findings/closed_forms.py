@@ -297,7 +297,7 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'The edges are too faint or broken.',
         'Pick the vertices by hand: `selfcal model --vertices`.'),
     'no_closed_faces': Phrase(
-        'The {lines} lines that were found in both images close to no face; pick the vertices by '
+        'The {lines} lines that were found in both images close to no face. Pick the vertices by '
         'hand, or show the object before a plain background.',
         'Pictures on the object or things behind it break its lines.',
         'Pick the vertices by hand: `selfcal model --vertices`.'),

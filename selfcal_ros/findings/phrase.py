@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any
@@ -52,7 +52,7 @@ class _Words(Formatter):
     (another finding, without its full stop).
     """
 
-    def get_value(self, key: int | str, args, kwargs) -> Any:
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
         return kwargs[str(key)]
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -63,7 +63,7 @@ class _Words(Formatter):
         return 'unknown' if value is None else format(value, format_spec)
 
 
-def _frames(frames) -> str:
+def _frames(frames: Sequence[int]) -> str:
     """Name up to five frames."""
     named = ', '.join(str(frame) for frame in frames[:5])
     return f'{"frame" if len(frames) == 1 else "frames"} {named}' + (
@@ -85,7 +85,7 @@ MOTIONS = {
     'translation': 'move without turning',
 }
 _NUMBERS = ('no', 'one', 'two', 'three', 'four', 'five')
-_ENDINGS = {
+_ENDINGS: dict[str, Callable[[Any], str]] = {
     'percent': lambda share: f'{100 * share:.0f}',
     'plural': lambda count: '' if count == 1 else 's',
     'number': lambda count: _NUMBERS[count],

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 from selfcal_ros.findings.finding import Finding
 
 
@@ -39,10 +41,10 @@ class NoEstimate(Finding):
         """Why, in a sentence or two."""
         return self.sentence
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:
         """Be false: there is no estimate."""
         return False
 
-    def saying(self, **values) -> NoEstimate:
+    def saying(self, **values: Any) -> NoEstimate:
         """Return the same failure with more values."""
         return NoEstimate(self.kind, **{**self.values, **values})

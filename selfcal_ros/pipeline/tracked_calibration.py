@@ -172,7 +172,7 @@ def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
         for reach in REACH_PX[:2]:
             edges = measure_edges(fine, trial, moved, reach)
             adjusted = None if edges is None else adjust_to_edges(edges, trial, held)
-            if adjusted is None:
+            if adjusted is None or isinstance(adjusted, NoEstimate):
                 break
             trial, poses = adjusted
             moved = _posed(moved, edges, poses)
@@ -197,7 +197,7 @@ def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
         result = calibrate_from_edges(edges, camera, facts=facts)
         if not result:
             adjusted = adjust_to_edges(edges, camera, facts)
-            if adjusted is None:
+            if isinstance(adjusted, NoEstimate):
                 break
             before, (camera, poses) = camera, adjusted
         else:

@@ -116,12 +116,12 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
     start, noise_px = best_start(window, proposals)
-    if not noise_px < EXPLAINED * problem.noise_px:
-        motion = 'general' if problem.motion.keeps_plane else 'unknown'
+    if start is None or not noise_px < EXPLAINED * problem.noise_px:
+        as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
         if not np.isfinite(noise_px):
-            return NoEstimate('no_start', noise_px=problem.noise_px, motion=motion)
+            return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
         return NoEstimate('tracks_unexplained', left_px=float(noise_px),
-                          noise_px=problem.noise_px, motion=motion)
+                          noise_px=problem.noise_px, motion=as_far_as_told)
     # far out of the plane, against a prior that pulls there: no need to go on
     if problem.motion.keeps_plane and out_of_plane_rad(start.path) > 2 * MOST_TILT_RAD:
         return not_planar(out_of_plane_rad(start.path))
@@ -147,32 +147,32 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
     if motion.parallel:
         motion = problem.motion
     problem = replace(problem, facts=model.facts, motion=motion)
-    state = extended(problem, model)
-    if state is None:
-        return NoEstimate('distortion_not_invertible', model=model.facts.distortion,
-                          facts=problem.facts)
-    fit = fit_robustly(problem.observations, state, motion, priors_from_facts(model.facts),
+    extended = extend(problem, model)
+    if isinstance(extended, NoEstimate):
+        return extended.saying(facts=problem.facts)
+    fit = fit_robustly(problem.observations, extended, motion, priors_from_facts(model.facts),
                        model.fit.bundle.sigma_px)
     result = conclude(fit, model, problem, graph)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 
 
-def extended(problem: Problem, model: Model) -> SceneState | None:
+def extend(problem: Problem, model: Model) -> SceneState | NoEstimate:
     """Start for all views and tracks from what was found on a share of them."""
     found = model.fit.state
+    folded = NoEstimate('distortion_not_invertible', model=model.facts.distortion)
     if len(found.path) == problem.views:
-        return with_all_points(found, problem.observations)
+        return with_all_points(found, problem.observations) or folded
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
     bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
                        10 * problem.noise_px)
     starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
-    starts = [state if state is None or not model.exact
-              else replace(state, path=state.path.flat()) for state in starts]
-    costs = [np.inf if state is None else bundle.cost(state) for state in starts]
-    if not np.isfinite(min(costs)):
-        return None
-    state = with_fixed(starts[int(np.argmin(costs))], bundle.priors)
+    standing = [state if not model.exact else replace(state, path=state.path.flat())
+                for state in starts if state is not None]
+    costs = [bundle.cost(state) for state in standing]
+    if not np.isfinite(min(costs, default=np.inf)):
+        return folded
+    state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
     state = replace(state, path=state.path.aligned(problem.motion))
     state = bundle.optimise(state, 15, 1.0)
-    return with_all_points(state, problem.observations)
+    return with_all_points(state, problem.observations) or folded

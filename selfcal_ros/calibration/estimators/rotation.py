@@ -111,7 +111,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     rows = np.lexsort((view, point))
     observed = Observations(view[rows], point[rows], kept.xy[rows], names)
     priors = priors_from_facts(facts)
-    best = None
+    best, least = None, np.inf
     for K in _starting_cameras(conic, size, facts):
         state = _start(K, homographies.H, observed)
         bundle = bundle_of(observed, ROTATION, priors, max(sigma_px, 0.02))
@@ -120,11 +120,11 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
                               freedom=bundle.degrees_of_freedom, motion='rotation')
         state = bundle.optimise(with_fixed(state, priors), 30, 0.1)
         cost = bundle.cost(state)
-        if best is None or cost < best[0]:
-            best = cost, state
+        if best is None or cost < least:
+            best, least = state, cost
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
-    facts, state = _richest_lens(best[1], observed, facts, size)
+    facts, state = _richest_lens(best, observed, facts, size)
     return _conclude(state, observed, priors_from_facts(facts), facts, frames, size, conic,
                      epipolar_noise(tracks, frames))
 

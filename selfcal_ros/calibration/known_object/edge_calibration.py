@@ -23,6 +23,7 @@ so the covariance is that of clustered errors where the residuals show them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -182,9 +183,10 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     for name in names:
         chosen = replace(facts, distortion=name)
         fit = _fit(views, first, chosen)
-        if fit is None:
+        if isinstance(fit, NoEstimate):
             continue
-        found = (*fit, chosen, *_judge(*fit, chosen, size))
+        used, bundle, state = fit
+        found = (used, bundle, state, chosen, *_judge(used, bundle, state, chosen, size))
         if 'unobservable' not in found[-1].values():
             break
     if found is None:
@@ -216,30 +218,30 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         findings=findings, residuals=residuals)
 
 
-def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts):
+def adjust_to_edges(views: EdgeViews, start: Camera, facts: CameraFacts,
+                    ) -> tuple[Camera, dict[int, np.ndarray]] | NoEstimate:
     """
     Adjust camera and poses to edges, without judging them.
 
     Returns
     -------
-    (Camera, dict of int to ndarray (3, 4)) or None
-        The camera and the pose of the object in each image that was used; None where there is
-        no solution.
+    (Camera, dict of int to ndarray (3, 4)) or NoEstimate
+        The camera and the pose of the object in each image that was used.
 
     """
     views = views.select(np.ones(len(views), bool))
     if len(views.frames) < 2:
-        return None
+        return NoEstimate('too_few_edge_images')
     if facts.distortion == 'auto':
         facts = replace(facts, distortion='none')
     fit = _fit(views, _first_state(views, start), facts)
-    if fit is None:
-        return None
+    if isinstance(fit, NoEstimate):
+        return fit
     used, _, state = fit
     try:
         camera = state.camera(*views.image_size)
     except ArgumentError:
-        return None
+        return NoEstimate('no_fit_to_edges')
     return camera, dict(zip(used.frames.tolist(), state.path.cam_from_object))
 
 
@@ -249,11 +251,14 @@ def _first_state(views: EdgeViews, start: Camera) -> ObjectState:
 
 def _offsets(bundle: Bundle, state: ObjectState) -> np.ndarray:
     """Residuals as vectors from the edgel to its edge, (N, 2) pixels."""
-    return bundle.residuals(state) * bundle.model.normals(state, bundle.view, bundle.xy)
+    edges = cast(KnownEdges, bundle.model)
+    return bundle.residuals(state) * edges.normals(state, bundle.view, bundle.xy)
 
 
-def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
-    """Adjust, estimate the noise, leave out outliers; returns views, bundle and state, or None."""
+def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
+         ) -> tuple[EdgeViews, Bundle, ObjectState] | NoEstimate:
+    """Adjust, estimate the noise, leave out outliers."""
+    none = NoEstimate('no_fit_to_edges')
     priors = priors_from_facts(facts)
     state = with_fixed(state, priors)
     # at first the poses settle, and the principal point may not run away with them
@@ -263,12 +268,12 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
             'aspect': Prior(1.0, 0.05), **priors}
     bundle = views.bundle(held, 1.0)
     if bundle.degrees_of_freedom < 1:
-        return None
+        return none
     state = bundle.optimise(state, tolerance=1e-2)
     for _ in range(4):
         bundle = views.bundle(priors, bundle.noise_sigma(state))
         if not np.isfinite(bundle.sigma_px):
-            return None
+            return none
         state = bundle.optimise(state, tolerance=1e-2)
         distance = np.abs(bundle.residuals(state)).ravel()
         sigma = bundle.noise_sigma(state)
@@ -278,11 +283,11 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts):
         rest = views.select(good)
         kept = np.isin(views.frames, rest.frames)
         if len(rest.frames) < 2:
-            return None
+            return none
         state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
         if bundle.degrees_of_freedom < 1:
-            return None
+            return none
     bundle = views.bundle(priors, bundle.noise_rms(state))
     return views, bundle, bundle.optimise(state, tolerance=1e-6)
 

@@ -22,6 +22,7 @@ One image of a solid suffices; boards need several views under different tilts. 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -124,8 +125,8 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
 
     """
     facts = CameraFacts() if facts is None else facts
-    size = tracks.image_size or tuple(
-        int(v) for v in np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1))
+    width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
+    size = tracks.image_size or (int(width), int(height))
     software = f'selfcal_ros {__version__}'
     result = _calibrate(tracks, target, size, facts)
     if isinstance(result, NoEstimate):
@@ -200,20 +201,21 @@ def _gather(tracks: Tracks, target: KnownObject,
     found = [linear_view(everything.points[a:b], xy[a:b], int(f))
              for f, a, b in zip(frames, first, first[1:])]
     refused = [one for one in found if isinstance(one, NoEstimate)]
-    good = np.array([not isinstance(one, NoEstimate) for one in found])
+    good = np.array([isinstance(one, LinearView) for one in found])
     if not good.any():
         return NoEstimate('no_usable_view', why=refused[0])
     if refused:
         findings += (Finding('views_left_out', count=len(refused), why=refused[0]),)
-    everything = replace(everything, linear=found)
+    # those that are refused are left out at once
+    everything = replace(everything, linear=cast(list[LinearView], found))
     return everything.select(good[view]), findings
 
 
-def _fit(views: _Views, size, facts: CameraFacts):
+def _fit(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
     """Return views, bundle, state, facts with their distortion model and judgement."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
-    found = NoEstimate('no_fit_to_points')
+    found: tuple | NoEstimate = NoEstimate('no_fit_to_points')
     for name in names:
         chosen = replace(facts, distortion=name)
         bundle = views.bundle(priors_from_facts(chosen), 1.0)
@@ -224,10 +226,11 @@ def _fit(views: _Views, size, facts: CameraFacts):
             return NoEstimate('too_few_points', coordinates=2 * len(views.view),
                               unknowns=unknowns)
         fit = _robust_fit(views, with_fixed(state, bundle.priors), chosen)
-        if fit is None:
+        if isinstance(fit, NoEstimate):
             continue
-        judgement = _judge(*fit, chosen, size)
-        found = (*fit, chosen, judgement)
+        used, bundle, fitted = fit
+        judgement = _judge(used, bundle, fitted, chosen, size)
+        found = (used, bundle, fitted, chosen, judgement)
         if 'unobservable' not in judgement[2].values():
             break
     return found
@@ -255,17 +258,19 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
         # the range of focal lengths is for those that the linear equations left without
         if number and least < len(few.view):
             break
+    assert best is not None     # a range of focal lengths is always supposed
     return best
 
 
-def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
-    """Adjust, estimate the noise, leave out outliers; returns views, bundle and state."""
+def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts,
+                ) -> tuple[_Views, Bundle, ObjectState] | NoEstimate:
+    """Adjust, estimate the noise, leave out outliers."""
     priors = priors_from_facts(facts)
     bundle = views.bundle(priors, 1.0)
     sigma = bundle.noise_sigma(state)
     for _ in range(6):
         if not np.isfinite(sigma):
-            return None
+            return NoEstimate('no_fit_to_points')
         bundle = views.bundle(priors, sigma)
         state = bundle.optimise(state, tolerance=0.1)
         before, sigma = sigma, bundle.noise_sigma(state)
@@ -278,7 +283,7 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts):
             break
         rest = views.select(good)
         if not len(rest.view) or rest.bundle(priors, sigma).degrees_of_freedom < 1:
-            return None
+            return NoEstimate('no_fit_to_points')
         kept = np.isin(views.frames, rest.frames)
         state = replace(state, path=state.path.of_views(kept))
         views, bundle = rest, rest.bundle(priors, sigma)
