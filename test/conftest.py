@@ -40,7 +40,8 @@ EXPECTED = {
     'opencv': (r'this OpenCV (has|has no) ChArUco boards', r'this OpenCV cannot write MJPG'),
     'optional': (r"could not import '(pycolmap|rerun)'.*", r'this COLMAP has no model \w+',
                  r'ViSP is not installed', r'Dask is not installed'),
-    'tools': (r"could not import '(flake8|mypy)'.*", r'(MkDocs|mypy) is not installed'),
+    'tools': (r"could not import '(flake8|mypy)'.*", r'(MkDocs|mypy) is not installed',
+              r'selfcal is not installed in this environment'),
 }
 
 
