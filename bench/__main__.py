@@ -39,6 +39,7 @@ BENCHES = {
     'dinosaur': 'the turntable of vgg_dino: steps and fixed points',
     'arm': 'rendered and recorded arms, general motion against its bound',
     'affine_tables': 'thesis tables 4.1 and 4.2, rotations that leave parameters open',
+    'few_views': 'four general views, equal objects in one image, and Kruppa, beside truth',
     'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
     'tracking_occlusion': 'tracker on the cube sequence with things in the way, beside ViSP',
     'tracking_poses': 'tracker against truth: accuracy, covariances, motion models, zoom',

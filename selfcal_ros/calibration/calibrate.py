@@ -20,8 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
+from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
                                                                    MOTION_MODELS)
+from selfcal_ros.calibration.estimators.repeated import calibrate_repeated_objects, of_objects
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
@@ -42,21 +45,23 @@ DOUBTFUL_PARALLAX = 10.0
 #: Rotation alone is taken where it leaves no more than so many times the noise: depths that
 #: rest on so little would lead the calibration astray.
 ROTATION_NOISE = 1.2
-METHODS = (*MOTION_MODELS, 'translation', 'rotation')
+METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
               rng: np.random.Generator | None = None, start: Camera | None = None,
-              translation_frames: Sequence[int] | None = None) -> Calibration | NotCalibrated:
+              translation_frames: Sequence[int] | None = None, views: int | None = None,
+              ) -> Calibration | NotCalibrated:
     """
     Calibrate a camera from tracks of scene points.
 
     Parameters
     ----------
     tracks : Tracks
-    motion : {'auto', 'planar', 'general', 'translation', 'rotation'}
+    motion : {'auto', 'planar', 'general', 'translation', 'rotation', 'repeated'}
         How the camera moved; 'auto' tries a plane first, and a camera that only rotates where
         the images show no parallax. 'translation': some views are related by pure translation.
+        'repeated': the frames are equal objects in one image.
     facts : CameraFacts, optional
         What is known of the camera; nothing by default.
     rng : numpy.random.Generator, optional
@@ -66,7 +71,10 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
         on it, the time does.
     translation_frames : sequence of int, optional
         With motion 'translation', the frames that are related by pure translation; found from
-        the images by default.
+        the images by default. With motion 'repeated', the objects that stand parallel.
+    views : int, optional
+        With motion 'general', use so few views, four or more: those that share many points and
+        differ much. The modulus constraint proposes the start.
 
     Returns
     -------
@@ -75,7 +83,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     Raises
     ------
     ArgumentError
-        If `motion` is unknown.
+        If `motion` is unknown, or `views` does not suit it.
 
     References
     ----------
@@ -99,18 +107,28 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     """
     if motion not in METHODS:
         raise ArgumentError(f'Motion {motion!r} is unknown; choose one of {", ".join(METHODS)}.')
+    if views is not None and (motion != 'general' or views < MIN_VIEWS):
+        raise ArgumentError(f'A number of views is for motion general, and must be at least '
+                            f'{MIN_VIEWS}; got {views} for motion {motion}.')
     facts = CameraFacts() if facts is None else facts
     rng = np.random.default_rng(0) if rng is None else rng
     size = tracks.image_size or _size_from(tracks)
     software = f'selfcal_ros {__version__}'
+    if views is not None:
+        tracks = spread_views(tracks, views)
     graph = build_view_graph(tracks, rng)
     if isinstance(graph, NoEstimate):
-        return NotCalibrated.of(graph, frames=tracks.frames, facts=facts, software=software)
+        refusal = of_objects(graph) if motion == 'repeated' else graph
+        return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)
     result: Calibration | NoEstimate
     if motion == 'rotation':
         result = calibrate_rotating(graph.tracks, size, facts)
     elif motion == 'translation':
         result = calibrate_translated(graph, size, facts, translation_frames)
+    elif motion == 'repeated':
+        result = calibrate_repeated_objects(graph, size, facts, translation_frames)
+    elif views is not None:
+        result = calibrate_few_views(graph, size, facts, [start] if start else [])
     else:
         result = calibrate_from_motion(graph, size, facts, [start] if start else [],
                                        MOTION_MODELS[motion])

@@ -27,7 +27,7 @@ from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
 #: Motions from tracks of an unknown scene.
-MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general')
+MOTIONS = ('auto', 'planar', 'translation', 'rotation', 'general', 'repeated')
 #: --view without a file.
 VIEWER = Path('-')
 
@@ -41,10 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--motion', default='auto',
                         choices=(*MOTIONS, 'known-object'),
-                        help='how the camera moved (default: found out)')
+                        help='how the camera moved (default: found out); repeated: equal objects '
+                             'in one image, each a frame of tracks.csv')
+    parser.add_argument('--views', type=int, metavar='N',
+                        help='with --motion general: use so few views, four or more')
     parser.add_argument('--translation-frames', type=int, nargs='+', metavar='FRAME',
                         help='with --motion translation: the images that are related by pure '
-                             'translation, counted from 0 (default: found out)')
+                             'translation, counted from 0 (default: found out); with --motion '
+                             'repeated: the objects that stand parallel')
     parser.add_argument('--mode', choices=('auto', 'video', 'wide'), default='auto',
                         help='follow points from image to image, or match far-apart photographs '
                              '(default: found out)')
@@ -95,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
         # edges of a small object do not
         facts=facts_from(args, FREE if args.object else 1.0), motion=args.motion,
         translation_frames=args.translation_frames and tuple(args.translation_frames),
+        views=args.views,
         known_object=args.object, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
         image_size=tuple(args.image_size) if args.image_size else None)
@@ -118,6 +123,9 @@ def _check_options(args: argparse.Namespace) -> None:
         option = '--track' if args.track else '--object'
         raise ArgumentError(f'{option} and --motion {args.motion} exclude each other; leave one '
                             'of them out.')
+    if args.views is not None and args.motion != 'general':
+        raise ArgumentError('--views needs --motion general; or limit the images with '
+                            '--max-keyframes.')
     if args.motion == 'known-object' and not known:
         raise ArgumentError('--motion known-object needs --object, for example '
                             'chessboard:9x6:0.025 (inner corners, metres), or --track with the '

@@ -147,6 +147,13 @@ REFUSALS: dict[str, Phrase] = {
         'images, which is no camera.',
         'The rotations are too small, or the tracks are wrong.',
         'Turn the camera further, about two axes, before a scene that stands still.'),
+    'objects_insufficient': Phrase(
+        'With every object taken for an image: {why:clause}.',
+        'Equal objects in one image act as images of one object. They do not suffice for the '
+        'reason given.',
+        'Give three or more equal objects with depth, turned against each other by 20 degrees or '
+        'more, each large in the image. State which of them stand parallel, if some do '
+        '(--translation-frames).'),
     # the lens
     'start_distortion_not_invertible': Phrase(
         'The distortion of the best start cannot be undone over the whole image.',

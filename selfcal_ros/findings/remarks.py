@@ -82,6 +82,11 @@ REMARKS: dict[str, Phrase] = {
         'Frames {frames} were said to be translated.',
         'The calibration rests on this statement.',
         'Nothing.'),
+    'objects_as_views': Phrase(
+        'Every object counts as a view: the path is where the camera would stand before one '
+        'object.',
+        'The calibration rests on the objects being equal.',
+        'Nothing.'),
     'translation_groups': Phrase(
         '{groups} group{groups:plural} of translated views ({sizes} of {views} views).',
         'The views of a group have one orientation. The closed form starts from the first group.',

@@ -18,11 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 import logging
+from pathlib import Path
 import time
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 
@@ -40,6 +42,7 @@ class CalibrationSettings:
     motion : str
         See `selfcal_ros.calibrate`.
     translation_frames : tuple of int, optional
+    views : int, optional
     known_object : str, optional
         See `selfcal_ros.features.targets.parse_target`; the motion does not matter then.
     mode : {'auto', 'video', 'wide'}
@@ -54,6 +57,7 @@ class CalibrationSettings:
     facts: CameraFacts = field(default_factory=CameraFacts)
     motion: str = 'auto'
     translation_frames: tuple[int, ...] | None = None
+    views: int | None = None
     known_object: str | None = None
     mode: str = 'auto'
     topic: str | None = None
@@ -98,10 +102,13 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
             reading.tracks, target.known, facts=settings.facts), reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
+    if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':
+        raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
+                         'where frame numbers the object, and track the point on it.')
     reading = read_tracks(path, mode=settings.mode, **shared)
     return _timed(lambda: calibrate(
         reading.tracks, motion=settings.motion, facts=settings.facts,
-        translation_frames=settings.translation_frames), reading), reading
+        translation_frames=settings.translation_frames, views=settings.views), reading), reading
 
 
 def _timed(estimate: Callable[[], Calibration | NotCalibrated],

@@ -31,7 +31,8 @@ from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
     camera_from_homographies, ConicCalibration)
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.calibration.affine.pair_distortion import straightened
+from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.projective import completed_frame, cross_matrix, unit
@@ -40,13 +41,13 @@ from selfcal_ros.geometry.triangulation import triangulate
 from selfcal_ros.values.tracks import Tracks
 
 #: Views that the constraint needs, and points that each must share with the others.
-LEAST_VIEWS, LEAST_POINTS = 4, 10
+MIN_VIEWS, MIN_POINTS = 4, 10
 #: Focal lengths that propose planes at infinity, in longer image sides.
 _FOCAL_SWEEP = (0.65, 1.0, 1.5, 2.2, 3.2)
 #: Roots that differ by less, relative to their size, are one.
 _SAME_ROOT = 1e-3
 #: Largest modulus residual (root mean square) of a root, before noise is looked at.
-_MOST_RESIDUAL = 0.05
+_MAX_RESIDUAL = 0.05
 
 
 @dataclass(frozen=True)
@@ -131,9 +132,9 @@ def projective_structure(tracks: Tracks, size: tuple[int, int]):
     shared = [tracks.matches(frames[i], frames[j]) for i, j in zip(a, b)]
     # the pair with many points and a wide baseline
     worth = [np.sqrt(len(m[0])) * np.median(np.linalg.norm(m[2] - m[1], axis=1))
-             if len(m[0]) >= LEAST_POINTS else 0.0 for m in shared]
+             if len(m[0]) >= MIN_POINTS else 0.0 for m in shared]
     if not len(worth) or max(worth) == 0:
-        return NoEstimate('too_few_shared', views=2, needed=LEAST_POINTS, items='points')
+        return NoEstimate('too_few_shared', views=2, needed=MIN_POINTS, items='points')
     k = int(np.argmax(worth))
     _, xy_a, xy_b = shared[k]
     pair = fundamental(xy_a, xy_b)
@@ -151,7 +152,7 @@ def projective_structure(tracks: Tracks, size: tuple[int, int]):
         if frame is not None:
             known = np.isfinite(points).all(axis=1)
             seen = np.flatnonzero((tracks.frame == frame) & known[track])
-            if len(seen) < LEAST_POINTS:
+            if len(seen) < MIN_POINTS:
                 continue
             found = resect(points[track[seen]], tracks.xy[seen], huber_sigmas=2.5)
             if isinstance(found, NoEstimate):
@@ -206,16 +207,16 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
 
     """
     facts = CameraFacts() if facts is None else facts
-    if len(tracks.frames) < LEAST_VIEWS:
-        return NoEstimate('too_few', what='camera from the modulus constraint', needed=LEAST_VIEWS,
+    if len(tracks.frames) < MIN_VIEWS:
+        return NoEstimate('too_few', what='camera from the modulus constraint', needed=MIN_VIEWS,
                           items='views', found=len(tracks.frames))
     structure = projective_structure(tracks, size)
     if isinstance(structure, NoEstimate):
         return structure
     frames, cameras, _ = structure
-    if len(frames) < LEAST_VIEWS:
-        return NoEstimate('too_few', what='camera from the modulus constraint', needed=LEAST_VIEWS,
-                          items=f'views that share {LEAST_POINTS} points', found=len(frames))
+    if len(frames) < MIN_VIEWS:
+        return NoEstimate('too_few', what='camera from the modulus constraint', needed=MIN_VIEWS,
+                          items=f'views that share {MIN_POINTS} points', found=len(frames))
     # coordinates of the order of one
     scale, middle = float(max(size)), (np.array(size, float) - 1) / 2
     T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
@@ -230,7 +231,7 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
         root = least_squares(lambda a: modulus_residuals(scaled, a), start, method='lm',
                              max_nfev=80, x_scale='jac')
         plane, residual = root.x, float(np.sqrt(np.mean(root.fun**2)))
-        if not residual < _MOST_RESIDUAL or any(
+        if not residual < _MAX_RESIDUAL or any(
                 np.linalg.norm(plane - r) < _SAME_ROOT * (1 + np.linalg.norm(r)) for r in roots):
             continue
         roots.append(plane)
@@ -246,3 +247,29 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
     if best is None:
         return last or NoEstimate('no_plane_at_infinity')
     return best
+
+
+def propose_camera(tracks: Tracks, size: tuple[int, int],
+                   facts: CameraFacts | None = None) -> list[Camera]:
+    """
+    Propose a camera for the adjustment of few general views.
+
+    Parameters
+    ----------
+    tracks : Tracks
+        Pixels as they are; a radial distortion that their epipolar geometry shows is undone.
+    size : (int, int)
+        Width and height, pixels.
+    facts : CameraFacts, optional
+
+    Returns
+    -------
+    list of Camera
+        Without distortion; empty where the constraint finds none.
+
+    """
+    found = calibrate_modulus(straightened(tracks, size), size, facts)
+    if not found:
+        return []
+    K = np.triu(found.K)
+    return [Camera(K / K[2, 2], width=size[0], height=size[1])]

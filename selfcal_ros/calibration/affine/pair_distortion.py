@@ -69,6 +69,30 @@ def undo_radial(xy, radial, size: tuple[int, int]) -> np.ndarray:
     return middle + offset * (1 + square * (radial[0] + square * radial[1]))
 
 
+def straightened(tracks: Tracks, size: tuple[int, int],
+                 radial: tuple[float, float] | None = None) -> Tracks:
+    """
+    Undo the radial distortion of all observations; those that it leaves nowhere go.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    size : (int, int)
+        Width and height, pixels.
+    radial : (float, float), optional
+        Of `estimate_radial`, which is asked by default.
+
+    Returns
+    -------
+    Tracks
+
+    """
+    radial = estimate_radial(tracks, size) if radial is None else radial
+    xy = undo_radial(tracks.xy, radial, size)
+    usable = np.isfinite(xy).all(axis=1)
+    return Tracks(tracks.frame[usable], tracks.track[usable], xy[usable], size)
+
+
 def sampled_matches(tracks: Tracks, pairs, most: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the matches (M, 2), (M, 2) of every pair of frames, evenly thinned out to so many."""
     found = []

@@ -65,6 +65,27 @@ def tracks_from_objects(objects, size: tuple[int, int] | None = None) -> Tracks:
     return Tracks(frame, track, xy[seen], size)
 
 
+def objects_from_tracks(tracks: Tracks) -> list[np.ndarray]:
+    """
+    Points of each object, the reverse of `tracks_from_objects`.
+
+    Parameters
+    ----------
+    tracks : Tracks
+
+    Returns
+    -------
+    list of ndarray, shape (n, 2)
+        NaN where a point is hidden.
+
+    """
+    frames, view = np.unique(tracks.frame, return_inverse=True)
+    names, point = np.unique(tracks.track, return_inverse=True)
+    xy = np.full((len(frames), len(names), 2), np.nan)
+    xy[view, point] = tracks.xy
+    return list(xy)
+
+
 def calibrate_repeated(objects, size: tuple[int, int], facts: CameraFacts | None = None,
                        translated=None):
     """

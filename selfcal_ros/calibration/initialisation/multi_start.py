@@ -19,6 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from selfcal_ros.calibration.affine.modulus import MIN_VIEWS, propose_camera
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -38,6 +39,8 @@ CLOSED_FORM_TRIPLETS = 6
 #: A start that explains the images this well needs no rival (ratio to the noise of the
 #: epipolar geometry, which has more freedom).
 GOOD_ENOUGH = 1.25
+#: General views up to which the modulus constraint proposes a start where no other stands.
+MODULUS_MAX_VIEWS = 8
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
 
@@ -119,6 +122,12 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[SceneState | None
             if k == 1 and problem.motion.keeps_plane and problem.flat is None:
                 yield from closed_form(problem)
             yield supposed_camera(share * longer, problem.size, problem.facts)
+        # a principal point far off the middle, which the sweep does not suppose
+        if not problem.motion.keeps_plane and problem.flat is None \
+                and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS:
+            few = problem.observations
+            yield from propose_camera(Tracks(few.view, few.point, few.xy, problem.size),
+                                      problem.size, problem.facts)
 
     best, best_noise = None, np.inf
     for state, noise in starts(problem, proposals()):
