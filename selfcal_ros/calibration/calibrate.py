@@ -24,7 +24,8 @@ from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
                                                                    MOTION_MODELS)
-from selfcal_ros.calibration.estimators.repeated import calibrate_repeated_objects, of_objects
+from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
+                                                         refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
@@ -118,7 +119,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
         tracks = spread_views(tracks, views)
     graph = build_view_graph(tracks, rng)
     if isinstance(graph, NoEstimate):
-        refusal = of_objects(graph) if motion == 'repeated' else graph
+        refusal = refused_for_objects(graph) if motion == 'repeated' else graph
         return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)
     result: Calibration | NoEstimate
     if motion == 'rotation':

@@ -15,7 +15,7 @@
 
 from types import SimpleNamespace
 
-from bench import dinosaur, si_degenerate, si_horizon, si_triplet
+from bench import dinosaur, few_views, si_degenerate, si_horizon, si_triplet
 from bench.__main__ import BENCHES, main
 from bench.fisher import cramer_rao_bound
 from bench.live import RATE_HZ, there_and_back
@@ -144,3 +144,15 @@ def test_every_bench_can_be_asked_for(capsys):
 def test_images_are_shown_there_and_back():
     shown = list(there_and_back(range(4), seconds=8 / RATE_HZ))
     assert shown == [0, 1, 2, 3, 2, 1, 0, 1]
+
+
+def test_every_method_of_few_views_is_measured_and_degenerate_scenes_are_refused():
+    general = few_views.general_run(0, 'usual')
+    assert set(general) == set(few_views.GENERAL_METHODS)
+    assert all(abs(error) < 2 for error, *_ in general.values())
+    repeated = few_views.repeated_run(0, '2 parallel, 1 turned')
+    assert set(repeated) == set(few_views.REPEATED_METHODS)
+    assert all(abs(error) < 4 * sigma for error, sigma, _ in repeated.values())
+    assert few_views.refused_run(0, 'two objects') and few_views.refused_run(0, 'two views')
+    good, bad, *_, inside, _ = few_views.summary([repeated], 'parallel stated')
+    assert (good, bad, inside) == (1, 0, 1.0)

@@ -61,7 +61,7 @@ def spread_views(tracks: Tracks, views: int) -> Tracks:
         if len(names) >= MIN_POINTS:
             worth[i, j] = worth[j, i] = np.sqrt(len(names)) * np.median(
                 np.linalg.norm(xy_b - xy_a, axis=1))
-    chosen = list(np.unravel_index(np.argmax(worth), worth.shape))
+    chosen = [int(k) for k in np.unravel_index(np.argmax(worth), worth.shape)]
     while len(chosen) < views:
         nearest = worth[:, chosen].min(axis=1)
         if not nearest.max() > 0:

@@ -21,7 +21,7 @@ one: the affine chain proposes and the bundle adjustment keeps them parallel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
@@ -40,7 +40,7 @@ from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
 
 def calibrate_repeated_objects(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
-                               parallel: Iterable[int] | None = None,
+                               parallel: Sequence[int] | None = None,
                                ) -> Calibration | NoEstimate:
     """
     Calibrate from equal objects in one image, or in few images of one camera.
@@ -61,7 +61,7 @@ def calibrate_repeated_objects(graph: ViewGraph, size: tuple[int, int], facts: C
 
     """
     if parallel is not None:
-        return of_objects(calibrate_translated(graph, size, facts, parallel))
+        return _of_objects(calibrate_translated(graph, size, facts, parallel))
     found = translation_groups(graph.tracks, size)
     proposals = []
     if found.groups:
@@ -73,15 +73,20 @@ def calibrate_repeated_objects(graph: ViewGraph, size: tuple[int, int], facts: C
     if not result and graph.parallax < PARALLAX_RATIO:
         flat = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS['auto'], flat=True)
         result = flat or result
-    return of_objects(result)
+    return _of_objects(result)
 
 
-def of_objects(found: Calibration | NoEstimate) -> Calibration | NoEstimate:
+def refused_for_objects(why: NoEstimate) -> NoEstimate:
+    """Refuse for the same reason, and say that the images are objects."""
+    carried = {name: why.values[name] for name in ('motion', 'status', 'facts')
+               if name in why.values}
+    inner = {name: value for name, value in why.values.items()
+             if name not in carried and name != 'further'}
+    return NoEstimate('objects_insufficient', why=Finding(why.kind, **inner), **carried)
+
+
+def _of_objects(found: Calibration | NoEstimate) -> Calibration | NoEstimate:
     """Say that the views are objects."""
     if isinstance(found, NoEstimate):
-        carried = {name: found.values[name] for name in ('motion', 'status', 'facts')
-                   if name in found.values}
-        why = Finding(found.kind, **{name: value for name, value in found.values.items()
-                                     if name not in carried and name != 'further'})
-        return NoEstimate('objects_insufficient', why=why, **carried)
+        return refused_for_objects(found)
     return replace(found, findings=(Finding('objects_as_views'), *found.findings))
