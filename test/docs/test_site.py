@@ -37,7 +37,7 @@ def site(tmp_path_factory):
     if not find_spec('mkdocs'):
         pytest.skip('MkDocs is not installed')
     folder = tmp_path_factory.mktemp('site')
-    done = subprocess.run([sys.executable, '-m', 'mkdocs', 'build', '--strict', '--quiet',
+    done = subprocess.run([sys.executable, '-m', 'mkdocs', 'build', '--strict',
                            '--site-dir', folder], cwd=ROOT, capture_output=True, text=True,
                           timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
