@@ -179,7 +179,7 @@ def over_the_image(report: Report, what: str, result, other: Camera, covariance=
                f'at once: chi2 {found.chi2:.0f} with {found.freedom}.')
     effect = parameter_effect(result.camera, found.pixels)
     good = (np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1))
-    effect = effect[good].reshape(-1, 9)
+    effect = effect[good].reshape(-1, len(PARAMETER_NAMES))
     plain = np.column_stack([effect[:, 0] + effect[:, 1], effect[:, 2], effect[:, 3]])
 
     def without(columns):

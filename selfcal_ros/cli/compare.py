@@ -97,7 +97,8 @@ def _rows(a, b, covariances) -> list[dict]:
     import numpy as np
     from selfcal_ros.geometry.camera import PARAMETER_NAMES
     from selfcal_ros.geometry.lens import coefficient_names
-    variance = sum((np.diag(C) for C in covariances if C is not None), np.zeros(9))
+    variance = sum((np.diag(C) for C in covariances if C is not None),
+                   np.zeros(len(PARAMETER_NAMES)))
     spread = dict(zip(PARAMETER_NAMES, np.sqrt(np.maximum(variance, 0)).tolist()))
     values = []
     for camera in (a, b):

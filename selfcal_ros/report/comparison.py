@@ -134,7 +134,7 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     ----------
     a, b : Camera or LensCamera
         Of one image size.
-    covariance_a, covariance_b : ndarray, shape (9, 9), optional
+    covariance_a, covariance_b : ndarray, shape (k, k), optional
         Of `PARAMETER_NAMES`, independent of each other; a camera without one counts as exact.
 
     Returns

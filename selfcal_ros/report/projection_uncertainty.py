@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 
 #: Steps of the numerical derivatives: pixels for K, and plain for distortion.
 _STEPS = np.array([1e-3] * 5 + [1e-6] * 4)
@@ -71,7 +71,7 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
     ----------
     camera : Camera
         With its image size.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
         Of `PARAMETER_NAMES`.
     columns : int
         Grid points along the width.
@@ -104,13 +104,13 @@ def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) ->
 
     Returns
     -------
-    ndarray, shape (N, 2, 9)
+    ndarray, shape (N, 2, k)
         By `PARAMETER_NAMES`; NaN where the distortion cannot be undone.
 
     """
     xy = camera.normalised(pixels)
     usable = np.isfinite(xy).all(axis=1)
-    J = np.full((len(xy), 2, 9), np.nan)
+    J = np.full((len(xy), 2, len(PARAMETER_NAMES)), np.nan)
     J[usable] = _parameter_jacobian(camera, xy[usable])
     if rotate and usable.sum() >= 3:
         turn = _rotation_jacobian(camera, xy[usable])
@@ -121,10 +121,10 @@ def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) ->
 
 
 def _parameter_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:
-    """Differentiate the pixels of normalised points by the parameters, (N, 2, 9)."""
-    J = np.empty((len(xy), 2, 9))
+    """Differentiate the pixels of normalised points by the parameters, (N, 2, k)."""
+    J = np.empty((len(xy), 2, len(PARAMETER_NAMES)))
     for k, step in enumerate(_STEPS):
-        change = np.zeros(9)
+        change = np.zeros(len(PARAMETER_NAMES))
         change[k] = step
         J[:, :, k] = (_with(camera, change).pixels(xy) - _with(camera, -change).pixels(xy)) \
             / (2 * step)

@@ -70,7 +70,7 @@ def matrix(result: Calibration) -> list[list[Entry]]:
 
 def distortion(result: Calibration) -> list[Entry]:
     """Return the distortion coefficients in the order of ROS."""
-    return [_entry(result, name) for name in ('k1', 'k2', 'p1', 'p2')] + [
+    return [_entry(result, name) for name in PARAMETER_NAMES[5:]] + [
         Entry('k3', f'{result.camera.distortion[4]:.6g}', '', 'fact')]
 
 

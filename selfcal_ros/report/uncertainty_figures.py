@@ -76,7 +76,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
 
 
 def _corner_effect(result: Calibration) -> np.ndarray:
-    """Return the shift of a corner per unit of each parameter, pixels, shape (9,)."""
+    """Return the shift of a corner per unit of each parameter, pixels, shape (k,)."""
     camera = result.camera
     corner = np.array([camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]])
     x, y = corner

@@ -27,8 +27,8 @@ from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 MEANING = {
     'fx': 'focal length along x, px', 'fy': 'focal length along y, px',
     'cx': 'principal point, x, px', 'cy': 'principal point, y, px', 'skew': 'skew, px',
-    'k1': 'radial distortion', 'k2': 'radial distortion', 'p1': 'tangential distortion',
-    'p2': 'tangential distortion'}
+    **{name: ('tangential' if name.startswith('p') else 'radial') + ' distortion'
+       for name in PARAMETER_NAMES[5:]}}
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _derived_rows(result: Calibration) -> list[Row]:
     """Return aspect ratio and field of view, with first-order sigmas."""
     camera, C = result.camera, np.asarray(result.covariance, float)
     fx, fy = camera.K[0, 0], camera.K[1, 1]
-    slope = np.zeros(9)
+    slope = np.zeros(len(PARAMETER_NAMES))
     slope[0], slope[1] = -fy / fx**2, 1 / fx
     spread = _spread(slope, C)
     facts = result.facts

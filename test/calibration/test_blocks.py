@@ -31,7 +31,8 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Derivatives agree with differences to this fraction of the largest.
 AGREE = 1e-6
-LENS = Lens(np.array([620.0, 1.03, 322.0, 236.0, 1.5, -0.12, 0.05, 0.002, -0.003]))
+LENS = Lens(np.r_[620.0, 1.03, 322.0, 236.0, 1.5,
+                  [-0.12, 0.05, 0.002, -0.003, 0.01, 0.002][:INTRINSICS - 5]])
 VIEWS, POINTS = 4, 12
 
 

@@ -20,7 +20,7 @@ import pytest
 from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 
 TRUTH = np.array([520, 520, 320, 240, 0, -0.12, 0.05, 0, 0])
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
@@ -35,7 +35,7 @@ def calibration(values, covariance, facts=FACTS):
 def draw(rng, truth=TRUTH, scale=1.0):
     """Draw a calibration with a covariance of its own; fx and fy move together."""
     half = scale * np.diag([1, 0.8, 0.8, 0.002, 0.003]) @ rng.standard_normal((5, 8)) / 2
-    root = np.zeros((9, 8))
+    root = np.zeros((len(PARAMETER_NAMES), 8))
     root[FREE], root[1] = half, half[0]
     return calibration(truth + root @ rng.standard_normal(8), root @ root.T)
 
@@ -76,7 +76,7 @@ def test_a_fact_is_known_once_however_many_recordings_state_it():
     # the images say nothing of the principal point: each result is the fact again
     facts = CameraFacts(aspect_ratio=1.0, skew=0.0, principal_point=(320, 240),
                         principal_point_sigma_px=3.0, distortion='none')
-    C = np.diag([1.0, 1, 9, 9, 0, 0, 0, 0, 0])
+    C = np.diag([1.0, 1, 9, 9, *[0] * (len(PARAMETER_NAMES) - 4)])
     C[0, 1] = C[1, 0] = 1
     same = calibration([520, 520, 320, 240, 0, 0, 0, 0, 0], C, facts)
     joint = combine([same] * 9)

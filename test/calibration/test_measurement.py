@@ -22,9 +22,12 @@ from selfcal_ros.calibration.structure.angular_measurement import (angles_betwee
                                                                    fields_of_view,
                                                                    measurement_sentences)
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.report.result_json import result_to_dict
 from selfcal_ros.synthetic.scenes import sequence_si
+
+#: Of a covariance of all parameters.
+COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
 
 CAMERA = Camera([[520, 0.4, 328], [0, 523, 235], [0, 0, 1]], [-0.2, 0.05, 1e-3, -5e-4], 640, 480)
 
@@ -32,7 +35,7 @@ CAMERA = Camera([[520, 0.4, 328], [0, 523, 235], [0, 0, 1]], [-0.2, 0.05, 1e-3, 
 @pytest.fixture
 def covariance():
     """Correlated, of the size that a short drive leaves."""
-    root = np.random.default_rng(3).standard_normal((9, 9))
+    root = np.random.default_rng(3).standard_normal(COVARIANCE_SHAPE)
     root *= np.array([2, 2, 1, 1, 0.3, 2e-3, 2e-3, 2e-4, 2e-4])[:, None] / 3
     return root @ root.T
 
@@ -46,19 +49,19 @@ def test_angles_scatter_as_stated(covariance):
 
     drawn = np.array([angles_between(Camera.from_parameters(
         CAMERA.parameters + step, 640, 480), covariance, first, second)[0]
-        for step in rng.multivariate_normal(np.zeros(9), covariance, 1500)])
+        for step in rng.multivariate_normal(np.zeros(len(PARAMETER_NAMES)), covariance, 1500)])
     np.testing.assert_allclose(np.mean(drawn, axis=0), angle, atol=4 * sigma.max() / 30)
     # the sigma of a sigma from 1500 draws is 2 %
     np.testing.assert_allclose(np.std(drawn, axis=0), sigma, rtol=0.08)
 
 
 def test_a_held_camera_measures_exactly():
-    assert angles_between(CAMERA, np.zeros((9, 9)), [[0, 0]], [[639, 0]])[1] == 0
+    assert angles_between(CAMERA, np.zeros(COVARIANCE_SHAPE), [[0, 0]], [[639, 0]])[1] == 0
     plain = Camera([[320, 0, 319.5], [0, 320, 239.5], [0, 0, 1]], width=640, height=480)
-    wide = fields_of_view(plain, np.zeros((9, 9)))['horizontal']
+    wide = fields_of_view(plain, np.zeros(COVARIANCE_SHAPE))['horizontal']
     assert wide.value == pytest.approx(90)
     # of a field of view, by hand: tan(a / 2) = 320 / f
-    only_f = np.zeros((9, 9))
+    only_f = np.zeros(COVARIANCE_SHAPE)
     only_f[:2, :2] = 4.0
     sigma = fields_of_view(plain, only_f)['horizontal'].sigma
     assert sigma == pytest.approx(np.degrees(2 * 2 / (2 * 320)))

@@ -24,7 +24,7 @@ from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
 from selfcal_ros.values.tracks import Tracks
@@ -38,7 +38,7 @@ SIGMAS = np.array([1.0, 0.7, 0.8])     # fx, cx, cy
 
 def calibration(camera=TRUTH, sigmas=SIGMAS):
     """Calibration with square pixels and known distortion."""
-    to_parameters = np.zeros((9, 3))
+    to_parameters = np.zeros((len(PARAMETER_NAMES), 3))
     to_parameters[[0, 1, 2, 3], [0, 0, 1, 2]] = 1
     to_parameters *= sigmas
     return Calibration(

@@ -16,16 +16,19 @@
 import numpy as np
 import pytest
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.geometry.lens import LensCamera
 from selfcal_ros.report.comparison import compare_cameras
+
+#: Of a covariance of all parameters.
+COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
 
 TRUTH = np.array([520, 520, 320, 240, 0, -0.12, 0.05, 0, 0])
 
 
 def spread():
     """Return a root of a covariance: one focal length, the aspect ratio held."""
-    root = np.zeros((9, 5))
+    root = np.zeros((len(PARAMETER_NAMES), 5))
     root[[0, 1], 0] = 1.0
     root[2, [0, 1]] = 0.3, 0.8
     root[3, 2] = 0.8
@@ -93,13 +96,13 @@ def test_lenses_of_other_models():
     assert np.nanmax(found.distance_px) == pytest.approx(520 * (np.tan(angle) - angle), rel=0.01)
     assert np.nanmax(compare_cameras(fisheye, fisheye).distance_px) < 1e-9
     with pytest.raises(InputError, match='equidistant is not supported'):
-        compare_cameras(fisheye, fisheye, np.eye(9))
+        compare_cameras(fisheye, fisheye, np.eye(len(PARAMETER_NAMES)))
 
 
 def test_what_cannot_be_compared():
     with pytest.raises(InputError, match='one size'):
         compare_cameras(camera(TRUTH), Camera.from_parameters(TRUTH, 320, 240))
     with pytest.raises(InputError, match='not finite'):
-        compare_cameras(camera(TRUTH), camera(TRUTH), np.full((9, 9), np.nan))
+        compare_cameras(camera(TRUTH), camera(TRUTH), np.full(COVARIANCE_SHAPE, np.nan))
     with pytest.raises(InputError, match='undone anywhere'):
         compare_cameras(camera(TRUTH + [0, 0, 9e5, 0, 0, -0.9, 0, 0, 0]), camera(TRUTH))

@@ -19,13 +19,16 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.report.figures import draw_figures
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.pair_geometry import pair_geometry, single_pairs
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.residual_figures import cells, coverage_figure
 from selfcal_ros.values.tracks import Tracks
+
+#: Of a covariance of all parameters.
+COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
 
 
 def test_epipoles_lie_on_the_horizon_and_screw_axes_pass_through_v(calibration, sequence):
@@ -130,7 +133,7 @@ def test_cells_cover_the_image():
 def test_projection_uncertainty_of_the_centre_alone():
     # without distortion and without a rotation, a shift of the centre is a shift everywhere
     camera = Camera([[500, 0, 319.5], [0, 500, 239.5], [0, 0, 1]], width=640, height=480)
-    covariance = np.zeros((9, 9))
+    covariance = np.zeros(COVARIANCE_SHAPE)
     covariance[2, 2] = 4.0
     plain = projection_uncertainty(camera, covariance, rotate=False)
     assert np.allclose(plain.covariance, [[4, 0], [0, 0]], atol=1e-6)
@@ -145,13 +148,14 @@ def test_projection_uncertainty_against_draws():
                     640, 480)
     rng = np.random.default_rng(3)
     root = np.diag([1, 1, 0.5, 0.5, 0.1, 1e-3, 1e-3, 1e-4, 1e-4]) \
-        @ (np.eye(9) + 0.3 * rng.standard_normal((9, 9)))
+        @ (np.eye(len(PARAMETER_NAMES)) + 0.3 * rng.standard_normal(COVARIANCE_SHAPE))
     found = projection_uncertainty(camera, root @ root.T, 12)
     grid = np.stack(np.meshgrid(found.u, found.v), axis=-1).reshape(-1, 2)
     rays = np.column_stack([camera.normalised(grid), np.ones(len(grid))])
     draws = []
     for _ in range(600):
-        other = Camera.from_parameters(camera.parameters + 0.02 * root @ rng.standard_normal(9))
+        drawn = 0.02 * root @ rng.standard_normal(len(PARAMETER_NAMES))
+        other = Camera.from_parameters(camera.parameters + drawn)
         # the best rotation by Gauss-Newton on true projections, differences for derivatives
         turn = np.zeros(3)
         for _ in range(3):
@@ -192,9 +196,10 @@ def test_pyplot_is_left_alone(calibration, sequence):
 
 
 def test_little_is_enough(calibration):
-    bare = replace(calibration, fixed_points=None, covariance=np.zeros((9, 9)), residuals=None)
+    bare = replace(calibration, fixed_points=None, residuals=None,
+                   covariance=np.zeros(COVARIANCE_SHAPE))
     assert [d.name for d in draw_figures(bare)] == ['path']
-    unknown = replace(calibration, covariance=np.full((9, 9), np.inf))
+    unknown = replace(calibration, covariance=np.full(COVARIANCE_SHAPE, np.inf))
     for drawing in draw_figures(unknown):
         drawing.svgs()
     assert draw_figures(NotCalibrated('No.')) == []
@@ -214,7 +219,7 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
     {'camera': Camera(np.diag([900.0, 900, 1]))},
     {'camera': Camera([[900, 0, 400], [0, 900, 0], [0, 0, 1]], width=4000, height=2)},
     {'camera': Camera([[900, 0, 400], [0, 900, 300], [0, 0, 1]], [-5, 3, 1, 1], 800, 600)},
-    {'covariance': np.full((9, 9), np.nan)}, {'covariance': -np.eye(9)},
+    {'covariance': np.full(COVARIANCE_SHAPE, np.nan)}, {'covariance': -np.eye(*COVARIANCE_SHAPE)},
     {'noise_sigma_px': np.nan}, {'residuals': np.full((100, 2), np.nan)}])
 @pytest.mark.filterwarnings('error')
 def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, broken):

@@ -30,7 +30,7 @@ FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
 
 def calibration(focal, sigma):
     """Return a calibration of which only the focal length differs."""
-    C = np.zeros((9, 9))
+    C = np.zeros((len(PARAMETER_NAMES),) * 2)
     C[:2, :2] = sigma**2
     C[2, 2] = C[3, 3] = 0.04
     status = {name: 'estimated' if name in ('fx', 'fy', 'cx', 'cy') else 'held'

@@ -28,7 +28,7 @@ import pytest
 from selfcal_ros.calibration.result import Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
@@ -36,6 +36,9 @@ from selfcal_ros.report.scene import scene_of
 from selfcal_ros.report.summary import (distortion, grade, matrix, projection_sigmas, px_text,
                                         quality)
 from selfcal_ros.report.wording import facts_lines, parameter_rows, verdict, with_sigma
+
+#: Of a covariance of all parameters.
+COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
 
 HOSTILE = '<script>alert(1)</script>"\'><img src=x onerror=alert(2)> {{ 7 * 7 }} \u202e'
 VOID = {'meta', 'img', 'br', 'link', 'hr', 'input'}
@@ -284,6 +287,6 @@ def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibrati
     assert f'{1000 * worst * 10 / 900:.1f} mm' in sentence
     assert 'there is room' in sentence
     assert 'there is room' not in quality(replace(one, noise_sigma_px=1.0))
-    assert quality(replace(one, covariance=np.full((9, 9), np.inf))) == ''
+    assert quality(replace(one, covariance=np.full(COVARIANCE_SHAPE, np.inf))) == ''
     assert [px_text(value) for value in (0, 0.0123, 0.5, 12.3, np.inf, np.nan)] == [
         '0 px', '0.012 px', '0.50 px', '12 px', 'inf px', 'nan px']

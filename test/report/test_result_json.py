@@ -17,8 +17,7 @@ import json
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import (Calibration, FixedPoints, NotCalibrated,
-                                            Reconstruction)
+from selfcal_ros.calibration.result import Calibration, FixedPoints, NotCalibrated, Reconstruction
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -142,7 +141,7 @@ def test_files_without_a_schema_and_kinds_of_later_ones_are_read():
 
 @pytest.mark.parametrize('value', [np.nan, np.inf])
 def test_what_is_not_finite_becomes_null(tmp_path, value):
-    covariance = np.eye(9)
+    covariance = np.eye(len(PARAMETER_NAMES))
     covariance[3, 3] = value
     status = dict.fromkeys(PARAMETER_NAMES, 'estimated') | {'cy': 'unobservable'}
     result = calibration(covariance=covariance, status=status, noise_sigma_px=value)

@@ -36,7 +36,7 @@ class StoredCamera:
         As the file calls it.
     topic : str
         Image topic, where the file names it.
-    covariance : ndarray, shape (9, 9), or None
+    covariance : ndarray, shape (k, k), or None
         Of `PARAMETER_NAMES`, where the file has it.
     status : dict
         Per parameter 'estimated', 'held' or 'unobservable', where the file has it.
