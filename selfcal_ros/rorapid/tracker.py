@@ -27,7 +27,7 @@ from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
                                                           recentring)
 from selfcal_ros.rorapid.region.region_of_interest import checked_grey
@@ -77,7 +77,7 @@ class RorapidTracker:
         self._rng = np.random.default_rng(0) if rng is None else rng
         self._visible = VisibleModel(model, *options.control_points)
         self._plane = PlaneLearner()
-        self._axis = options.plane_axis
+        self._axis: tuple | np.ndarray | None = options.plane_axis
         self._camera_model = options.camera_model
         self._projection = Projection(camera, options.camera_model)
         self._lay_basis()
@@ -85,7 +85,7 @@ class RorapidTracker:
         self._control = ControlModel(self._visible, self._projection, size)
         cycle = RobustTracker if options.method == 'modern' else RapidTracker
         self._cycle = cycle(self._control, self._basis, options, self._rng)
-        self._filter = None
+        self._kalman: ConstantVelocityFilter | None = None
         self._state, self._stamp_ns = TrackerState.LOST, None
 
     def _lay_basis(self) -> None:
@@ -98,6 +98,13 @@ class RorapidTracker:
         if self.options.method == 'modern':
             # what the motion does not change is estimated all the same, from all images
             self._basis = completed(self._basis)
+
+    @property
+    def _filter(self) -> ConstantVelocityFilter:
+        """The filter, once there was a start."""
+        if self._kalman is None:
+            raise ArgumentError('The tracker needs a start pose before the first image.')
+        return self._kalman
 
     @property
     def state(self) -> TrackerState:
@@ -114,7 +121,7 @@ class RorapidTracker:
             self._projection.become(self._camera_model)
             self._lay_basis()
             self._cycle.switch(self._basis, self._camera_model)
-        self._filter = None
+        self._kalman = None
         self._state, self._stamp_ns = TrackerState.LOST, None
 
     def adopt(self, options: TrackerOptions) -> bool:
@@ -193,7 +200,8 @@ class RorapidTracker:
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
         self._start_filter(state, spread)
         self._state = TrackerState.LOST if lost else TrackerState.INITIALISING
-        self._misses, self._open, self._stamp_ns, self._good = 0, 0, None, None
+        self._misses, self._open, self._stamp_ns = 0.0, 0, None
+        self._good: ObjectPose | None = None
         if lost:
             self._filter.restart(state, self._wide(state))
 
@@ -227,7 +235,7 @@ class RorapidTracker:
                 wide = np.full(8, _RANDOM_WALK_DIAMETERS * diameter * scale)
             random_walk[self._free:] = np.sqrt(np.einsum('im,i->m', B**2, wide**2))[self._free:]
             speed[self._free:] = turn[self._free:] = 0
-        self._filter = ConstantVelocityFilter(self._projection, B, state, B.T @ full @ B, speed,
+        self._kalman = ConstantVelocityFilter(self._projection, B, state, B.T @ full @ B, speed,
                                               turn, random_walk)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
@@ -253,7 +261,7 @@ class RorapidTracker:
             If the image is not of the camera's size or type.
 
         """
-        if self._filter is None:
+        if self._kalman is None:
             raise ArgumentError('The tracker needs a start pose before the first image.')
         image = checked_grey(image, self.camera)
         self._control.resize(image.shape[::-1])

@@ -211,7 +211,7 @@ class Tracks:
         if not rows:
             raise InputError(f'{path} holds no observations.')
         frame, track, x, y = zip(*rows)
-        return cls(frame, track, np.column_stack([x, y]), image_size)
+        return cls(np.array(frame), np.array(track), np.column_stack([x, y]), image_size)
 
     def to_csv(self, path) -> None:
         """Write the columns frame, track, x, y; the file appears whole or not at all."""

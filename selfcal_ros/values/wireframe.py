@@ -19,7 +19,7 @@ Lengths are metres, in the object's own frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -164,13 +164,16 @@ class WireframeModel:
     """
 
     vertices: np.ndarray
-    lines: np.ndarray = ()
+    lines: np.ndarray = ()                   # type: ignore[assignment]
     faces: tuple = ()
     conics: tuple = ()
     cylinders: tuple = ()
     line_names: tuple = ()
-    line_min_length_px: np.ndarray = ()
+    line_min_length_px: np.ndarray = ()      # type: ignore[assignment]
     name: str = ''
+    #: Faces cut into triangles, (T, 3) vertices, and the face of each, (T,).
+    triangles: np.ndarray = field(init=False, repr=False, compare=False)
+    triangle_face: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         """Check and freeze."""
@@ -225,7 +228,8 @@ class WireframeModel:
                 lines.append((a, b))
                 names.append('')
                 lengths.append(0.0)
-        return cls(vertices, lines, faces, line_names=names, line_min_length_px=lengths, **other)
+        return cls(vertices, np.array(lines, int), tuple(faces), line_names=tuple(names),
+                   line_min_length_px=np.array(lengths), **other)
 
     def _cut_faces(self):
         """Cut the faces into triangles: (T, 3) vertices, and the face of each."""
@@ -331,7 +335,8 @@ def _check_faces(vertices, faces):
 
 def _borders(vertices, faces, same) -> dict:
     """Faces on each border, by (vertex, vertex) as first met."""
-    borders, key = {}, {}
+    borders: dict[tuple[int, int], list[int]] = {}
+    key: dict[frozenset[int], tuple[int, int]] = {}
     for k, face in enumerate(faces):
         for a, b in face.borders():
             a, b = int(same[a]), int(same[b])

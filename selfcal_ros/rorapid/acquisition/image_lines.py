@@ -221,7 +221,7 @@ def find_corners(segments: np.ndarray, meet_px: float = _MEET_PX) -> list[Corner
     list of Corner
 
     """
-    groups = []
+    groups: list[tuple] = []
     ends = segments.reshape(-1, 2)
     gap = np.linalg.norm(ends[:, None] - ends, axis=2)
     gap = gap.reshape(len(segments), 2, len(segments), 2)

@@ -87,7 +87,7 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
         return matched
     ends = matched.first_px, matched.second_px
     acquired = acquire_model(*ends, camera, matched.lines, name=name, **facts)
-    if acquired and faces:
+    if faces and not isinstance(acquired, NoEstimate):
         loops = plane_loops(acquired.model.vertices, matched.lines)
         acquired = acquire_model(*ends, camera, matched.lines, loops, name=name, **facts)
     return acquired
@@ -139,7 +139,7 @@ def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
     corners = [find_corners(found) for found in lines]
     places = [np.array([c.xy for c in found]).reshape(-1, 2) for found in corners]
     allowed = _within(places[0], region)
-    a, b = _proposed(first, second, *places, allowed, largest_motion_px)
+    a, b = _proposed(first, second, places[0], places[1], allowed, largest_motion_px)
     chosen = _agreeing(camera, places[0][a], places[1][b], rng)
     if chosen is None:
         return NoEstimate('corners_disagree', corners=len(a))

@@ -40,12 +40,12 @@ def plane_loops(vertices: np.ndarray, pairs) -> list[tuple]:
         Vertices in order around each loop.
 
     """
-    around = {}
+    around: dict[int, set[int]] = {}
     for i, j in pairs:
         around.setdefault(i, set()).add(j)
         around.setdefault(j, set()).add(i)
     tolerance = _FLAT * np.linalg.norm(np.ptp(vertices, axis=0))
-    loops = {}
+    loops: dict[frozenset[int], tuple] = {}
     for corner, neighbours in around.items():
         for start in neighbours:
             for end in neighbours - {start}:

@@ -110,7 +110,7 @@ def shape_covariances(points: np.ndarray, jacobian: np.ndarray, ends=None) -> np
     none = np.zeros(count)
     turns = np.stack([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 1, 0)
     moves = np.concatenate([turns.reshape(3 * count, 3), np.tile(np.eye(3), (count, 1))], axis=1)
-    moves = np.linalg.svd(moves, full_matrices=False)
-    rigid = moves[0][:, moves[1] > 1e-9 * moves[1].max()]
+    basis, size, _ = np.linalg.svd(moves, full_matrices=False)
+    rigid = basis[:, size > 1e-9 * size.max()]
     left = jacobian - rigid @ (rigid.T @ jacobian)
     return blocks(left @ left.T)

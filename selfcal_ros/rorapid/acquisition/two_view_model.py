@@ -222,7 +222,7 @@ def acquire_model(first_px, second_px, camera: Camera, lines=(), faces=(), conic
 
     """
     structure = points_from_translation(first_px, second_px, camera, **facts)
-    if not structure:
+    if isinstance(structure, NoEstimate):
         return structure
     points = structure.points
     R, t = _object_frame(points, frame)

@@ -51,7 +51,7 @@ def _derivative(samples: int) -> np.ndarray:
     """Return the matrix (samples, samples - 2 HALF) of the derivative of a Gaussian."""
     at = np.arange(-_HALF, _HALF + 1)
     kernel = at * np.exp(-0.5 * (at / _SIGMA)**2)
-    kernel /= kernel[at > 0].sum()            # a step of one grey level answers with one
+    kernel = kernel / kernel[at > 0].sum()    # a step of one grey level answers with one
     matrix = np.zeros((samples, samples - 2 * _HALF), np.float32)
     for k in range(samples - 2 * _HALF):
         matrix[k:k + 2 * _HALF + 1, k] = kernel

@@ -240,6 +240,7 @@ class EdgeSearch:
         back = self.basis.T @ self.projection.difference(state, predicted)
         q = np.zeros(m)
         line = np.arange(len(at))
+        sigma: np.ndarray | float
         for limit in limits:
             along = rows @ q
             distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further

@@ -167,8 +167,8 @@ class RobustTracker:
         led = count >= LEAST_TEXTURE
         measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
                                 led)
-        if led and (count < RECOGNISED_CORNERS
-                    or count < RECOGNISED_FOLLOWED * matches.followed.sum()):
+        if led and matches is not None and count < max(
+                RECOGNISED_CORNERS, RECOGNISED_FOLLOWED * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
             alone = self._search(image, region, predicted, spread, prior, predicted, matches,

@@ -176,7 +176,8 @@ def _model(data, name) -> WireframeModel:
     if not isinstance(borders, bool):
         raise ArgumentError('face_borders must be true or false.')
     make = WireframeModel.build if borders else WireframeModel
-    return make(np.array(points), lines, faces, line_names=names, line_min_length_px=lengths,
+    return make(np.array(points), np.array(lines, int).reshape(-1, 2), tuple(faces),
+                line_names=tuple(names), line_min_length_px=np.array(lengths, float),
                 conics=_conics(lists), cylinders=_cylinders(lists),
                 name=_name({'name': data.get('model', name)}, 'model'))
 

@@ -26,6 +26,7 @@ import math
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 
@@ -55,6 +56,13 @@ class ObjectPose:
     translation: np.ndarray
     zoom: float = 1.0
     affine: np.ndarray | None = None
+
+    @property
+    def affine_map(self) -> np.ndarray:
+        """The affine camera of a pose that has one."""
+        if self.affine is None:
+            raise ArgumentError('This pose was not estimated with an affine camera.')
+        return self.affine
 
 
 @dataclass(frozen=True)
@@ -129,7 +137,8 @@ class Projection:
         """
         if self.model == 'affine':
             turned, inverse = points, np.ones(len(points))
-            xy = points @ state.affine[:, :3].T + state.affine[:, 3]
+            affine = state.affine_map
+            xy = points @ affine[:, :3].T + affine[:, 3]
         else:
             turned = points @ state.rotation.T
             if self.model == 'weak':
@@ -200,7 +209,7 @@ class Projection:
     def moved(self, state: ObjectPose, correction: np.ndarray) -> ObjectPose:
         """Apply a correction (size,) to a state."""
         if self.model == 'affine':
-            affine = state.affine.copy()
+            affine = state.affine_map.copy()
             affine[:, :3] += correction[:6].reshape(2, 3)
             affine[:, 3] += correction[6:8]
             return nearest_pose(affine, state)
@@ -219,7 +228,7 @@ class Projection:
     def difference(self, there: ObjectPose, here: ObjectPose) -> np.ndarray:
         """Return the correction (size,) that takes `here` to `there`."""
         if self.model == 'affine':
-            change = there.affine - here.affine
+            change = there.affine_map - here.affine_map
             return np.concatenate([change[:, :3].ravel(), change[:, 3]])
         out = np.empty(self.size)
         out[:3] = _rotation_vector(there.rotation @ here.rotation.T)
@@ -247,7 +256,7 @@ class Projection:
         if self.model != 'affine':
             return covariance[:6, :6]
         slope = np.empty((6, 8))
-        for k, step in enumerate(1e-6 * np.eye(8) * np.abs(state.affine[:, :3]).max()):
+        for k, step in enumerate(1e-6 * np.eye(8) * np.abs(state.affine_map[:, :3]).max()):
             other = self.moved(state, step)
             slope[:3, k] = rotation_vector(other.rotation @ state.rotation.T) / step[k]
             slope[3:, k] = (other.translation - state.translation) / step[k]

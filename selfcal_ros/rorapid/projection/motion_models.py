@@ -122,7 +122,7 @@ class PlaneLearner:
 
     def reset(self) -> None:
         """Forget the track."""
-        self._first = None
+        self._first: np.ndarray | None = None
         self._count = 0
         self._mean = np.zeros(3)
         self._spread = np.zeros((3, 3))

@@ -81,7 +81,7 @@ class Undistorter:
         """Wait for the size of the images."""
         self._camera = camera
         self.pinhole = Camera(camera.K, width=camera.width, height=camera.height)
-        self._maps = None
+        self._maps: list[np.ndarray] | None = None
 
     def part(self, image: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Cut rows and columns from low to high (x, y) out of the undistorted image."""

@@ -110,7 +110,7 @@ class Face:
             return False
         fresh = cv2.bitwise_not(self.known)
         if seen is not None:
-            fresh &= seen
+            fresh = fresh & seen
         if not cv2.countNonZero(fresh) > 0.05 * fresh.size:
             return False
         cv2.copyTo(picture, fresh, self.picture)
@@ -128,10 +128,12 @@ class Face:
         if seen is not None:
             same &= seen
             steady &= seen
-        cv2.add(self.doubt, 1, dst=self.doubt)
+        # OpenCV takes a number for an image; its stubs do not know
+        cv2.add(self.doubt, 1, dst=self.doubt)       # type: ignore[call-overload]
         self.doubt &= steady & cv2.bitwise_not(same)
         self.other = picture
-        for_good = cv2.compare(self.doubt, _DOUBTS - 1, cv2.CMP_GT)
+        for_good = cv2.compare(                      # type: ignore[call-overload]
+            self.doubt, _DOUBTS - 1, cv2.CMP_GT)
         if cv2.countNonZero(for_good):
             cv2.copyTo(picture, for_good, self.picture)
             self.doubt &= cv2.bitwise_not(for_good)
@@ -186,7 +188,8 @@ class Face:
 
 def _mean_change(one: np.ndarray, other: np.ndarray, limit: float) -> np.ndarray:
     """Where two pictures differ by less than a limit on average around a texel, 255 or 0."""
-    return cv2.compare(cv2.blur(cv2.absdiff(one, other), (_AROUND, _AROUND)), limit, cv2.CMP_LT)
+    change = cv2.blur(cv2.absdiff(one, other), (_AROUND, _AROUND))
+    return cv2.compare(change, limit, cv2.CMP_LT)    # type: ignore[call-overload]
 
 
 def lay_frame(corners: np.ndarray) -> Face:

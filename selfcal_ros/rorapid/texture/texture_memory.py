@@ -286,7 +286,7 @@ class TextureMemory:
             seen = None
             if (corners < -2).any() or (corners > limit + 2).any():
                 seen = cv2.warpPerspective(np.full_like(region.image, 255), H, size, flags=flags)
-                seen = cv2.compare(seen, 254, cv2.CMP_GT)
+                seen = cv2.compare(seen, 254, cv2.CMP_GT)    # type: ignore[call-overload]
                 if cv2.countNonZero(seen) < _LEAST_SEEN * seen.size:
                     continue
             self._take(face, picture, area, seen)

@@ -22,7 +22,7 @@ Both only propose; the tracker's own measurement decides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -48,9 +48,9 @@ class _View:
     region: Region
     state: ObjectPose
     direction: np.ndarray
-    outline: np.ndarray
-    pixels: np.ndarray | None = None
+    pixels: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     descriptors: np.ndarray | None = None
+    described: bool = False
 
 
 class ViewMemory:
@@ -69,8 +69,10 @@ class ViewMemory:
     def __init__(self, projection: Projection, outline: np.ndarray, rng):
         """Start without any view."""
         self.projection, self.outline, self.rng = projection, outline, rng
-        self._features = cv2.ORB_create(nfeatures=700, scaleFactor=1.2, nlevels=6,
-                                        edgeThreshold=12, patchSize=23, fastThreshold=7)
+        # OpenCV's stubs do not know the name that all its versions have
+        self._features = cv2.ORB_create(             # type: ignore[attr-defined]
+            nfeatures=700, scaleFactor=1.2, nlevels=6, edgeThreshold=12, patchSize=23,
+            fastThreshold=7)
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         self.forget()
 
@@ -84,7 +86,7 @@ class ViewMemory:
         """Keep a well-tracked view: always the last one, and each new direction."""
         direction = -state.rotation.T @ state.translation
         direction /= np.linalg.norm(direction)
-        self._last = _View(region, state, direction, None)
+        self._last = _View(region, state, direction)
         for view in self._views:
             if view.direction @ direction > np.cos(_NEW_VIEW_RAD):
                 return
@@ -190,11 +192,11 @@ class ViewMemory:
         cv2.fillConvexPoly(mask, np.round(cv2.convexHull(outline)).astype(np.int32), 255)
         points, descriptors = self._features.detectAndCompute(view.region.image, mask)
         view.pixels = view.region.outside(np.array([p.pt for p in points]).reshape(-1, 2))
-        view.descriptors = descriptors
+        view.descriptors, view.described = descriptors, True
 
     def _by_features(self, view: _View, pixels, descriptors):
         """Return (support, state) from one view, or None."""
-        if view.pixels is None:
+        if not view.described:
             self._describe(view)
         if view.descriptors is None or len(view.pixels) < _LEAST_AGREEING:
             return None
@@ -220,7 +222,7 @@ class ViewMemory:
             + self.projection.camera.K[:2, 2])
         if not np.isfinite(xy).all():
             return None
-        rotation = rotation_matrix([0, 0, turn]) @ state.rotation
+        rotation = rotation_matrix(np.array([0, 0, turn])) @ state.rotation
         return support, ObjectPose(rotation, depth * np.array([*xy, 1.0]), state.zoom)
 
     def _similarity(self, old, new, limit):
