@@ -106,12 +106,13 @@ def test_the_page_of_troubleshooting_is_made_from_the_tables():
 
 
 def _prose(tree):
-    """Yield sentences in the code, but for those in docstrings and in what is raised."""
-    told = {id(part) for node in ast.walk(tree) if isinstance(node, (ast.Raise, ast.Expr))
+    """Yield prose in the code, but for docstrings and for what is raised."""
+    told = {id(part) for node in ast.walk(tree) if isinstance(node, ast.Raise)
+            or isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
             for part in ast.walk(node)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) \
-                and id(node) not in told and re.search(r'(\w+ ){3}\w+[^.]*\.$', node.value):
+                and id(node) not in told and len(re.findall(r'[a-z]+ ', node.value)) >= 5:
             yield node.lineno, node.value
 
 
@@ -172,6 +173,9 @@ def test_the_front_tells_kind_values_and_further_findings_apart():
      'turn, or state the skew or the aspect ratio'),
     ('{f:frames}', {'f': (4,)}, 'frame 4'),
     ('{f:frames}', {'f': (1, 2, 3, 4, 5, 6)}, 'frames 1, 2, 3, 4, 5 and others'),
+    ('{x:measured}', {'x': {'value': 2.0, 'sigma': 0.012}}, '2.000 ± 0.012'),
+    ('{x:changes}', {'x': ({'name': 'cx', 'value': 2.0, 'sigma': 0.5, 'unit': 'px'},)},
+     'cx +2.00 ± 0.50 px'),
     ('{x:.2g}', {'x': None}, 'unknown')])
 def test_values_are_put_into_words(text, values, said):
     assert put_in_words(text, values) == said

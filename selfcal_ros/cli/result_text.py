@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
+from selfcal_ros.findings.finding import Finding
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
@@ -94,7 +95,7 @@ def _verdict(result: Calibration) -> str:
     """Say in a sentence what was found, and how good it is."""
     camera = result.camera
     share = 100 * result.sigma['fx'] / camera.K[0, 0]
-    weak = [name for name, status in result.status.items() if status == 'unobservable']
+    weak = tuple(name for name, status in result.status.items() if status == 'unobservable')
     views = f'{len(result.frames)} view{"s" if len(result.frames) != 1 else ""}'
     scene = ('of a known object' if result.motion == 'known-object'
              else f'under {result.motion} motion')
@@ -103,6 +104,5 @@ def _verdict(result: Calibration) -> str:
                 f'{result.reprojection_rms_px:.3f} px rms over {result.observation_count} '
                 f'observations ({result.outlier_count} rejected).')
     if weak:
-        sentence += (f' The data do not determine {", ".join(weak)}: state it as a fact, or '
-                     'record a motion that shows it.')
+        sentence += f' {Finding("parameters_unobservable", missing=weak)}'
     return sentence

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import math
 from string import Formatter
 from typing import Any
 
@@ -48,8 +49,9 @@ class _Words(Formatter):
 
     Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
     number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
-    help), `frames`, `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `clause`
-    (another finding, without its full stop).
+    help), `frames`, `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `measured` (a
+    value with its sigma), `changes` (several, by name), `clause` (another finding, without its
+    full stop).
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -68,6 +70,23 @@ def _frames(frames: Sequence[int]) -> str:
     named = ', '.join(str(frame) for frame in frames[:5])
     return f'{"frame" if len(frames) == 1 else "frames"} {named}' + (
         ' and others' if len(frames) > 5 else '')
+
+
+def _digits(sigma: float) -> int:
+    """Return the decimals up to the second digit of a sigma."""
+    return min(max(1 - math.floor(math.log10(sigma)), 0), 6) if sigma > 0 else 2
+
+
+def _measured(measured: Mapping[str, Any]) -> str:
+    """Write a value and its sigma with the digits that the sigma leaves."""
+    digits = _digits(measured['sigma'])
+    return f'{measured["value"]:.{digits}f} ± {measured["sigma"]:.{digits}f}'
+
+
+def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
+    """Name what changed, by how much, and how surely."""
+    return ', '.join(f'{one["name"]} {one["value"]:+.{_digits(one["sigma"])}f} ± '
+                     f'{one["sigma"]:.{_digits(one["sigma"])}f} {one["unit"]}' for one in changes)
 
 
 #: Motions that are suggested, in words that fit after 'in which you'.
@@ -89,13 +108,15 @@ _ENDINGS: dict[str, Callable[[Any], str]] = {
     'percent': lambda share: f'{100 * share:.0f}',
     'plural': lambda count: '' if count == 1 else 's',
     'number': lambda count: _NUMBERS[count],
-    'and': lambda names: ' and '.join(name.replace('_', ' ') for name in names),
+    'and': lambda names: ' and '.join(str(name).replace('_', ' ') for name in names),
     'motion': MOTIONS.__getitem__,
     'axes': lambda axes: ' and about '.join(f'the {axis} axis' for axis in axes),
     'or_state': lambda helps: f', or state the {" or the ".join(helps)}' if helps else '',
     'frames': _frames,
     'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
                                       for name, value in sigma.items()),
+    'measured': _measured,
+    'changes': _changes,
     'clause': lambda finding: finding.clause,
 }
 _WORDS = _Words()

@@ -100,6 +100,33 @@ REMARKS: dict[str, Phrase] = {
         '{left_out} of {pairs} image pairs were degenerate and left out.',
         'Pairs without parallax or rotation say nothing of the fixed points.',
         'Nothing.'),
+    'camera_changed': Phrase(
+        'The camera has changed: {changes:changes}.',
+        'The newest keyframes contradict the calibration in force. The rate of false alarms is '
+        'stated.',
+        'Calibrate anew with the service `calibrate`, or look for what moved the lens.'),
+    # what the uncertainty means
+    'parameters_unobservable': Phrase(
+        'The data do not determine {missing}: state it as a fact, or record a motion that shows '
+        'it.',
+        'The sigmas of these parameters exceed the limits beyond which a parameter counts as '
+        'unobservable.',
+        'State the parameter as a fact, or record a motion that shows it.'),
+    'field_of_view': Phrase(
+        'The horizontal field of view is {angle_deg:measured} degrees.',
+        'It follows from the camera and its covariance.',
+        'Nothing.'),
+    'central_angle': Phrase(
+        'An angle of {angle_deg:.3g} degrees measured across the middle of the image is good to ± '
+        '{sigma_deg:.2g} degrees.',
+        'It follows from the covariance of the camera.',
+        'Nothing.'),
+    'typical_measurements': Phrase(
+        'In the structure, two typical lengths (between the tracks {first:and}, {second:and}) '
+        'have the ratio {ratio:measured}. An angle of {angle_deg:.3g} degrees (at track {at}) is '
+        'good to ± {sigma_deg:.2g} degrees.',
+        'It follows from the covariance of the camera, the path and the points together.',
+        'Nothing.'),
     # facts
     'fact_decides': Phrase(
         'Without the stated {fact}, the images would not determine {lost}.',

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 
 #: What may change suddenly. The aspect ratio belongs to the sensor; a change of the distortion
 #: shows as one of these.
@@ -102,18 +103,17 @@ class CameraChange:
         """Standard deviations of the change, shape (3,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def finding(self) -> Finding:
+        """Tell what changed and by how much."""
+        scale = np.array([100 / self.focal_px, 1, 1])
+        told = [{'name': name, 'value': value, 'sigma': sigma, 'unit': unit}
+                for name, value, sigma, unit in zip(
+                    CHANGE_NAMES, (self.change_px * scale).tolist(),
+                    (self.sigma_px * scale).tolist(), ('%', 'px', 'px'))]
+        # significant together need not be significant one by one
+        clear = [part for part in told if abs(part['value']) > SAID_SIGMAS * part['sigma']]
+        return Finding('camera_changed', changes=tuple(clear or told))
+
     def __str__(self) -> str:
         """Say what changed and by how much."""
-        scale = np.array([100 / self.focal_px, 1, 1])
-        told = list(zip(CHANGE_NAMES, self.change_px * scale, self.sigma_px * scale,
-                        (' %', ' px', ' px')))
-        # significant together need not be significant one by one
-        clear = [part for part in told if abs(part[1]) > SAID_SIGMAS * part[2]] or told
-        return 'the camera has changed: ' + ', '.join(
-            f'{name} {_with_sigma(value, sigma)}{unit}' for name, value, sigma, unit in clear)
-
-
-def _with_sigma(value: float, sigma: float) -> str:
-    """Round to the second digit of sigma."""
-    digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6))
-    return f'{value:+.{digits}f} ± {sigma:.{digits}f}'
+        return self.finding().clause

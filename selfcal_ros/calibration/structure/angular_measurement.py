@@ -19,11 +19,14 @@ Angles between the rays of two pixels come from the camera alone; first order.
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, Projection
 from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated, StructureSample
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera
 
 #: An angle across the middle of the image that the report speaks of, degrees.
@@ -188,28 +191,25 @@ def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
 
 
 def measurement_sentences(camera: Camera, covariance: np.ndarray,
-                          sample: StructureSample | None = None) -> tuple:
+                          sample: StructureSample | None = None) -> tuple[str, ...]:
     """Say what the covariance means for what is measured in images of the camera."""
-    said = []
+    return sentences(measurement_findings(camera, covariance, sample))
+
+
+def measurement_findings(camera: Camera, covariance: np.ndarray,
+                         sample: StructureSample | None = None) -> tuple[Finding, ...]:
+    """Tell what the covariance means for what is measured in images of the camera."""
+    found = []
     sized = min(camera.width, camera.height) > 0
     wide = fields_of_view(camera, covariance).get('horizontal') if sized else None
     if wide:
-        said.append(f'The horizontal field of view is {_rounded(wide)} degrees.')
+        found.append(Finding('field_of_view', angle_deg=asdict(wide)))
     angle = central_angle(camera, covariance) if sized else None
     if angle:
-        said.append(f'An angle of {angle.value:.3g} degrees measured across the middle of the '
-                    f'image is good to ± {angle.sigma:.2g} degrees.')
+        found.append(Finding('central_angle', angle_deg=angle.value, sigma_deg=angle.sigma))
     if sample:
-        said.append('In the structure, two typical lengths (between the tracks {} and {}, {} and '
-                    '{})'.format(*sample.first, *sample.second)
-                    + f' have the ratio {_rounded(sample.length_ratio)}, and an angle of '
-                    f'{sample.angle_deg.value:.3g} degrees (at track {sample.corner[1]}) is good '
-                    f'to ± {sample.angle_deg.sigma:.2g} degrees.')
-    return tuple(said)
-
-
-def _rounded(measured: Measured) -> str:
-    """Write value ± sigma with the digits that the sigma leaves."""
-    digits = 2 if not measured.sigma > 0 else int(np.clip(1 - np.floor(np.log10(measured.sigma)),
-                                                          0, 6))
-    return f'{measured.value:.{digits}f} ± {measured.sigma:.{digits}f}'
+        found.append(Finding(
+            'typical_measurements', first=sample.first, second=sample.second,
+            ratio=asdict(sample.length_ratio), at=sample.corner[1],
+            angle_deg=sample.angle_deg.value, sigma_deg=sample.angle_deg.sigma))
+    return tuple(found)

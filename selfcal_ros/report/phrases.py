@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 
 #: What each parameter is.
@@ -74,10 +75,9 @@ def verdict(result: Calibration) -> str:
     source = ('a known object' if result.motion == 'known-object'
               else f'{result.motion} motion')
     sentence = f'Calibrated from {source}: {", ".join(words) or "in part"}.'
-    weak = [name for name, status in result.status.items() if status == 'unobservable']
+    weak = tuple(name for name, status in result.status.items() if status == 'unobservable')
     if weak:
-        sentence += (f' The data do not determine {", ".join(weak)}: state it as a fact, or '
-                     'record a motion that shows it.')
+        sentence += f' {Finding("parameters_unobservable", missing=weak)}'
     return sentence
 
 
