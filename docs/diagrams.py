@@ -83,37 +83,37 @@ def sheet(figure, width, height) -> Diagram:
     return Diagram(axes)
 
 
-def house(figure) -> None:
+def house(figure) -> Diagram:
     """Draw the storeys of the package; imports go down only."""
-    figure.set_size_inches(9.2, 7.4)
-    d = sheet(figure, 9.2, 7.4)
-    d.box('nodes', 2.25, 6.9, 3.9, 0.75, 'nodes/', 'rclpy, and nothing but translation', ORANGE)
-    d.box('cli', 6.65, 6.9, 3.9, 0.75, 'cli/', 'selfcal: one file a verb', ORANGE)
-    d.box('report', 2.25, 5.75, 3.9, 0.75, 'report/', 'what a person or a program reads', PURPLE)
-    d.box('pipeline', 6.65, 5.75, 3.9, 0.75, 'pipeline/', 'what nodes and command line both drive',
+    figure.set_size_inches(9.2, 8.0)
+    d = sheet(figure, 9.2, 8.0)
+    d.box('nodes', 2.25, 7.5, 3.9, 0.75, 'nodes/', 'rclpy, and nothing but translation', ORANGE)
+    d.box('cli', 6.65, 7.5, 3.9, 0.75, 'cli/', 'selfcal: one file a verb', ORANGE)
+    d.box('report', 4.45, 6.4, 8.3, 0.75, 'report/', 'what a person or a program reads', PURPLE)
+    d.box('pipeline', 4.45, 5.3, 8.3, 0.75, 'pipeline/', 'what nodes and command line both drive',
           PURPLE)
-    d.box('features', 1.27, 4.5, 1.94, 0.95, 'features/', 'images in,\ntracks out', GREEN)
-    d.box('calibration', 3.45, 4.5, 2.18, 0.95, 'calibration/', 'tracks in,\ncamera out', GREEN)
-    d.box('rorapid', 5.65, 4.5, 1.94, 0.95, 'rorapid/', 'images and model in,\npose out', GREEN)
-    d.box('synthetic', 7.73, 4.5, 1.94, 0.95, 'synthetic/', 'scenes with\nknown truth', GREEN)
-    d.box('values', 3.3, 3.3, 6.0, 0.7, 'values/', 'tracks, known objects, wireframes', BLUE)
-    d.box('geometry', 3.3, 2.3, 6.0, 0.7, 'geometry/', 'the mathematics: NumPy and SciPy only',
+    d.box('features', 1.27, 4.1, 1.94, 0.95, 'features/', 'images in,\ntracks out', GREEN)
+    d.box('calibration', 3.4, 4.1, 1.94, 0.95, 'calibration/', 'tracks in,\ncamera out', GREEN)
+    d.box('rorapid', 5.53, 4.1, 1.94, 0.95, 'rorapid/', 'images and model in,\npose out', GREEN)
+    d.box('synthetic', 7.63, 4.1, 1.94, 0.95, 'synthetic/', 'scenes with\nknown truth', GREEN)
+    d.box('values', 3.4, 3.0, 6.2, 0.7, 'values/', 'tracks, known objects, wireframes', BLUE)
+    d.box('geometry', 3.4, 2.1, 6.2, 0.7, 'geometry/', 'the mathematics: NumPy and SciPy only',
           BLUE)
-    d.box('findings', 3.3, 1.3, 6.0, 0.7, 'findings/, errors.py', 'refusals and remarks as data, '
+    d.box('findings', 3.4, 1.2, 6.2, 0.7, 'findings/, errors.py', 'refusals and remarks as data, '
           'and their words', BLUE)
-    d.box('adapters', 7.95, 2.3, 1.6, 2.7, 'msg_adapters', 'ROS messages\nto values,\nand back',
+    d.box('adapters', 7.75, 2.1, 1.7, 2.5, 'msg_adapters', 'ROS messages\nto values,\nand back',
           GREY)
-    for start, end in (('nodes:b', 'report:t'), ('cli:b', 'pipeline:t'),
-                       ('nodes:b+0.9', 'pipeline:t-0.9'), ('cli:b-0.9', 'report:t+0.9'),
-                       ('report:b-0.8', 'features:t'), ('report:b+0.8', 'calibration:t-0.4'),
-                       ('pipeline:b-1.6', 'calibration:t+0.5'), ('pipeline:b-0.6', 'rorapid:t'),
-                       ('pipeline:b+1.08', 'synthetic:t'), ('features:b', 'values:t-2.03'),
-                       ('calibration:b', 'values:t+0.15'), ('rorapid:b', 'values:t+2.35'),
+    for start, end in (('nodes:b', 'report:t-2.2'), ('cli:b', 'report:t+2.2'),
+                       ('report:b', 'pipeline:t'), ('pipeline:b-3.18', 'features:t'),
+                       ('pipeline:b-1.05', 'calibration:t'), ('pipeline:b+1.08', 'rorapid:t'),
+                       ('pipeline:b+3.18', 'synthetic:t'), ('features:b', 'values:t-2.13'),
+                       ('calibration:b', 'values:t'), ('rorapid:b', 'values:t+2.13'),
                        ('values:b', 'geometry:t'), ('geometry:b', 'findings:t')):
         d.arrow(start, end, colour=GREY)
-    d.axes.text(4.6, 0.55, 'An arrow means "may import". Rooms of one storey do not import each '
-                'other:\nwhat they share is a value. test/test_layers.py holds the arrows.',
-                ha='center', va='center', fontsize=9.5)
+    d.axes.text(4.6, 0.4, 'A room may import what lies below it. Rooms of one storey do not '
+                'import each other:\nwhat they share is a value. test/test_layers.py holds the '
+                'storeys.', ha='center', va='center', fontsize=9.5)
+    return d
 
 
 def calibrate(figure) -> None:

@@ -157,11 +157,14 @@ def _triad(axes, onlooker, origin, directions, names, size):
         tail, head = onlooker(np.stack([origin, origin + direction]))
         axes.annotate('', head, tail, arrowprops={'arrowstyle': '-|>', 'color': colour,
                                                   'linewidth': 1.8, 'shrinkA': 0, 'shrinkB': 0})
+        if not name:
+            continue
         length = np.linalg.norm(head - tail)
         way = (head - tail) / max(length, 1.0)
         # beside an arrow that comes at the reader, ahead of the others
         place = head + (16 * way if length > 60 else [12, 8])
-        axes.text(*place, name, color=colour, fontsize=size, va='center',
+        axes.text(*place, name, color=colour, fontsize=size, va='center', zorder=3,
+                  bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 0.6},
                   ha='left' if way[0] > 0.3 or length <= 60 else 'right' if way[0] < -0.3
                   else 'center')
 

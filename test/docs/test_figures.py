@@ -13,6 +13,7 @@
 # limitations under the License.
 """The figures of the documents can be drawn again, and name files that exist."""
 
+from importlib.util import module_from_spec, spec_from_file_location
 import os
 from pathlib import Path
 import re
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+from matplotlib.figure import Figure
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +59,24 @@ def test_the_same_is_drawn_twice(tmp_path, name):
     _draw(tmp_path / 'b', name)
     assert (tmp_path / 'a' / f'{name}.svg').read_bytes() == (
         tmp_path / 'b' / f'{name}.svg').read_bytes()
+
+
+def _loaded(path):
+    spec = spec_from_file_location(f'loaded_{path.stem}', path)
+    # dataclasses look their module up there
+    module = sys.modules[spec.name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_house_has_the_storeys_that_the_test_of_layers_holds():
+    storeys = _loaded(ROOT / 'test' / 'test_layers.py').STOREY
+    boxes = _loaded(ROOT / 'docs' / 'diagrams.py').house(Figure()).boxes
+    assert set(boxes) == set(storeys) - {'errors', 'version'} | {'adapters'}
+    height = {name: boxes[name][1] for name in boxes if name != 'adapters'}
+    for one in height:
+        for other in height:
+            assert (height[one] > height[other]) == (storeys[one] > storeys[other]), (one, other)
 
 
 def test_every_file_and_folder_of_a_diagram_exists():
