@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.lenses import plumb_bob
 
 #: Steps of the numerical derivatives: pixels for K, and plain for distortion.
 _STEPS = np.array([1e-3] * 5 + [1e-6] * 4)
@@ -132,9 +133,11 @@ def _parameter_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:
 
 
 def _with(camera: Camera, change: np.ndarray) -> Camera:
-    """Return the camera with its nine parameters changed, the rest kept."""
-    fx, fy, cx, cy, skew, *distortion = camera.parameters + change
-    return Camera([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], [*distortion, camera.distortion[4]])
+    """Return the camera with its parameters changed, coefficients beyond them kept."""
+    fx, fy, cx, cy, skew, *coefficients = camera.parameters + change
+    distortion = camera.distortion.copy()
+    distortion[[plumb_bob.OPENCV_PLACE[name] for name in plumb_bob.COEFFICIENTS]] = coefficients
+    return Camera([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], distortion)
 
 
 def _rotation_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:

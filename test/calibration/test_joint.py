@@ -22,7 +22,9 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 
-TRUTH = np.array([520, 520, 320, 240, 0, -0.12, 0.05, 0, 0])
+TRUTH = np.r_[520, 520, 320, 240, 0, -0.12, 0.05, np.zeros(len(PARAMETER_NAMES) - 7)]
+#: What fx and fy have in common.
+FOCAL = np.r_[1, 1, np.zeros(len(PARAMETER_NAMES) - 2)]
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 FREE = [0, 2, 3, 5, 6]
 
@@ -94,7 +96,7 @@ def test_a_fact_is_known_once_however_many_recordings_state_it():
 def test_one_that_contradicts_the_rest_is_left_out_and_named():
     rng = np.random.default_rng(1)
     many = [draw(rng) for _ in range(9)]
-    many.insert(4, draw(rng, TRUTH + [15, 15, 0, 0, 0, 0, 0, 0, 0]))
+    many.insert(4, draw(rng, TRUTH + 15 * FOCAL))
     joint = combine(many)
     assert not joint.agree and np.flatnonzero(~joint.used).tolist() == [4]
     assert joint.deviation[4] > 3 > np.delete(joint.deviation, 4).max()
@@ -105,7 +107,7 @@ def test_one_that_contradicts_the_rest_is_left_out_and_named():
 
 def test_a_drift_is_a_disagreement_and_widens_sigma():
     rng = np.random.default_rng(2)
-    drift = [draw(rng, TRUTH + [4.0 * k, 4.0 * k, 0, 0, 0, 0, 0, 0, 0]) for k in range(10)]
+    drift = [draw(rng, TRUTH + 4.0 * k * FOCAL) for k in range(10)]
     joint = combine(drift)
     still = combine([draw(np.random.default_rng(2)) for _ in range(10)])
     assert not joint.agree and joint.scatter > 1.5 and joint.p_value < 1e-6

@@ -18,6 +18,7 @@ import pytest
 
 from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
 K = [[520.0, 1.5, 328], [0, 530, 235], [0, 0, 1]]
 
@@ -48,7 +49,7 @@ def test_what_cannot_be_undistorted_is_nan():
 
 
 def test_parameters_round_trip():
-    values = [500, 510, 320, 240, 2, -0.1, 0.02, 0.001, -0.001]
+    values = [500, 510, 320, 240, 2, -0.1, 0.02, 0.001, -0.001, 0.003][:len(PARAMETER_NAMES)]
 
     np.testing.assert_allclose(Camera.from_parameters(values, 640, 480).parameters, values)
 
