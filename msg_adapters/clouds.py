@@ -39,12 +39,13 @@ def cloud_message(records: np.ndarray, header, types, is_dense: bool = True):
 
     """
     records = np.ascontiguousarray(records)
-    layout = np.dtype([(name, records.dtype[name].newbyteorder('<'))
-                       for name in records.dtype.names])
+    names = records.dtype.names or ()
+    layout = np.dtype([(name, records.dtype[name].newbyteorder('<')) for name in names])
+    offsets = {name: field[1] for name, field in (layout.fields or {}).items()}
     records = records.astype(layout)
-    fields = [types.PointField(name=name, offset=layout.fields[name][1],
+    fields = [types.PointField(name=name, offset=offsets[name],
                                datatype=_CODES[layout[name].str[1:]], count=1)
-              for name in layout.names]
+              for name in names]
     data = np.frombuffer(records.tobytes(), np.uint8)
     return types.PointCloud2(header=header, height=1, width=len(records), fields=fields,
                              is_bigendian=False, point_step=layout.itemsize,

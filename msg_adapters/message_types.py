@@ -91,10 +91,10 @@ class MessageTypes:
         if shape is None:
             return self._scalar(where, element, value)
         if element not in _INTEGERS and not element.startswith('float'):
-            values = [self._scalar(where, element, item) for item in value]
-            if shape != 'sequence' and len(values) != shape:
-                raise ArgumentError(f'{where} takes {shape} values, not {len(values)}.')
-            return values
+            items = [self._scalar(where, element, item) for item in value]
+            if shape != 'sequence' and len(items) != shape:
+                raise ArgumentError(f'{where} takes {shape} values, not {len(items)}.')
+            return items
         if isinstance(value, (bytes, bytearray, memoryview, array)):
             value = np.frombuffer(value, value.typecode if isinstance(value, array) else np.uint8)
         values = np.asarray(value)
@@ -115,13 +115,13 @@ class MessageTypes:
         if element in _INTEGERS:
             low, high = _INTEGERS[element]
             try:
-                number = int(value)
+                whole: int | None = int(value)
             except (TypeError, ValueError, OverflowError):
-                number = None
-            if number is None or number != value or not low <= number <= high:
+                whole = None
+            if whole is None or whole != value or not low <= whole <= high:
                 raise ArgumentError(f'{where} takes an integer from {low} to {high}, '
                                     f'not {value!r:.60}.')
-            return number
+            return whole
         if element.startswith('float'):
             number = float(value)
             if element == 'float32' and math.isfinite(number):

@@ -127,7 +127,7 @@ def tracks_from_message(msg) -> FrameTracks:
     if len(np.unique(track)) < len(track):
         raise InputError('A track occurs twice in one tracks message; check what publishes it.')
     size = None
-    if len(records) and {'image_width', 'image_height'} <= set(records.dtype.names):
+    if len(records) and {'image_width', 'image_height'} <= set(records.dtype.names or ()):
         size = int(records['image_width'][0]), int(records['image_height'][0])
         if (records['image_width'] != size[0]).any() or min(size) <= 0 or \
                 (records['image_height'] != size[1]).any():
@@ -146,7 +146,7 @@ def collect_tracks(frames: Iterable[FrameTracks], first_index: int = 0) -> Track
 
     """
     frames = list(frames)
-    sizes = {frame.image_size for frame in frames} - {None}
+    sizes = {frame.image_size for frame in frames if frame.image_size is not None}
     if len(sizes) > 1:
         raise InputError(f'The image size changes within the tracks: {sorted(sizes)}.')
     if not frames:

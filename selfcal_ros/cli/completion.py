@@ -61,13 +61,13 @@ def verb_asked_for(verbs: Iterable[str]) -> str | None:
 def answer(parser: argparse.ArgumentParser) -> None:
     """Tell the shell which words fit, and end the process."""
     from argcomplete import autocomplete
-    from argcomplete.completers import FilesCompleter
+    from argcomplete.completers import FilesCompleter, SuppressCompleter
     for action in _actions(parser):
         if action.nargs == 0 or action.choices is not None:
             continue
         is_file = action.type is Path or not action.option_strings
         action.completer = FilesCompleter() if is_file else _nothing  # type: ignore[attr-defined]
-    autocomplete(parser, always_complete_options=False, default_completer=None)
+    autocomplete(parser, always_complete_options=False, default_completer=SuppressCompleter())
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterable[argparse.Action]:

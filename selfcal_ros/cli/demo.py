@@ -56,9 +56,10 @@ def run(args: argparse.Namespace) -> int:
     bag = args.bag or shared_file(recording)
     folder = args.output_dir
     folder.mkdir(parents=True, exist_ok=True)
-    outputs = Outputs(folder / 'camera.yaml', folder / 'result.json', folder / 'report.html')
+    camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
+    outputs = Outputs(camera_yaml, result_json, folder / 'report.html')
     outputs.check()
-    for path in (outputs.camera_yaml, outputs.result_json):
+    for path in (camera_yaml, result_json):
         # of an earlier run
         path.unlink(missing_ok=True)
     result, written = None, []
@@ -75,8 +76,7 @@ def run(args: argparse.Namespace) -> int:
             print('Calibrating straight from the bag instead.')
         elif result:
             # the nodes have written the rest
-            written = [path for path in (outputs.camera_yaml, outputs.result_json)
-                       if path.exists()]
+            written = [path for path in (camera_yaml, result_json) if path.exists()]
             outputs = Outputs(report=outputs.report)
     direct, tracks = _from_bag(bag)
     if result:

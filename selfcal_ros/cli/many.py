@@ -95,7 +95,8 @@ class _RecordingFiles:
     """Writes the result of each recording as it comes, so that none is lost."""
 
     def __init__(self, folder: Path):
-        self._folder, self._names = folder, set()
+        self._folder = folder
+        self._names: set[str] = set()
         self.count = 0
 
     def write(self, outcome) -> None:
@@ -142,9 +143,11 @@ def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
             write_camera_yaml(folder / f'{name}.yaml', result.camera, name,
                               [f'{result.software}: {int(camera.joint.used.sum())} recordings '
                                'together', verdict_of(camera).replace('±', '+-')]),
-            write_result_json(folder / f'{name}.json', result),
-            atomic_write(folder / ('summary.png' if lone else f'{name}.png'),
-                         picture(parameter_history(camera), 'png'))]
+            write_result_json(folder / f'{name}.json', result)]
+        figure = parameter_history(camera)
+        if figure is not None:
+            written.append(atomic_write(folder / ('summary.png' if lone else f'{name}.png'),
+                                        picture(figure, 'png')))
     return written
 
 

@@ -41,7 +41,7 @@ class SentenceParser(argparse.ArgumentParser):
 
     def _words(self) -> list[str]:
         """List the options and choices of this parser and of the verb that was given."""
-        words = []
+        words: list[str] = []
         for action in self._actions:
             words += action.option_strings
             for choice in action.choices or ():

@@ -16,6 +16,10 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 
 class ProgressBar:
@@ -31,7 +35,7 @@ class ProgressBar:
 
     def __init__(self, wanted: bool = True):
         self._shown = wanted and sys.stderr.isatty()
-        self._bar = None
+        self._bar: tqdm | None = None
         self._text = ''
 
     def __enter__(self):

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from msg_adapters.diagnostics import OK, WARN
 
 from selfcal_ros.pipeline.calibration_session import SessionSnapshot
@@ -33,9 +35,9 @@ def calibration_status(state: SessionSnapshot) -> tuple[int, str, dict]:
         Counts, and every parameter of the camera with its sigma.
 
     """
-    values = {'frames': state.frames, 'keyframes': state.keyframes, 'points': state.points,
-              'estimates': state.estimates, 'estimating': state.estimating,
-              'resets': state.resets}
+    values: dict[str, Any] = {
+        'frames': state.frames, 'keyframes': state.keyframes, 'points': state.points,
+        'estimates': state.estimates, 'estimating': state.estimating, 'resets': state.resets}
     if state.calibration is None:
         text = 'not calibrated yet: keep moving, with turns'
         return WARN, text if state.failure is None else str(state.failure), values

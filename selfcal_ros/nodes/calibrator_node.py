@@ -44,7 +44,7 @@ from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
-from selfcal_ros.pipeline.calibration_session import CalibrationSession
+from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
 from selfcal_ros.report.result_json import result_to_json
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
@@ -165,7 +165,7 @@ class Calibrator(Node):
                                 partial(prepare_scene, self.parameters.world_frame)))
         return request.keyframes
 
-    def _take_estimate(self, done: JobResult):
+    def _take_estimate(self, done: JobResult[EstimateRequest]):
         """Take a calibration, or the reason why there is none."""
         request, result, scene = done.job.request, done.value, done.prepared
         if not self._session.accept(request, result):

@@ -21,7 +21,7 @@ from selfcal_ros.calibration.monitoring.camera_change import CHANGE_NAMES, Monit
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
-from selfcal_ros.pipeline.monitoring import Monitoring
+from selfcal_ros.pipeline.monitoring import Monitoring, ScoreRequest
 
 ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'
 
@@ -76,7 +76,7 @@ class ChangeWatch:
         if self._settings and self._session.keyframes:
             self._monitoring.add_keyframe(self._session.keyframes[-1], image_size)
 
-    def next_job(self) -> Job | None:
+    def next_job(self) -> Job[ScoreRequest] | None:
         """Return a window to score; None while there is none, or one is being scored."""
         if self._settings is None or self._scoring:
             return None
@@ -84,7 +84,7 @@ class ChangeWatch:
         self._scoring = request is not None
         return None if request is None else Job(JobKind.WINDOW_SCORE, request)
 
-    def take(self, done: JobResult) -> None:
+    def take(self, done: JobResult[ScoreRequest]) -> None:
         """Take the score of a window; an alarm holds the session."""
         self._scoring = False
         alarm = self._monitoring.accept(done.job.request, done.value)

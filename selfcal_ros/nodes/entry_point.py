@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 import os
 import signal
 import sys
@@ -72,7 +73,7 @@ def usage(name: str) -> str:
     for end in INTERFACES[name]:
         lines += entry(f'{end.direction:8}{end.name}  ({end.type})', end.description)
     lines += ['', 'parameters (* changes while the node runs, by `ros2 param set`):']
-    for one in PARAMETERS[name].__dataclass_fields__.values():
+    for one in fields(PARAMETERS[name]):
         star = ' *' if one.metadata['live'] else ''
         lines += entry(f'{one.name}:={literal(one.default)}{star}', one.metadata['description'])
     return '\n'.join(lines)

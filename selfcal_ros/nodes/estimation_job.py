@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 import traceback
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -41,8 +41,11 @@ class Request(Protocol):
         """Compute."""
 
 
+R = TypeVar('R', bound=Request)
+
+
 @dataclass(frozen=True)
-class Job:
+class Job(Generic[R]):
     """
     One request on its way through a worker.
 
@@ -57,8 +60,8 @@ class Job:
     """
 
     kind: JobKind
-    request: Request
-    prepare: Callable[[Any, Any], Any] | None = None
+    request: R
+    prepare: Callable[[Any, R], Any] | None = None
 
     def run(self) -> tuple[Any, Any]:
         """
@@ -88,9 +91,9 @@ class Job:
 
 
 @dataclass(frozen=True)
-class JobResult:
+class JobResult(Generic[R]):
     """What became of a job: its value, and what was prepared from it (or None)."""
 
-    job: Job
+    job: Job[R]
     value: Any
     prepared: Any = None

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -92,7 +93,8 @@ class ImageInputs:
                  transport: str, reliability: str):
         self._node, self._take, self._wanted = node, take, wanted
         self._topics = {'raw': 'image', 'compressed': compressed_topic(node)}
-        self._subscriptions, self._profiles = {}, {}
+        self._subscriptions: dict[str, Any] = {}
+        self._profiles: dict[str, Any] = {}
         self._chosen = ''
         self.choose(transport, reliability)
         self._timer = node.create_timer(LOOK_PERIOD_S, self.connect, clock=STEADY)

@@ -57,6 +57,7 @@ class BagPlayer(Node):
         self._types = rclpy_types()
         self._waiting_since = time.monotonic()
         self._messages = None
+        self._began = 0.0
         self._next = None
         self._published = 0
         self._timer = self.create_timer(0.05, self._tick, clock=STEADY)

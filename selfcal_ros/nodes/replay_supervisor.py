@@ -54,8 +54,8 @@ class ReplaySupervisor(Node):
 
     def __init__(self, calibrator: str = 'planar_calibrator'):
         super().__init__('replay_supervisor')
-        self.camera_infos = []
-        self.results = []
+        self.camera_infos: list[CameraInfo] = []
+        self.results: list[String] = []
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, PER_IMAGE)
         self.create_subscription(String, f'{calibrator}/result', self._on_result, LATCHED)
         self._calibrate = self.create_client(Trigger, f'{calibrator}/calibrate')

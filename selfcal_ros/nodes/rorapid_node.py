@@ -218,7 +218,10 @@ class RorapidNode(Node):
         if done.problem:
             self.get_logger().warning(f'image dropped: {done.problem}', throttle_duration_sec=5.0)
             return
-        tracked = done.tracked
+        tracked, camera = done.tracked, done.camera
+        if tracked is None or camera is None:
+            # there is a problem with every image that was not tracked
+            return
         self._say(tracked.state.value + (f': {tracked.reason}' if tracked.reason else ''),
                   tracked.state)
         if tracked.state is TrackerState.LOST:
@@ -231,7 +234,7 @@ class RorapidNode(Node):
                 self._send_transform(pose, done.header)
         if self._camera_info is not None and tracked.focal_sigma_px > 0:
             self._camera_info.publish(camera_info_message(
-                zoomed_camera(done.camera, tracked), done.header, self._types))
+                zoomed_camera(camera, tracked), done.header, self._types))
         if self._markers.get_subscription_count():
             self._markers.publish(object_markers(
                 self._segments, pose, done.header, self._types, MARKER_COLOURS[tracked.state],
@@ -276,15 +279,14 @@ def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:
         If values contradict each other.
 
     """
-    axis = None
+    axis: tuple[float, float, float] | None = None
     if parameters.plane_axis:
         try:
-            axis = tuple(float(word) for word in parameters.plane_axis.replace(',', ' ').split())
+            x, y, z = map(float, parameters.plane_axis.replace(',', ' ').split())
         except ValueError:
-            axis = ()
-        if len(axis) != 3:
             raise ArgumentError('The parameter plane_axis must be three numbers "x y z", not '
-                                f'{parameters.plane_axis!r:.60}.')
+                                f'{parameters.plane_axis!r:.60}.') from None
+        axis = x, y, z
     names = ('method', 'camera_model', 'motion', 'control_points_per_line',
              'control_points_per_conic', 'search_least_px', 'search_most_px', 'least_contrast',
              'texture', 'recovery')

@@ -51,7 +51,7 @@ def prepare_scene(frame_id: str, calibration: Calibration,
     if calibration.motion == 'rotation':
         return None
     types, scene = rclpy_types(), metric_structure(calibration, request.tracks)
-    stamps = request.tracks.stamps_ns
+    stamps = request.tracks.stamps_ns or {}
     headers = [header_message(stamps[frame], frame_id, types) for frame in scene.frames.tolist()]
     # data time: that of the last view
     header = headers[-1]

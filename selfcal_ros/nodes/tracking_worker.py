@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import threading
 import time
 import traceback
+from typing import Any
 
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
@@ -83,9 +84,9 @@ class TrackingWorker:
         self._decoder = ImageDecoder()
         self._types = rclpy_types()
         self._wake = threading.Condition()
-        self._commands = deque()
-        self._image = None
-        self._results = deque()
+        self._commands: deque[Callable] = deque()
+        self._image: tuple[Any, bool] | None = None
+        self._results: deque[TrackedImage | str] = deque()
         self._begun = 0
         self._stopped = False
         self.dropped = 0

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from msg_adapters.image import ImageDecoder
 from msg_adapters.stamps import stamp_ns
@@ -145,7 +146,7 @@ class BagSource(FrameSource):
             break
         self._see_first()
 
-    def _messages(self) -> Iterator[tuple[int, object]]:
+    def _messages(self) -> Iterator[tuple[int, Any]]:
         """Yield log time and message; raise InputError if fewer come than the bag announces."""
         if self._reader is None:
             raise InputError(f'{self.path} is closed.')
@@ -154,7 +155,7 @@ class BagSource(FrameSource):
             for connection, log_ns, data in self._reader.messages(self._connections):
                 seen += 1
                 yield log_ns, self._deserialize(data, connection.msgtype)
-        if seen < self.count:
+        if self.count is not None and seen < self.count:
             raise InputError(f'{self.path} announces {self.count} images on {self.topic} but '
                              f'holds only {seen}; it is truncated.')
 
@@ -207,12 +208,13 @@ def _opened(path: Path) -> tuple:
     # image messages never changed their layout, so fixed type stores are enough, and the type
     # definitions inside a bag need not be trusted
     if path.suffix == '.bag' and path.is_file():
-        from rosbags.rosbag1 import Reader
+        from rosbags import rosbag1
         deserialize = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+        reader: Any = rosbag1.Reader(path)
     else:
-        from rosbags.rosbag2 import Reader
+        from rosbags import rosbag2
         deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
-    reader = Reader(path)
+        reader = rosbag2.Reader(path)
     reader.open()
     return reader, deserialize
 

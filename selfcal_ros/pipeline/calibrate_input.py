@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import logging
 from pathlib import Path
 import time
+from typing import Any
 
 import numpy as np
 
@@ -89,8 +90,9 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         If the input cannot be used; the sentence says what to do.
 
     """
-    shared = {'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
-              'image_size': settings.image_size, 'progress': progress}
+    shared: dict[str, Any] = {
+        'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
+        'image_size': settings.image_size, 'progress': progress}
     # OpenCV and SciPy load here, not where the command line starts
     if settings.known_object:
         from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object

@@ -52,9 +52,11 @@ def measure_edges(fine: VisibleModel, camera: Camera, views: list,
     if len(measured) < 2:
         return None
     frames = np.concatenate([np.full(len(found[0]), view.index) for view, found in measured])
-    columns = [np.concatenate([found[k] for _, found in measured]) for k in range(5)]
+    point, primitive, points, tangents, xy = (
+        np.concatenate([found[k] for _, found in measured]) for k in range(5))
     poses = [np.column_stack([view.rotation, view.translation]) for view, _ in measured]
-    return EdgeViews(frames, *columns, np.array(poses), (camera.width, camera.height))
+    return EdgeViews(frames, point, primitive, points, tangents, xy, np.array(poses),
+                     (camera.width, camera.height))
 
 
 def _measure(fine: VisibleModel, camera: Camera, view: PosedImage, reach: int):

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, ExitStack
 from functools import partial
@@ -133,7 +133,8 @@ def _thread_limits():
 
 def _in_processes(function, jobs, workers) -> Iterator[tuple]:
     """Run in a pool; after a crash those that were running run again, each alone."""
-    waiting, suspects = deque(range(len(jobs))), deque()
+    waiting = deque(range(len(jobs)))
+    suspects: deque[int] = deque()
     while waiting or suspects:
         alone = bool(suspects)
         queue = deque([suspects.popleft()]) if alone else waiting
@@ -142,7 +143,7 @@ def _in_processes(function, jobs, workers) -> Iterator[tuple]:
             # a forked process would inherit locks of the parent's threads
             pool = ProcessPoolExecutor(1 if alone else workers, initializer=_prepare_process,
                                        mp_context=multiprocessing.get_context('spawn'))
-            running = {}
+            running: dict[Future, int] = {}
             try:
                 while queue or running:
                     # no more than there are processes: what is running at a crash is suspect
@@ -235,7 +236,7 @@ def _arriving(client, futures, scheduler: str | None) -> Iterator[tuple]:
     # not with their results: as_completed forgets a job that had ended, whose worker died before
     # the result was fetched, and which then fails when it runs again
     ending = as_completed(futures)
-    ended = []
+    ended: list = []
     looked = seen = time.monotonic()
     while ended or not ending.is_empty():
         while ending.has_ready():

@@ -118,7 +118,8 @@ class EstimateRequest:
 
         """
         if calibrate is None:
-            from selfcal_ros import calibrate
+            import selfcal_ros
+            calibrate = selfcal_ros.calibrate
         tracks, _ = drop_static(self.tracks)
         tracks, _, _ = verify(tracks)
         return calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,

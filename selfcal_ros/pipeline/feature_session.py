@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
@@ -100,7 +101,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
             # matching reports a share, reading a number of frames
             progress(text, done, 1.0 if isinstance(done, float) else total)
 
-        limit = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
+        limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
         found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
                                mode=mode, progress=report if progress else None, **limit)
         if not len(found.tracks):

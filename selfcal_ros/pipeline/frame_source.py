@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -97,7 +98,7 @@ class FrameSource(ABC):
                                                              int(image_size[1]))
         self.image_size = self._stated_size
 
-    def __enter__(self) -> FrameSource:
+    def __enter__(self) -> Self:
         """Return the source itself."""
         return self
 

@@ -159,7 +159,8 @@ def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
 
     """
     inputs = list(inputs)
-    found, many = [], len(inputs) > 1
+    found: list[Path] = []
+    many = len(inputs) > 1
     for text in map(str, inputs):
         if not text.strip():
             # Path('') would be the current folder with all that lies in it
@@ -199,11 +200,11 @@ def _recordings_inside(path: Path) -> list[Path]:
 def calibrate_job(job: Job) -> list[Outcome]:
     """Calibrate every camera of a recording; what goes wrong is in the outcome."""
     path, settings = Path(job.path), job.settings
-    topics = [settings.topic]
+    topics: list[str | None] = [settings.topic]
     try:
         if settings.topic is None and (path.suffix in BAG_SUFFIXES
                                        or path.is_dir() and is_bag_folder(path)):
-            topics = image_topics(path) or [None]
+            topics = list(image_topics(path)) or [None]
     except (SelfcalError, OSError, ValueError) as error:
         return [Outcome(job.path, error=_sentence(error))]
     return [_calibrate_topic(job.path, replace(settings, topic=topic)) for topic in topics]
@@ -222,7 +223,8 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
         return Outcome(path, topic, error=f'{path}: fault of selfcal_ros, please report: '
                        f'{type(error).__name__}: {error}', seconds=time.monotonic() - began)
     if result:
-        result = replace(result, reconstruction=None, residuals=None)
+        # large, and of no use beyond its own process
+        result = replace(result, reconstruction=None, residuals=None)  # type: ignore[arg-type]
     stamps = reading.tracks.stamps_ns or {}
     start = min(stamps.values()) if stamps and reading.clock in ('header', 'log') else None
     size = reading.tracks.image_size or (
@@ -291,14 +293,14 @@ def _outcomes(path: str, value) -> list[Outcome]:
 def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummary:
     """Combine the recordings of one camera."""
     if all(outcome.start_ns is not None for outcome in group):
-        group = sorted(group, key=lambda outcome: outcome.start_ns)
+        group = sorted(group, key=lambda outcome: outcome.start_ns or 0)
     first = group[0]
-    empty = CameraSummary(first.topic, first.image_size, tuple(group))
-    good = [number for number, outcome in enumerate(group) if outcome.result
-            and np.isfinite(outcome.result.covariance).all()]
+    empty = CameraSummary(first.topic, first.image_size or (0, 0), tuple(group))
+    results = {number: outcome.result for number, outcome in enumerate(group) if outcome.result
+               and np.isfinite(outcome.result.covariance).all()}
+    good = list(results)
     if not good:
         return empty
-    results = {number: group[number].result for number in good}
     models = [result.facts.distortion for result in results.values()]
     # where recordings chose different distortion models, they are asked again for the usual one
     usual = max(sorted(set(models)), key=models.count)

@@ -40,7 +40,7 @@ class ScoreRequest:
 
     tracks: Tracks
     camera: Camera
-    free: np.ndarray
+    free: tuple[str, ...]
     generation: int
     reference: bool
 
@@ -153,7 +153,7 @@ class Monitoring:
 
     def next_request(self) -> ScoreRequest | None:
         """Return the next window to score; None if there is none."""
-        if not self._waiting:
+        if self._monitor is None or not self._waiting:
             return None
         tracks, reference = self._waiting.popleft()
         return ScoreRequest(tracks, self._monitor.camera, self._monitor.free, self._generation,
@@ -175,7 +175,7 @@ class Monitoring:
             The alarm, if it is new.
 
         """
-        if request.generation != self._generation:
+        if self._monitor is None or request.generation != self._generation:
             return None
         if not isinstance(score, WindowScore):
             self._skip(score.clause if isinstance(score, NoEstimate) else str(score))

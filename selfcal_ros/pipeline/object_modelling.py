@@ -268,8 +268,7 @@ def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest
         matched, names = MatchedVertices(*ends, list(picked.lines)), list(picked.names)
         parts = {'lines': picked.lines, 'faces': picked.faces, 'conics': picked.ellipses,
                  'frame': picked.frame}
-    ends = matched.first_px, matched.second_px
-    bare = acquire_model(*ends, camera, **parts, baseline_m=1.0)
+    bare = acquire_model(matched.first_px, matched.second_px, camera, **parts, baseline_m=1.0)
     if isinstance(bare, NoEstimate):
         return bare
     if picked is None and request.faces:
@@ -278,8 +277,8 @@ def model_of_images(first: np.ndarray, second: np.ndarray, request: ModelRequest
             return NoEstimate('no_closed_faces', lines=len(matched.lines))
     # what the points show of their noise, where that is more than usual
     sigma = max(_FOUND_PX if picked is None else _PICKED_PX, bare.structure.noise_px)
-    return acquire_model(*ends, camera, **parts, name=request.name, sigma_px=sigma,
-                         **_scale(request, bare, names))
+    return acquire_model(matched.first_px, matched.second_px, camera, **parts,
+                         name=request.name, sigma_px=sigma, **_scale(request, bare, names))
 
 
 def _scale(request: ModelRequest, bare: AcquiredModel, names: list[str]) -> dict:

@@ -87,13 +87,13 @@ def read_object_views(path, target: Target, topic: str | None = None,
             raise InputError(f'The object was found in none of the {looked} images of {path}; '
                              'check its numbers of columns and rows (inner corners of a board, '
                              'squares of a Tsai grid), and that it is seen whole and sharp.')
-        findings = () if len(views) == looked else (
+        findings: tuple[Finding, ...] = () if len(views) == looked else (
             Finding('object_seen', views=len(views), images=looked),)
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
             findings += (Finding('views_used', views=most),)
-        frame = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
-        tracks = Tracks(frame, np.concatenate([identity for _, identity, _ in views]),
+        indices = np.concatenate([np.full(len(identity), index) for index, identity, _ in views])
+        tracks = Tracks(indices, np.concatenate([identity for _, identity, _ in views]),
                         np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
         return ExtractedTracks(tracks, source.description, findings, source.clock)
 

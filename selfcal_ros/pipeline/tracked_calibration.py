@@ -135,7 +135,7 @@ def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, pr
     A tracker with a wrong focal length may believe wrong edges all the way, and what is measured
     around its poses then agrees with it.
     """
-    best = None
+    best: tuple | None = None
     for factor in FOLLOW_FACTORS:
         trial = _with_focal(camera, factor * camera.K[0, 0])
         depth = float(pose[0][2] @ fine.model.centre + pose[1][2])
@@ -151,6 +151,7 @@ def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, pr
             best = cost, passage, result, edges
         if cost < SURE_SHARE * float(np.hypot(camera.width, camera.height)):
             break
+    assert best is not None, 'there is a factor to try'
     return best[1:]
 
 
@@ -171,8 +172,10 @@ def _best_focal(fine, camera: Camera, views: list, facts: CameraFacts):
         trial, moved = _refocused(fine.model, camera, few, factor)
         for reach in REACH_PX[:2]:
             edges = measure_edges(fine, trial, moved, reach)
-            adjusted = None if edges is None else adjust_to_edges(edges, trial, held)
-            if adjusted is None or isinstance(adjusted, NoEstimate):
+            if edges is None:
+                break
+            adjusted = adjust_to_edges(edges, trial, held)
+            if isinstance(adjusted, NoEstimate):
                 break
             trial, poses = adjusted
             moved = _posed(moved, edges, poses)
@@ -260,7 +263,8 @@ def _guess(size, share: float, facts: CameraFacts) -> Camera:
     f = share * max(size)
     aspect = 1.0 if facts.aspect_ratio is None else facts.aspect_ratio
     cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    return Camera([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]], (), *size)
+    return Camera(np.array([[f, facts.skew or 0.0, cx], [0, aspect * f, cy], [0, 0, 1]]),
+                  np.zeros(0), *size)
 
 
 def _trial(frame, model, camera: Camera, pose, seed):

@@ -136,7 +136,7 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
         if len(numbers) != 6 or not np.isfinite(numbers).all():
             raise ArgumentError('--init takes six finite numbers "tx ty tz rx ry rz" (metres, '
                                 f'radians), not {init!r:.80}.')
-        return rotation_matrix(numbers[3:]), np.array(numbers[:3])
+        return rotation_matrix(np.array(numbers[3:])), np.array(numbers[:3])
     path = Path(init)
     if path.suffix.lower() != '.init':
         return read_pose_file(path)

@@ -91,9 +91,9 @@ class TrackingSession:
         self.options = TrackerOptions() if options is None else options
         check_size(model, *self.options.control_points)
         self._seed = seed
-        self._camera = None
-        self._tracker = None
-        self._start = None
+        self._camera: Camera | None = None
+        self._tracker: RorapidTracker | None = None
+        self._start: tuple[np.ndarray, np.ndarray] | None = None
         self._resets = -1
         self.reset(forget_pose=True)
         if camera is not None:
@@ -111,11 +111,11 @@ class TrackingSession:
 
     def reset(self, forget_pose: bool = False) -> None:
         """Begin again from the start pose; or wait for another one."""
-        self._newest = None
-        self._newest_ns = None
+        self._newest: TrackedFrame | None = None
+        self._newest_ns: int | None = None
         self._images = 0
         self._losses = 0
-        self._by_state = {}
+        self._by_state: dict[str, int] = {}
         self._resets += 1
         if forget_pose:
             self._start = None
@@ -149,7 +149,8 @@ class TrackingSession:
         if options == self.options:
             return
         check_size(self.model, *options.control_points)
-        if self._tracker is not None and not self._tracker.adopt(options):
+        if self._tracker is not None and self._camera is not None and \
+                not self._tracker.adopt(options):
             self._take(self._camera, options)
         self.options = options
 
@@ -158,7 +159,7 @@ class TrackingSession:
         tracker = RorapidTracker(self.model, camera, options,
                                  rng=np.random.default_rng(self._seed))
         newest = self._newest
-        if {'tracking', 'degraded'} & set(self._by_state):
+        if newest is not None and {'tracking', 'degraded'} & set(self._by_state):
             # of an object that is lost since it is the last good pose
             tracker.start(newest.rotation, newest.translation, focal_px=newest.focal_px,
                           lost=newest.state is TrackerState.LOST)
@@ -215,11 +216,11 @@ class TrackingSession:
             size than the camera was calibrated for, or it is older than the one before.
 
         """
-        if self._tracker is None:
+        if self._tracker is None or self._camera is None:
             raise InputError('There is no calibration of the camera yet; the tracker needs one.')
         if self._start is None:
             raise InputError('There is no start pose yet; say roughly where the object is.')
-        self._check_image(image)
+        _check_image(image, self._camera)
         stamp_ns = self._checked_stamp(stamp_ns)
         frame = self._tracker.track(image, stamp_ns)
         self._images += 1
@@ -237,22 +238,6 @@ class TrackingSession:
         return TrackingSnapshot(self._images, dict(self._by_state), self._losses, self._resets,
                                 self._newest, waiting)
 
-    def _check_image(self, image) -> None:
-        """Refuse what is no image of this camera."""
-        if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
-                image.ndim == 3 and image.shape[2] != 3):
-            raise InputError(f'An array of shape {image.shape} and type {image.dtype} is no image '
-                             'that can be tracked in; give 8 bits, grey or bgr.')
-        height, width = image.shape[:2]
-        camera = self._camera
-        if camera.width and camera.height and (width, height) != (camera.width, camera.height):
-            raise InputError(f'The image is {width}x{height}, the calibration for '
-                             f'{camera.width}x{camera.height} pixels; use the calibration of '
-                             'this image size.')
-        if min(height, width) < MINIMUM_SIDE_PX:
-            raise InputError(f'The image is {width}x{height} pixels, too small to track in; '
-                             f'{MINIMUM_SIDE_PX} a side are needed.')
-
     def _checked_stamp(self, stamp_ns: int | None) -> int | None:
         """Return the stamp as the tracker takes it; begin anew where time jumps back."""
         if stamp_ns is None:
@@ -260,7 +245,7 @@ class TrackingSession:
         newest = self._newest_ns
         order = stamp_order(stamp_ns, newest)
         if order is StampOrder.OVERTAKEN:
-            raise InputError(f'The image is {(newest - stamp_ns) * 1e-6:.1f} ms older than '
+            raise InputError(f'The image is {((newest or 0) - stamp_ns) * 1e-6:.1f} ms older than '
                              'the one before it; images must come in order.')
         if order is StampOrder.JUMPED_BACK:
             self.reset()
@@ -268,6 +253,22 @@ class TrackingSession:
         self._newest_ns = stamp_ns
         # a driver without a clock stamps all images alike
         return None if stamp_ns == newest else stamp_ns
+
+
+def _check_image(image: np.ndarray, camera: Camera) -> None:
+    """Refuse what is no image of this camera."""
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
+            image.ndim == 3 and image.shape[2] != 3):
+        raise InputError(f'An array of shape {image.shape} and type {image.dtype} is no image '
+                         'that can be tracked in; give 8 bits, grey or bgr.')
+    height, width = image.shape[:2]
+    if camera.width and camera.height and (width, height) != (camera.width, camera.height):
+        raise InputError(f'The image is {width}x{height}, the calibration for '
+                         f'{camera.width}x{camera.height} pixels; use the calibration of '
+                         'this image size.')
+    if min(height, width) < MINIMUM_SIDE_PX:
+        raise InputError(f'The image is {width}x{height} pixels, too small to track in; '
+                         f'{MINIMUM_SIDE_PX} a side are needed.')
 
 
 def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:

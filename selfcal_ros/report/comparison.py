@@ -171,7 +171,7 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     difference[good] = apart(best.x)
     found = Comparison(pixels, difference, float(np.linalg.norm(best.x)))
     known = [np.asarray(C, float) for C in (covariance_a, covariance_b) if C is not None]
-    return _tested(found, a, sum(known)) if known else found
+    return _tested(found, a, np.sum(known, axis=0)) if known else found
 
 
 def _tested(found: Comparison, camera: LensCamera, covariance: np.ndarray) -> Comparison:
@@ -180,10 +180,10 @@ def _tested(found: Comparison, camera: LensCamera, covariance: np.ndarray) -> Co
         raise InputError('A covariance is not finite: its calibration leaves a parameter '
                          'undetermined, so that nothing can be tested against it.')
     try:
-        camera = camera.camera()
+        pinhole = camera.camera()
     except ArgumentError as error:
         raise InputError(str(error)) from None
-    effect = parameter_effect(camera, found.pixels)
+    effect = parameter_effect(pinhole, found.pixels)
     good = np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1)
     values, vectors = np.linalg.eigh(covariance)
     root = effect[good] @ (vectors * np.sqrt(np.maximum(values, 0)))

@@ -48,9 +48,9 @@ def draw_figures(result: Calibration | NotCalibrated,
         Figures for which the result holds nothing are left out.
 
     """
-    size = tracks.image_size if tracks is not None else None
     if not result:
-        drawings = [coverage_figure(tracks.xy, size) if size else None]
+        drawings = [] if tracks is None or not tracks.image_size else [
+            coverage_figure(tracks.xy, tracks.image_size)]
     else:
         size = (result.camera.width, result.camera.height)
         seen = observations(result, tracks) if tracks is not None else None

@@ -18,7 +18,7 @@ from __future__ import annotations
 from matplotlib.patches import Ellipse
 import numpy as np
 
-from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry, single_pairs
@@ -55,23 +55,24 @@ def fixed_points_figure(result: Calibration,
     if fixed is None or min(size) <= 0 or not all(np.isfinite(part).all() for part in (
             fixed.horizon, fixed.vanishing_point, result.reconstruction.cam_from_world)):
         return None
-    pairs = single_pairs(result, seen) if seen is not None else None
+    pairs = None if seen is None else single_pairs(result, seen)
     single = pairs is not None and len(pairs.pairs) > 0
-    if not single:
+    if pairs is None or not single:
         pairs = pair_geometry(result.reconstruction, result.camera.K)
     with styled():
         whole, zoom = new_panel(5.1), new_panel(5.1)
-        _draw(whole, result, pairs, _whole_window(result, pairs), 'The whole image plane')
-        _draw(zoom, result, pairs, _zoom_window(result.camera), 'The image')
+        window = _whole_window(result, fixed, pairs)
+        _draw(whole, result, fixed, pairs, window, 'The whole image plane')
+        _draw(zoom, result, fixed, pairs, _zoom_window(result.camera), 'The image')
         note = _principal_point(zoom, result)
-        _vanishing_point(whole, result)
+        _vanishing_point(whole, result, fixed)
         circular = _circular_points(whole, fixed)
         for axes in (whole, zoom):
             axes.figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center',
                                ncol=3, columnspacing=1.4, handlelength=1.6, frameon=False)
     caption = ('In undistorted pixels. Under planar motion all epipoles lie on the horizon and '
                'all screw axes pass through the vanishing point of the rotation axis')
-    caption += _distances(result, pairs) if single else '.'
+    caption += _distances(result, fixed, pairs) if single else '.'
     if circular:
         caption += (' The bar on the horizon is the pair of circular points, i and j = Re ± i Im, '
                     'from Re − Im to Re + Im: its ends are directions of the plane at right '
@@ -80,9 +81,9 @@ def fixed_points_figure(result: Calibration,
                    caption + (f' {note}.' if note else ''), (whole.figure, zoom.figure))
 
 
-def _distances(result: Calibration, pairs: PairGeometry) -> str:
+def _distances(result: Calibration, fixed: FixedPoints, pairs: PairGeometry) -> str:
     """Say how far the epipoles of single pairs are from the horizon."""
-    line = result.fixed_points.horizon
+    line = fixed.horizon
     slope = float(np.linalg.norm(line[:2]))
     longer = max(result.camera.width, result.camera.height)
     epipoles = _finite(pairs.epipoles)
@@ -126,20 +127,21 @@ def _zoom_window(camera: Camera) -> tuple[np.ndarray, float]:
     return _centre(camera), half
 
 
-def _whole_window(result: Calibration, pairs: PairGeometry) -> tuple[np.ndarray, float]:
+def _whole_window(result: Calibration, fixed: FixedPoints,
+                  pairs: PairGeometry) -> tuple[np.ndarray, float]:
     """Choose a square that shows the image, the vanishing point and most epipoles."""
     camera = result.camera
     longer = max(camera.width, camera.height)
     centre = _centre(camera)
     low, high = centre - 0.7 * longer, centre + 0.7 * longer
     lines = pairs.screw_axes[np.isfinite(pairs.screw_axes).all(axis=1)]
-    feet = np.cross(lines, result.fixed_points.horizon)
+    feet = np.cross(lines, fixed.horizon)
     epipoles = np.concatenate([_finite(pairs.epipoles), _finite(feet)])
     near = epipoles[np.abs(epipoles - centre).max(axis=1) < FARTHEST * longer]
     if len(near) > 4:
         low = np.minimum(low, np.percentile(near, 10, axis=0))
         high = np.maximum(high, np.percentile(near, 90, axis=0))
-    v = _finite(result.fixed_points.vanishing_point)
+    v = _finite(fixed.vanishing_point)
     if len(v) and np.abs(v[0] - centre).max() < FARTHEST * longer:
         low, high = np.minimum(low, v[0]), np.maximum(high, v[0])
     bar = _circular_bar(result.fixed_points)
@@ -160,20 +162,21 @@ def _segment(line: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray | 
     return np.stack([foot - 3 * half * along, foot + 3 * half * along])
 
 
-def _draw(axes, result: Calibration, pairs: PairGeometry, window, title: str) -> None:
+def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: PairGeometry, window,
+          title: str) -> None:
     """Draw what both panels share."""
     camera = result.camera
     centre, half = window
     lines = pairs.screw_axes[np.isfinite(pairs.screw_axes).all(axis=1)]
     shown = lines[np.unique(np.linspace(0, len(lines) - 1, MOST_LINES).astype(int))] \
         if len(lines) else lines
-    label = 'screw axes m'
+    label: str | None = 'screw axes m'
     for line in shown:
         segment = _segment(line, centre, half)
         if segment is not None:
             axes.plot(*segment.T, color=PURPLE, linewidth=0.5, alpha=0.45, label=label)
             label = None
-    horizon = _segment(result.fixed_points.horizon, centre, half)
+    horizon = _segment(fixed.horizon, centre, half)
     if horizon is not None:
         axes.plot(*horizon.T, color=BLUE, linewidth=1.4, label='horizon l')
     epipoles = _finite(pairs.epipoles)
@@ -186,9 +189,9 @@ def _draw(axes, result: Calibration, pairs: PairGeometry, window, title: str) ->
     axes.set_title(title)
 
 
-def _vanishing_point(axes, result: Calibration) -> None:
+def _vanishing_point(axes, result: Calibration, fixed: FixedPoints) -> None:
     """Mark v, or point to it where it lies outside the panel."""
-    v = result.fixed_points.vanishing_point
+    v = fixed.vanishing_point
     left, right = axes.get_xlim()
     low, high = axes.get_ylim()[::-1]
     K = result.camera.K
@@ -261,7 +264,7 @@ def _principal_point(axes, result: Calibration) -> str:
     scale = 1.0
     while scale * half[1] < 0.015 * longer and scale < 1e6:
         scale *= 10
-    axes.add_patch(Ellipse(point, 2 * scale * half[1], 2 * scale * half[0],
+    axes.add_patch(Ellipse((point[0], point[1]), 2 * scale * half[1], 2 * scale * half[0],
                            angle=np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])),
                            fill=False, edgecolor=RED, linewidth=1.2, label='its 95 % ellipse'
                            + (f', ×{scale:.0f}' if scale > 1 else '')))

@@ -58,8 +58,11 @@ def inline_svg(document: bytes, prefix: str, label: str) -> Markup:
     text = document.decode('utf-8')
     text = _STYLE_SHEET.sub('', text[text.index('<svg'):])
     opening, _, rest = text.partition('>')
-    box = re.search(r'viewBox="([-0-9. ]+)"', opening).group(1)
-    rest = _COLOUR.sub(lambda found: f'var({VARIABLES[found.group().lower()]})', rest)
+    found = re.search(r'viewBox="([-0-9. ]+)"', opening)
+    if found is None:
+        raise ValueError('the drawing has no viewBox')
+    box = found.group(1)
+    rest = _COLOUR.sub(lambda colour: f'var({VARIABLES[colour.group().lower()]})', rest)
     rest = _IDENTIFIER.sub(rf'\g<1>{prefix}-', rest)
     # the page's reader of HTML knows the prefix without its declaration
     head = Markup('<svg class="plot" role="img" aria-label="{}" viewBox="{}">').format(label, box)

@@ -107,7 +107,7 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     first, last = min(2, len(frames) - 1), len(frames) - 1
     places = np.unique(np.linspace(first, last, PICTURES).round().astype(int))
     wanted = set(frames[places].tolist())
-    images = {}
+    images: dict[int, np.ndarray] = {}
     try:
         with open_frames() as source:
             if getattr(source, 'kind', '') == 'tracks':

@@ -58,10 +58,10 @@ def rows_of(camera: CameraSummary) -> list[HistoryRow]:
         result, deviation, status = outcome.result, '', 'not calibrated'
         if result:
             status = 'calibrated'
-            if number in camera.members:
+            if camera.joint is not None and number in camera.members:
                 place = camera.members.index(number)
-                deviation = camera.joint.deviation[place]
-                deviation = f'{deviation:.1f}' if deviation == deviation else ''
+                sigmas = camera.joint.deviation[place]
+                deviation = f'{sigmas:.1f}' if sigmas == sigmas else ''
                 if not camera.joint.used[place]:
                     status = 'contradicts the others'
             else:
@@ -133,8 +133,8 @@ def _comparison(camera: CameraSummary) -> str:
     if figures['fx'] == figures['fy']:
         figures = {'fx = fy': figures.pop('fy'), **figures}
         del figures['fx']
-    figures = ', '.join(f'{name} = {value} px' for name, value in figures.items())
-    sentence = f'{of_many}; together {figures}.'
+    listed = ', '.join(f'{name} = {value} px' for name, value in figures.items())
+    sentence = f'{of_many}; together {listed}.'
     if len(camera.members) < 2:
         return f'{sentence} With one recording nothing can be compared.'
     chance = f'p = {joint.p_value:.2g}' if joint.p_value >= 1e-6 else 'p < 1e-6'
@@ -187,17 +187,18 @@ def _camera_to_dict(camera: CameraSummary) -> dict:
         place = camera.members.index(number) if number in camera.members else None
         recordings.append({
             'path': outcome.path, 'start_ns': outcome.start_ns, 'seconds': outcome.seconds,
-            'result': result_to_dict(outcome.result), 'notes': outcome.notes,
+            'result': None if outcome.result is None else result_to_dict(outcome.result),
+            'notes': outcome.notes,
             'apart_px': max_difference_px(camera).get(number),
-            'deviation_sigmas': None if place is None else joint.deviation[place],
-            'used': place is not None and bool(joint.used[place])})
-    tested = joint is not None and joint.freedom > 0
+            'deviation_sigmas': None if joint is None or place is None else joint.deviation[place],
+            'used': joint is not None and place is not None and bool(joint.used[place])})
+    tested = joint if joint is not None and joint.freedom > 0 else None
     return {
         'topic': camera.topic, 'image_size': camera.image_size, 'verdict': verdict_of(camera),
-        'agree': joint.agree if tested else None, 'chi2': joint.chi2 if tested else None,
-        'degrees_of_freedom': joint.freedom if tested else None,
-        'p_value': joint.p_value if tested else None,
-        'scatter': joint.scatter if tested else None,
+        'agree': tested.agree if tested else None, 'chi2': tested.chi2 if tested else None,
+        'degrees_of_freedom': tested.freedom if tested else None,
+        'p_value': tested.p_value if tested else None,
+        'scatter': tested.scatter if tested else None,
         'joint': None if joint is None else result_to_dict(joint.calibration),
         'notes': camera.notes, 'recordings': recordings}
 

@@ -96,7 +96,7 @@ def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
         if tracked.state is TrackerState.LOST:
             bgr = HIDDEN
         if len(chosen):
-            cv2.polylines(drawn, _fixed(chosen), False, bgr, 1 if kind == 3 else 2 * thick,
+            cv2.polylines(drawn, list(_fixed(chosen)), False, bgr, 1 if kind == 3 else 2 * thick,
                           cv2.LINE_AA, _SHIFT)
     edgels = usable & np.isfinite(tracked.edge_px) & ~tracked.hidden
     if not edgels.any() or tracked.state is TrackerState.LOST:
@@ -107,7 +107,7 @@ def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
         rows = tracked.found[edgels] == good
         if rows.any():
             ticks = np.stack([at[rows] - along[rows], at[rows] + along[rows]], axis=1)
-            cv2.polylines(drawn, _fixed(ticks), False, bgr, 1, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(drawn, list(_fixed(ticks)), False, bgr, 1, cv2.LINE_AA, _SHIFT)
 
 
 def _draw_axes(drawn, tracked: TrackedFrame, model, camera: Camera, thick: int) -> None:
@@ -117,7 +117,7 @@ def _draw_axes(drawn, tracked: TrackedFrame, model, camera: Camera, thick: int) 
     pixels = project_tracked(axes.reshape(-1, 3), tracked, camera).reshape(3, _PIECES, 2)
     for line, bgr in zip(pixels, AXES):
         if np.isfinite(line).all() and (np.abs(line) < 1e5).all():
-            cv2.polylines(drawn, _fixed(line[None]), False, bgr, thick, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(drawn, list(_fixed(line[None])), False, bgr, thick, cv2.LINE_AA, _SHIFT)
 
 
 def zoomed_camera(camera: Camera, tracked: TrackedFrame) -> Camera:

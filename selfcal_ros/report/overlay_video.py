@@ -56,8 +56,8 @@ class OverlayVideo:
     def __init__(self, path, rate_hz: float = 30.0):
         self._path = check_video_path(path)
         self._rate_hz = rate_hz if 0.1 <= rate_hz <= 1000 else 30.0
-        self._writer = None
-        self._temporary = None
+        self._writer: cv2.VideoWriter | None = None
+        self._temporary = ''
 
     def __enter__(self) -> OverlayVideo:
         return self
@@ -80,17 +80,17 @@ class OverlayVideo:
                 prefix='.selfcal-', suffix=self._path.suffix.lower(),
                 dir=os.path.dirname(os.path.realpath(self._path)))
             os.close(descriptor)
-            code = cv2.VideoWriter_fourcc(*CODECS[self._path.suffix.lower()])
-            self._writer = cv2.VideoWriter(self._temporary, code, self._rate_hz, (width, height))
-            if not self._writer.isOpened():
+            code = cv2.VideoWriter.fourcc(*CODECS[self._path.suffix.lower()])
+            writer = cv2.VideoWriter(self._temporary, code, self._rate_hz, (width, height))
+            if not writer.isOpened():
                 os.unlink(self._temporary)
-                self._writer = None
                 raise InputError(f'{self._path} cannot be written: this OpenCV cannot make '
                                  f'{self._path.suffix} videos; try another suffix of '
                                  f'{", ".join(CODECS)}.')
             mask = os.umask(0)
             os.umask(mask)
             os.chmod(self._temporary, 0o666 & ~mask)
+            self._writer = writer
         self._writer.write(image)
 
 

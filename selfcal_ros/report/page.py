@@ -90,13 +90,13 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         drawings=_drawings(result, tracks), figures=[Markup(figure) for figure in figures],
         camera_name=camera_name, pictures=pictures, scene=scene, script=script,
         policy=_policy(script),
-        verdict=_unbroken(verdict(result)) if calibrated else result.reason,
-        quality=_unbroken(quality(result)) if calibrated else '',
-        matrix=matrix(result) if calibrated else [],
-        distortion=distortion(result) if calibrated else [],
-        rows=parameter_rows(result) if calibrated else [],
+        verdict=_unbroken(verdict(result)) if result else result.reason,
+        quality=_unbroken(quality(result)) if result else '',
+        matrix=matrix(result) if result else [],
+        distortion=distortion(result) if result else [],
+        rows=parameter_rows(result) if result else [],
         facts=facts_lines(result.facts),
-        notes=list(dict.fromkeys([*(result.notes if calibrated else ()),
+        notes=list(dict.fromkeys([*(result.notes if result else ()),
                                   *_what_rests_on_facts(result), *_what_it_means(result),
                                   *notes])),
         numbers=_numbers(result), yaml=_yaml(result, camera_name))
@@ -108,7 +108,8 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | N
         return [], None
     from selfcal_ros.report.keyframe_pictures import pictures_and_colours
     from selfcal_ros.report.scene import scene_of
-    pictures, colours = [], {}
+    pictures: list = []
+    colours: dict = {}
     if open_frames is not None:
         pictures, colours = pictures_and_colours(result, tracks, open_frames)
     shown = [{'picture': picture, 'data': base64.b64encode(picture.jpeg).decode('ascii')}

@@ -112,7 +112,8 @@ def single_pairs(result: Calibration, seen: ObservationTable,
     rows = [usable[seen.view[usable] == view] for view in range(len(poses))]
     candidates = [(a, a + step) for step in STEPS for a in range(len(poses) - step)]
     stride = max(len(candidates) / most_pairs, 1.0)
-    pairs, matrices = [], []
+    found_pairs: list[tuple[int, int]] = []
+    matrices = []
     for k in np.unique(np.arange(0, len(candidates), stride).astype(int)):
         a, b = candidates[k]
         _, in_a, in_b = np.intersect1d(seen.track[rows[a]], seen.track[rows[b]],
@@ -121,11 +122,11 @@ def single_pairs(result: Calibration, seen: ObservationTable,
             continue
         found = fundamental(xy[rows[a][in_a]], xy[rows[b][in_b]])
         if found and np.isfinite(found.F).all():
-            pairs.append((a, b))
+            found_pairs.append((a, b))
             matrices.append(found.F)
-    if not pairs:
+    if not found_pairs:
         return PairGeometry(np.empty((0, 2), int), np.empty((0, 2, 3)), np.empty((0, 3)))
-    pairs, F = np.array(pairs), np.array(matrices)
+    pairs, F = np.array(found_pairs), np.array(matrices)
     U, _, Vt = np.linalg.svd(F)
     _, axes, _, _, real = decompose_planar(F)
     turning = _turns(poses[:, :, :3], *pairs.T) & real

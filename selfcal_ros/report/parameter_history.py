@@ -46,7 +46,9 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
     """
     if camera.joint is None:
         return None
-    shown = [number for number, outcome in enumerate(camera.outcomes) if outcome.result]
+    results = {number: outcome.result for number, outcome in enumerate(camera.outcomes)
+               if outcome.result}
+    shown = list(results)
     places, timed = _places(camera, shown)
     joint = camera.joint.calibration
     names = [name for name in PARAMETER_NAMES if joint.status.get(name) == 'estimated']
@@ -59,8 +61,8 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for axis, name in zip(axes, names):
             k = PARAMETER_NAMES.index(name)
-            value = np.array([camera.outcomes[n].result.camera.parameters[k] for n in shown])
-            sigma = np.array([camera.outcomes[n].result.sigma[name] for n in shown])
+            value = np.array([result.camera.parameters[k] for result in results.values()])
+            sigma = np.array([result.sigma[name] for result in results.values()])
             middle, spread = joint.camera.parameters[k], joint.sigma[name]
             axis.axhspan(middle - spread, middle + spread, color=PALE, zorder=0)
             axis.axhline(middle, color=GREY, linewidth=0.8, zorder=1)
@@ -88,7 +90,8 @@ def picture(figure: Figure, kind: str) -> bytes:
 
 def _is_used(camera: CameraSummary, number: int) -> bool:
     """Tell whether a recording is in the joint estimate."""
-    return number in camera.members and bool(camera.joint.used[camera.members.index(number)])
+    return (camera.joint is not None and number in camera.members
+            and bool(camera.joint.used[camera.members.index(number)]))
 
 
 def _places(camera, shown) -> tuple[np.ndarray, bool]:

@@ -71,10 +71,9 @@ def verdict(result: Calibration) -> str:
         words.append([name, f'{text} ± {spread} px' if spread else f'{text} px (held)'])
     if len(words) > 1 and [w[0] for w in words[:2]] == ['fx', 'fy'] and words[0][1] == words[1][1]:
         words[:2] = [['fx = fy', words[0][1]]]
-    words = [' = '.join(word) for word in words]
     source = ('a known object' if result.motion == 'known-object'
               else f'{result.motion} motion')
-    sentence = f'Calibrated from {source}: {", ".join(words) or "in part"}.'
+    sentence = f'Calibrated from {source}: {", ".join(map(" = ".join, words)) or "in part"}.'
     weak = tuple(name for name, status in result.status.items() if status == 'unobservable')
     if weak:
         sentence += f' {Finding("parameters_unobservable", missing=weak)}'

@@ -137,7 +137,7 @@ def _with(camera: Camera, change: np.ndarray) -> Camera:
     fx, fy, cx, cy, skew, *coefficients = camera.parameters + change
     distortion = camera.distortion.copy()
     distortion[[plumb_bob.OPENCV_PLACE[name] for name in plumb_bob.COEFFICIENTS]] = coefficients
-    return Camera([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], distortion)
+    return Camera(np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]]), distortion)
 
 
 def _rotation_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:

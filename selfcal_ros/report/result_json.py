@@ -19,6 +19,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,36 +61,35 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'findings' (each with its 'kind' and its values; a refusal is the first of its own).
 
     """
-    good = isinstance(result, Calibration)
-    fixed = result.fixed_points if good else None
-    found = {
+    fixed = result.fixed_points if result else None
+    found: dict[str, Any] = {
         'schema': SCHEMA,
-        'status': 'calibrated' if good else 'not_calibrated',
-        'reason': '' if good else result.reason,
-        'advice': '' if good else result.advice,
+        'status': 'calibrated' if result else 'not_calibrated',
+        'reason': '' if result else result.reason,
+        'advice': '' if result else result.advice,
         'motion': result.motion,
-        'camera': _camera(result.camera) if good else None,
-        'sigma': _sigma(result) if good else None,
-        'covariance': result.covariance if good else None,
+        'camera': _camera(result.camera) if result else None,
+        'sigma': _sigma(result) if result else None,
+        'covariance': result.covariance if result else None,
         'parameter_names': PARAMETER_NAMES,
         'parameters': result.status,
-        'held_by': result.held_by if good else {},
+        'held_by': result.held_by if result else {},
         'frames': {'count': len(result.frames), 'used': result.frames},
-        'reprojection_rms_px': result.reprojection_rms_px if good else None,
-        'noise_sigma_px': result.noise_sigma_px if good else None,
-        'observations': result.observation_count if good else None,
-        'outliers': result.outlier_count if good else None,
+        'reprojection_rms_px': result.reprojection_rms_px if result else None,
+        'noise_sigma_px': result.noise_sigma_px if result else None,
+        'observations': result.observation_count if result else None,
+        'outliers': result.outlier_count if result else None,
         'fixed_points': None if fixed is None else {
             'horizon': fixed.horizon, 'vanishing_point': fixed.vanishing_point,
             'circular_point': fixed.circular_point},
-        'identifiability': _identifiability(result) if good else None,
-        'measurement': _measurement(result) if good else None,
+        'identifiability': _identifiability(result) if result else None,
+        'measurement': _measurement(result) if result else None,
         'facts': dataclasses.asdict(result.facts),
-        'notes': result.notes if good else (),
+        'notes': result.notes if result else (),
         'software': result.software,
     }
     findings: list = list(result.findings)
-    if not good and result.kind:
+    if not result and result.kind:
         found['kind'] = result.kind
         findings.insert(0, {'kind': result.kind, **result.values})
     if findings:
@@ -153,8 +153,9 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         If the content is of another kind.
 
     """
-    facts = CameraFacts(**{name: tuple(value) if isinstance(value, list) else value
-                           for name, value in content.get('facts', {}).items()})
+    stated: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                              for name, value in content.get('facts', {}).items()}
+    facts = CameraFacts(**stated)
     software = content.get('software', '')
     if content['status'] != 'calibrated':
         kind, stored = content.get('kind', ''), list(content.get('findings', ()))
@@ -164,8 +165,8 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
                              content.get('motion', 'unknown'), facts=facts, software=software,
                              kind=kind, values=values, findings=_findings(stored, ()))
     c = content['camera']
-    camera = Camera([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]], c['d'],
-                    c['width'], c['height'])
+    camera = Camera(np.array([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]]),
+                    np.array(c['d']), c['width'], c['height'])
     covariance = np.array([[np.nan if v is None else v for v in row]
                            for row in content['covariance']], float)
     if covariance.shape != (len(PARAMETER_NAMES),) * 2:
@@ -176,7 +177,9 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         frames=tuple(content['frames']['used']),
         reprojection_rms_px=content['reprojection_rms_px'],
         noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
-        outlier_count=content['outliers'], reconstruction=None, software=software,
+        # the file does not hold it
+        outlier_count=content['outliers'], reconstruction=None,  # type: ignore[arg-type]
+        software=software,
         findings=_findings(content.get('findings', ()), content['notes']))
 
 

@@ -71,14 +71,14 @@ class Scene:
         return json.dumps({
             'cameras': _packed(cameras), 'points': _packed(self.points),
             'colours': None if self.colours is None else
-            base64.b64encode(np.ascontiguousarray(self.colours, np.uint8)).decode('ascii'),
+            base64.b64encode(np.asarray(self.colours, np.uint8).tobytes()).decode('ascii'),
             'frames': np.asarray(self.frames).tolist(),
             'corners': np.round(self.corners, 5).tolist(), 'unit': self.unit,
             'path': self.path})
 
 
 def _packed(values: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, '<f4')).decode('ascii')
+    return base64.b64encode(np.asarray(values, '<f4').tobytes()).decode('ascii')
 
 
 def scene_of(result: Calibration, tracks: Tracks,

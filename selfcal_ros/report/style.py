@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import io
+from typing import Any
 import warnings
 
 import matplotlib
@@ -101,7 +102,8 @@ def styled(settings: dict | None = None):
         warnings.simplefilter('ignore')
         plain = {key: matplotlib.rcParamsDefault[key] for key in matplotlib.rcParamsDefault
                  if key.partition('.')[0] not in _OF_THE_SESSION}
-        return matplotlib.rc_context({**plain, **_STYLE, **(settings or {})})
+        chosen: dict[Any, Any] = {**plain, **_STYLE, **(settings or {})}
+        return matplotlib.rc_context(chosen)
 
 
 def new_panel(height_in: float = 3.4):

@@ -155,9 +155,10 @@ def _entry(camera: LensCamera) -> tuple[str, list[float]]:
                  'rational_polynomial': 'FULL_OPENCV'}[camera.model]
         d = camera.coefficients
     elif plumb[4]:
-        model, d = 'FULL_OPENCV', camera.coefficients_as('rational_polynomial')
+        # COLMAP has k3 in its rational model only: k1 k2 p1 p2 k3, and nothing below
+        model, d = 'FULL_OPENCV', np.append(plumb, np.zeros(3))
     else:
-        model, d = ('OPENCV', plumb[:4]) if plumb.any() else ('PINHOLE', ())
+        model, d = ('OPENCV', plumb[:4]) if plumb.any() else ('PINHOLE', plumb[:0])
     K = camera.K
     centre = K[:2, 2] + HALF_PIXEL
     return model, [float(value) for value in (K[0, 0], K[1, 1], *centre, *d)]

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import json
 import re
+from typing import Any
 from xml.etree import ElementTree
 
 from selfcal_ros.errors import InputError
@@ -153,7 +154,8 @@ def _image_size(document, keys, source) -> tuple[int, int] | None:
         pair = pair.split() if isinstance(pair, str) else pair
         if not isinstance(pair, list) or len(pair) != 2:
             return None
-    return tuple(positive_integer(value, f'{source}: the image size') for value in pair)
+    width, height = (positive_integer(value, f'{source}: the image size') for value in pair)
+    return width, height
 
 
 def _document(text: str, source: str) -> dict:
@@ -182,12 +184,11 @@ def _from_xml(text: str, source: str) -> dict:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError):
         raise InputError(f'{source} is not valid XML.') from None
-    document = {}
+    document: dict[str, Any] = {}
     for element in root:
         parts = {part.tag: (part.text or '').strip() for part in element}
         if 'data' in parts:
-            parts['data'] = parts['data'].split()
-            document[element.tag] = parts
+            document[element.tag] = {**parts, 'data': parts['data'].split()}
         else:
             document[element.tag] = (element.text or '').strip().strip('"')
     return document
