@@ -26,6 +26,7 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -278,6 +279,14 @@ class Calibration:
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
         return sentences(self.findings)
+
+    @property
+    def reconstructed(self) -> Reconstruction:
+        """The reconstruction; ArgumentError where it was left behind, as in a file."""
+        if self.reconstruction is None:
+            raise ArgumentError('This calibration comes without its reconstruction, as one that '
+                                'was read from a file; calibrate anew where that is needed.')
+        return self.reconstruction
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

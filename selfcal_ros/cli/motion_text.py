@@ -39,7 +39,7 @@ def motion_text(result: Calibration, asked: str) -> str:
         Motion of the command line.
 
     """
-    turned, off_axis = axis_spread(result.reconstruction.cam_from_world)
+    turned, off_axis = axis_spread(result.reconstructed.cam_from_world)
     leave = (f'leave their best common axis by {np.degrees(off_axis):.2g} degrees (root mean '
              'square)' if off_axis > 1e-6 else 'keep one axis')
     evidence = f'the views turn by up to {np.degrees(turned):.1f} degrees and {leave}'

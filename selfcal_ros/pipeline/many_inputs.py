@@ -224,7 +224,7 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
                        f'{type(error).__name__}: {error}', seconds=time.monotonic() - began)
     if result:
         # large, and of no use beyond its own process
-        result = replace(result, reconstruction=None, residuals=None)  # type: ignore[arg-type]
+        result = replace(result, reconstruction=None, residuals=None)
     stamps = reading.tracks.stamps_ns or {}
     start = min(stamps.values()) if stamps and reading.clock in ('header', 'log') else None
     size = reading.tracks.image_size or (

@@ -205,8 +205,8 @@ def _rounds(fine, camera: Camera, views: list, facts: CameraFacts, progress):
             before, (camera, poses) = camera, adjusted
         else:
             before, camera = camera, result.camera
-            poses = dict(zip(result.reconstruction.frames.tolist(),
-                             result.reconstruction.cam_from_world))
+            poses = dict(zip(result.reconstructed.frames.tolist(),
+                             result.reconstructed.cam_from_world))
         views = _posed(views, edges, poses)
         settled = abs(camera.K[0, 0] / before.K[0, 0] - 1) < SETTLED
         if number >= len(REACH_PX) and settled:

@@ -53,12 +53,12 @@ def fixed_points_figure(result: Calibration,
     """
     fixed, size = result.fixed_points, (result.camera.width, result.camera.height)
     if fixed is None or min(size) <= 0 or not all(np.isfinite(part).all() for part in (
-            fixed.horizon, fixed.vanishing_point, result.reconstruction.cam_from_world)):
+            fixed.horizon, fixed.vanishing_point, result.reconstructed.cam_from_world)):
         return None
     pairs = None if seen is None else single_pairs(result, seen)
     single = pairs is not None and len(pairs.pairs) > 0
     if pairs is None or not single:
-        pairs = pair_geometry(result.reconstruction, result.camera.K)
+        pairs = pair_geometry(result.reconstructed, result.camera.K)
     with styled():
         whole, zoom = new_panel(5.1), new_panel(5.1)
         window = _whole_window(result, fixed, pairs)

@@ -100,7 +100,7 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
         Red, green and blue of the reconstructed tracks.
 
     """
-    frames = np.asarray(result.reconstruction.frames) if result else tracks.frames
+    frames = np.asarray(result.reconstructed.frames) if result else tracks.frames
     if not len(frames):
         return [], {}
     # the first views have little to look back on
@@ -113,7 +113,7 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
             if getattr(source, 'kind', '') == 'tracks':
                 return [], {}
             kept = _until(source, set(frames.tolist()), wanted, images)
-            ids = np.asarray(result.reconstruction.tracks if result else (), int)
+            ids = np.asarray(result.reconstructed.tracks if result else (), int)
             paint = point_colours(tracks, ids, kept)
     except (InputError, OSError):
         # the calibration is done: a report without pictures is better than none

@@ -67,7 +67,7 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     ObservationTable
 
     """
-    shape = result.reconstruction
+    shape = result.reconstructed
     view, seen = _places(shape.frames, tracks.frame)
     point, known = _places(shape.tracks, tracks.track)
     both = seen & known

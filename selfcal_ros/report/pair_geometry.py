@@ -106,7 +106,7 @@ def single_pairs(result: Calibration, seen: ObservationTable,
 
     """
     K = result.camera.K
-    poses = np.asarray(result.reconstruction.cam_from_world, float)
+    poses = np.asarray(result.reconstructed.cam_from_world, float)
     xy = result.camera.normalised(seen.xy) @ K[:2, :2].T + K[:2, 2]
     usable = np.flatnonzero(seen.used & np.isfinite(xy).all(axis=1))
     rows = [usable[seen.view[usable] == view] for view in range(len(poses))]

@@ -44,7 +44,7 @@ def path_figure(result: Calibration) -> Drawing | None:
     """
     if result.motion == 'known-object':
         return None     # poses of a board held anyhow: no path
-    poses = np.asarray(result.reconstruction.cam_from_world, float)
+    poses = np.asarray(result.reconstructed.cam_from_world, float)
     if len(poses) < 2 or not np.isfinite(poses).all():
         return None
     R = poses[:, :, :3]
@@ -57,7 +57,7 @@ def path_figure(result: Calibration) -> Drawing | None:
     mirror = np.array([1.0, flip])
     path = centres[:, :2] / step * mirror
     ahead = R[:, 2, :2] * mirror
-    points = _finite_points(result.reconstruction.points) / step
+    points = _finite_points(result.reconstructed.points) / step
     points = points[:, :2] * mirror
     with styled():
         axes = new_panel(4.2)

@@ -178,7 +178,7 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         reprojection_rms_px=content['reprojection_rms_px'],
         noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
         # the file does not hold it
-        outlier_count=content['outliers'], reconstruction=None,  # type: ignore[arg-type]
+        outlier_count=content['outliers'], reconstruction=None,
         software=software,
         findings=_findings(content.get('findings', ()), content['notes']))
 

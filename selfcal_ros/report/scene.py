@@ -100,7 +100,7 @@ def scene_of(result: Calibration, tracks: Tracks,
         None where there is no depth (a camera that only rotates), or less than two views.
 
     """
-    shape, camera = result.reconstruction, result.camera
+    shape, camera = result.reconstructed, result.camera
     poses = np.asarray(shape.cam_from_world, float)
     if result.motion == 'rotation' or min(camera.width, camera.height) <= 0 or len(poses) < 2 \
             or not np.isfinite(poses).all():
