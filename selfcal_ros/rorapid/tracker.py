@@ -83,8 +83,8 @@ class RorapidTracker:
         self._lay_basis()
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
-        cycle = RobustTracker if options.method == 'modern' else RapidTracker
-        self._cycle = cycle(self._control, self._basis, options, self._rng)
+        method = RobustTracker if options.method == 'modern' else RapidTracker
+        self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
         self._state, self._stamp_ns = TrackerState.LOST, None
 
@@ -113,14 +113,14 @@ class RorapidTracker:
 
     def reset(self) -> None:
         """Forget pose, texture and plane; a new start is needed."""
-        self._cycle.reset()
+        self._method.reset()
         self._plane.reset()
         self._axis = self.options.plane_axis
         if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
             self._camera_model = self.options.camera_model
             self._projection.become(self._camera_model)
             self._lay_basis()
-            self._cycle.switch(self._basis, self._camera_model)
+            self._method.switch(self._basis, self._camera_model)
         self._kalman = None
         self._state, self._stamp_ns = TrackerState.LOST, None
 
@@ -145,7 +145,7 @@ class RorapidTracker:
             self._visible = VisibleModel(self.model, *options.control_points)
             self._control = ControlModel(self._visible, self._projection, self._control.image_size)
         self.options = options
-        self._cycle.adopt(options, self._control)
+        self._method.adopt(options, self._control)
         return True
 
     def start(self, rotation, translation, covariance=None, focal_px: float | None = None,
@@ -272,9 +272,9 @@ class RorapidTracker:
             self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
         if first:
-            measured = self._cycle.settle(image, predicted, spread)
+            measured = self._method.initialise(image, predicted, spread)
         else:
-            measured = self._cycle.measure(image, predicted, spread)
+            measured = self._method.measure(image, predicted, spread)
         if not first and self.options.seeks and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
             measured = self._relocalise(image, measured, lost)
@@ -282,10 +282,10 @@ class RorapidTracker:
 
     def _relocalise(self, image, measured: PoseMeasurement, lost: bool) -> PoseMeasurement:
         """Try other places for the object; return the measurement that is confirmed best."""
-        proposals = self._cycle.proposals(image, self._filter.state, lost,
-                                          self._wide(self._filter.state))
+        proposals = self._method.proposals(image, self._filter.state, lost,
+                                           self._wide(self._filter.state))
         for state in proposals:
-            other = self._cycle.measure(image, state, self._wide(state))
+            other = self._method.measure(image, state, self._wide(state))
             if other.determined and (other.recognised, other.share) > (
                     measured.recognised, measured.share + 0.05):
                 measured = other
@@ -327,7 +327,7 @@ class RorapidTracker:
         self._camera_model = camera_model
         self._projection.become(camera_model)
         self._lay_basis()
-        self._cycle.switch(self._basis, camera_model)
+        self._method.switch(self._basis, camera_model)
         self._start_filter(kalman.state, full[:6, :6])
         B, size = self._basis, self._projection.size
         moving = B.T @ velocity[:size]
@@ -369,7 +369,7 @@ class RorapidTracker:
             tracking = measured.share >= options.tracking_share
             self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
             self._good = measured.state
-            self._cycle.remember(measured, tracking or measured.recognised)
+            self._method.remember(measured, tracking or measured.recognised)
             reason = '' if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
             if tracking and self._camera_model != options.camera_model:

@@ -55,7 +55,7 @@ class EdgeFit:
     view : ControlView
     at : ndarray of int, shape (C,)
         Which control points of the view.
-    alone : ndarray, shape (C,)
+    clutter_weight : ndarray, shape (C,)
         Weight by what runs alongside.
     rows : ndarray, shape (C, m)
     residual, contrast, weight, off : ndarray, shape (C,)
@@ -70,7 +70,7 @@ class EdgeFit:
     solved: np.ndarray
     view: ControlView
     at: np.ndarray
-    alone: np.ndarray
+    clutter_weight: np.ndarray
     rows: np.ndarray
     residual: np.ndarray
     contrast: np.ndarray
@@ -130,7 +130,7 @@ class EdgeSearch:
             return 0.0
         same = found & contrast_matches(fit.contrast, self.contrast[fit.view.ids[fit.at]])
         # in clutter the edge of one is that of another: it speaks for no line
-        return float(fit.alone @ same / fit.alone.sum())
+        return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
 
     def scatter(self, fit: EdgeFit):
         """
@@ -188,7 +188,7 @@ class EdgeSearch:
         near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
         return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
 
-    def fit(self, image, view, state, predicted, prior, reach, limits, alone, matches=None,
+    def fit(self, image, view, state, predicted, prior, reach, limits, weights, matches=None,
             agree=_NONE) -> EdgeFit:
         """
         Search the edges and solve for the state, corners included.
@@ -205,7 +205,7 @@ class EdgeSearch:
             Search range to each side, pixels.
         limits : sequence of float
             Of Tukey's biweight, one for each step, pixels.
-        alone : ndarray, shape (C,)
+        weights : ndarray, shape (C,)
             Weights of the control points.
         matches : TextureMatches, optional
         agree : ndarray of bool, shape (N,)
@@ -232,7 +232,7 @@ class EdgeSearch:
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
         further = contrast_penalty(contrast, wanted)
-        alone = alone[at]
+        weights = weights[at]
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
             corner_H, corner_g = self._corners.terms(state, matches, agree,
@@ -257,7 +257,7 @@ class EdgeSearch:
             else:
                 sigma = max(limit / 3, 0.5)
             off = distance[line, best] / limit
-            w = alone * tukey_weight(off, 1.0) / sigma**2
+            w = weights * tukey_weight(off, 1.0) / sigma**2
             H = (rows * w[:, None]).T @ rows
             g = rows.T @ (w * np.where(near, chosen, 0.0))
             information = H + corner_H + prior
@@ -265,5 +265,5 @@ class EdgeSearch:
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
         measured = H + corner_H
-        return EdgeFit(after, H, measured, measured + prior, view, at, alone, rows, residual,
+        return EdgeFit(after, H, measured, measured + prior, view, at, weights, rows, residual,
                        contrast[line, best] if len(at) else np.zeros(0), w, off * off)

@@ -84,7 +84,7 @@ class RapidTracker:
         self._weight = self._weight[nearest]
         self._reach = self._reach.clip(options.search_least_px, options.search_most_px)
 
-    def settle(self, image: np.ndarray, guess: ObjectPose, spread=None) -> PoseMeasurement:
+    def initialise(self, image: np.ndarray, guess: ObjectPose, spread=None) -> PoseMeasurement:
         """Measure from a first guess as from a prediction."""
         return self.measure(image, guess, spread)
 

@@ -40,10 +40,10 @@ _NEAR_REACH_PX, _GUESS_REACH_PX = 5, 8
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
-#: After a sudden motion the object is sought so far around, pixels.
-_SEEK_PX = 120.0
+#: After a sudden motion the object is searched for so far around, pixels.
+_RELOCALISE_PX = 120.0
 #: Rounds of the search from each start around a first guess, the first of them wide.
-_SETTLE_ROUNDS, _WIDE_ROUNDS = 4, 2
+_START_ROUNDS, _WIDE_ROUNDS = 4, 2
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
 
@@ -128,7 +128,7 @@ class RobustTracker:
             region = region_of_interest(image, place, 0.0, self._lens)
         else:
             outline = self._pinhole.project(state, self._outline).pixels
-            region = region_of_interest(image, outline, _SEEK_PX, self._lens)
+            region = region_of_interest(image, outline, _RELOCALISE_PX, self._lens)
         if region is not None:
             yield from self._views.shifted(region, state)
         if everywhere:
@@ -171,10 +171,10 @@ class RobustTracker:
                 RECOGNISED_CORNERS, RECOGNISED_FOLLOWED * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
-            alone = self._search(image, region, predicted, spread, prior, predicted, matches,
-                                 near, False)
-            if _quality(alone) > _quality(measured):
-                measured = alone
+            by_edges = self._search(image, region, predicted, spread, prior, predicted, matches,
+                                    near, False)
+            if _quality(by_edges) > _quality(measured):
+                measured = by_edges
         return measured
 
     def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
@@ -220,8 +220,8 @@ class RobustTracker:
         self._much_hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
         return best
 
-    def settle(self, image: np.ndarray, guess: ObjectPose,
-               spread: np.ndarray) -> PoseMeasurement:
+    def initialise(self, image: np.ndarray, guess: ObjectPose,
+                   spread: np.ndarray) -> PoseMeasurement:
         """
         Find the object from a guess: from many starts around it, the one with the best edges.
 
@@ -250,7 +250,7 @@ class RobustTracker:
         for start in starts:
             state = self.projection.moved(guess, self.basis @ start)
             view = self.control.view(state)
-            for turn in range(_SETTLE_ROUNDS):
+            for turn in range(_START_ROUNDS):
                 wide = turn < _WIDE_ROUNDS
                 state = self._edges.fit(
                     image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,

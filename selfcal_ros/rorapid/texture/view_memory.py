@@ -37,7 +37,7 @@ _NEW_VIEW_RAD, _MOST_VIEWS = 0.35, 12
 _VIEWS_A_FRAME = 3
 #: Features agree with a similarity within this share of the object's size in the image.
 _AGREE_SHARE, _LEAST_AGREEING = 0.08, 6
-#: Correlation below which a place is not worth a look.
+#: Correlation below which a place is not worth a measurement.
 _LEAST_CORRELATION = 0.35
 
 
