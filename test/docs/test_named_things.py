@@ -265,6 +265,16 @@ def test_every_word_of_code_exists():
     _check(names, lambda name: name in known | data)
 
 
+def test_what_is_said_to_be_in_a_file_is_there():
+    pairs = [(path.name, *found) for path in DOCUMENTS for found in re.findall(
+        r'`(\w+)`\s+(?:of|in)\s+`([\w/]+\.py)`', _text(path))]
+    assert len(pairs) > 5
+    for document, word, file in pairs:
+        texts = [(ROOT / name[1:]).read_text('utf-8') for name in _files()
+                 if name.endswith('/' + file)]
+        assert any(re.search(rf'\b{word}\b', text) for text in texts), (document, word, file)
+
+
 def test_every_member_of_a_module_exists():
     homes = {}
     for file in _files():
