@@ -152,5 +152,5 @@ def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.
         return total
 
     costs = {division: cost(division) for division in _DIVISION_GRID}
-    best = min(costs, key=costs.get)
+    best = min(costs, key=lambda division: costs[division])
     return best if costs[best] < 0.93 * costs[0.0] else 0.0

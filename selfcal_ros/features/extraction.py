@@ -223,7 +223,7 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding]):
         raise InputError('There is no image in the input.')
     keyframes = np.array([index for index, _, _ in kept], dtype=int)
     tracks = Tracks(np.repeat(keyframes, [len(ids) for _, ids, _ in kept]),
-                    np.concatenate([ids for _, ids, _ in kept] or [[]]),
+                    np.concatenate([ids for _, ids, _ in kept] or [np.empty(0)]),
                     np.concatenate([xy for _, _, xy in kept] or [np.empty((0, 2))]),
                     size, {index: stamps[index] for index in keyframes.tolist()})
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))

@@ -16,12 +16,18 @@
 from __future__ import annotations
 
 import cv2
+from typing import Any
+
 import numpy as np
 
 from selfcal_ros.features.registration import PatchRegistration, Templates
 
-_FLOW = {'winSize': (15, 15), 'maxLevel': 4,
-         'criteria': (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03)}
+#: Where the flow looks first: at the place itself.
+_NO_GUESS: Any = None
+#: Options of the flow.
+_FLOW: dict[str, Any] = {
+    'winSize': (15, 15), 'maxLevel': 4,
+    'criteria': (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03)}
 
 #: A position less certain than this is not worth an observation.
 _SIGMA_LIMIT_PX = 0.25
@@ -71,7 +77,7 @@ def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
     xy = np.stack([cell % columns * cell_px + best[cell] % cell_px,
                    cell // columns * cell_px + best[cell] // cell_px], axis=1).astype(float)
     if occupied is not None and len(occupied) and len(xy):
-        mask = np.ones(grey.shape, np.uint8)
+        mask: np.ndarray = np.ones(grey.shape, np.uint8)
         near = np.clip(np.round(occupied).astype(int), 0, np.array(grey.shape[::-1]) - 1)
         mask[near[:, 1], near[:, 0]] = 0
         reach = cell_px // 2 | 1
@@ -81,7 +87,8 @@ def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
     return xy
 
 
-def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: float = 1.0):
+def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: float = 1.0,
+         ) -> tuple[np.ndarray, np.ndarray]:
     """
     Follow points from one image to the next and back.
 
@@ -103,8 +110,8 @@ def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: fl
     if not len(xy):
         return np.empty((0, 2)), np.zeros(0, bool)
     start = np.ascontiguousarray(xy, dtype=np.float32).reshape(-1, 1, 2)
-    there, status, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **_FLOW)
-    back, status_back, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **_FLOW)
+    there, status, _ = cv2.calcOpticalFlowPyrLK(before, after, start, _NO_GUESS, **_FLOW)
+    back, status_back, _ = cv2.calcOpticalFlowPyrLK(after, before, there, _NO_GUESS, **_FLOW)
     followed = (status.ravel() > 0) & (status_back.ravel() > 0)
     followed &= np.linalg.norm((back - start).reshape(-1, 2), axis=1) < tolerance_px
     there = there.reshape(-1, 2).astype(float)
@@ -148,7 +155,7 @@ class KltTracker:
 
     def reset(self) -> None:
         """Forget everything but the counter of ids: ids never come twice."""
-        self._grey = None
+        self._grey: np.ndarray | None = None
         self._ids = np.empty(0, np.int64)
         self._next = getattr(self, '_next', 0)
         self._xy = np.empty((0, 2))

@@ -40,6 +40,8 @@ _SAME_SIMILARITY = 0.95
 #: Images larger than this are searched at half size; registration restores the accuracy.
 _FULL_SIZE_PIXELS = 1_200_000
 _STATIC_PX, _MOVING_PX = 0.7, 4.0
+#: Not among the types that OpenCV states.
+_sift = cv2.SIFT_create             # type: ignore[attr-defined]
 
 
 @dataclass
@@ -115,7 +117,7 @@ def _sift_offset_px() -> float:
     at = 31.0
     x = np.arange(64) - at
     blob = 30 + 200 * np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 3.0 ** 2))
-    found = cv2.SIFT_create().detect(np.round(blob).astype(np.uint8), None)
+    found = _sift().detect(np.round(blob).astype(np.uint8), None)
     near = [point.pt for point in found if np.hypot(point.pt[0] - at, point.pt[1] - at) < 2]
     if not near:
         return 0.0
@@ -142,7 +144,7 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
     halved = grey.size > _FULL_SIZE_PIXELS
     image = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
         else grey
-    sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
+    sift = _sift(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
     points, descriptors = sift.detectAndCompute(image, None)
     if len(points) > most:
         at = np.array([point.pt for point in points])

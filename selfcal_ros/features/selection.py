@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental, sampson_distance,
                                            straighten)
 from selfcal_ros.values.tracks import Tracks
@@ -39,8 +40,8 @@ class KeyframeSelector:
         """Start without a keyframe."""
         self.displacement_px = displacement_px
         self.lost_share = lost_share
-        self._ids = None
-        self._xy = None
+        self._ids: np.ndarray | None = None
+        self._xy = np.empty((0, 2))
 
     def offer(self, ids: np.ndarray, xy: np.ndarray) -> bool:
         """
@@ -162,10 +163,12 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     spread = [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, 6).astype(int))] \
         if pairs else []
     size = tracks.image_size
+    if size is None:
+        raise ArgumentError('Tracks need their image size to be verified.')
     division = choose_division([(tracks.xy[a], tracks.xy[b]) for a, b in spread], size)
     straight = straighten(tracks.xy, division, size)
     tests, failures = np.zeros(len(tracks)), np.zeros(len(tracks))
-    torn = []
+    breaks = []
     for a, b in pairs:
         F = estimate_fundamental(straight[a], straight[b], threshold_px, seed=seed)
         if F is None:
@@ -176,12 +179,12 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
         for side in (a, b):
             tests[side] += 1
             failures[side] += bad
-        torn.append(np.stack([a[bad], b[bad]], axis=1))
+        breaks.append(np.stack([a[bad], b[bad]], axis=1))
     keep = failures <= 0.5 * tests
     removed = int((~keep).sum())
     track = tracks.track.copy()
-    if torn:
-        torn = np.concatenate(torn)
+    if breaks:
+        torn = np.concatenate(breaks)
         left = np.flatnonzero(keep)
         # position of every row among those left: neighbours in a track differ by one
         position = np.full(len(tracks), -5)

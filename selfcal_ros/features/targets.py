@@ -215,7 +215,8 @@ def _charuco_boards(board: Charuco, markers) -> list:
     """Return functions image → (identity, xy), one for each way such a board was ever drawn."""
     aruco, squares = cv2.aruco, (board.columns + 1, board.rows + 1)
     if not hasattr(aruco, 'CharucoDetector'):
-        old = aruco.CharucoBoard_create(*squares, board.square_m, board.marker_m, markers)
+        make = aruco.CharucoBoard_create                # type: ignore[attr-defined]
+        old = make(*squares, board.square_m, board.marker_m, markers)
 
         def find_old(image):
             corners, ids, _ = aruco.detectMarkers(image, markers)
@@ -294,13 +295,13 @@ def parse_target(text: str) -> Target:
             return PointList(read_points(text))
         raise ArgumentError(f'The object {text!r:.80} is unknown; expected {_SHAPES}.')
     first, *numbers = rest.split(':')
-    columns, cross, rows = first.lower().partition('x')
+    across, cross, down = first.lower().partition('x')
     dictionary = numbers.pop() if kind == 'charuco' and len(numbers) == 3 else ''
     try:
-        columns, rows = int(columns), int(rows)
+        columns, rows = int(across), int(down)
         values = [float(number) for number in numbers]
     except ValueError:
-        values = []
+        columns, rows, values = 0, 0, []
     if not cross or len(values) != lengths[kind]:
         raise ArgumentError(f'The object {text!r:.80} is not of the form {_form(kind)}.')
     if not (1 <= columns <= 1000 and 1 <= rows <= 1000):
@@ -309,10 +310,10 @@ def parse_target(text: str) -> Target:
     if not all(math.isfinite(value) and value > 0 for value in values):
         raise ArgumentError(f'The lengths in {text!r:.80} must be positive, in metres.')
     if kind == 'chessboard':
-        return Chessboard(columns, rows, *values)
+        return Chessboard(columns, rows, values[0])
     if kind == 'charuco':
-        return Charuco(columns, rows, *values, dictionary)
-    return TsaiGrid(columns, rows, *values)
+        return Charuco(columns, rows, values[0], values[1], dictionary)
+    return TsaiGrid(columns, rows, values[0], values[1], values[2])
 
 
 def _form(kind: str) -> str:

@@ -237,7 +237,6 @@ def _at_line_intersections(image: np.ndarray, corners: np.ndarray,
                            bend: bool) -> np.ndarray | None:
     """Move rough corners (2, m, n, 2) to where the lines through them meet; None: no lines."""
     smooth = cv2.GaussianBlur(image, (0, 0), 0.7)
-    down, along = corners, corners
     for reach in (3.0, 2.0, 2.0):
         down = _fitted_lines(smooth, np.swapaxes(corners, 1, 2), reach, bend)     # (2, n)
         along = _fitted_lines(smooth, corners, reach, bend)                       # (2, m)

@@ -17,8 +17,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses import plumb_bob
@@ -76,7 +78,12 @@ class Camera:
     width: int = 0
     height: int = 0
 
-    def __post_init__(self):
+    if TYPE_CHECKING:
+        # what may be given; the fields say what is kept
+        def __init__(self, K: ArrayLike, distortion: ArrayLike = (), width: int = 0,
+                     height: int = 0) -> None: ...
+
+    def __post_init__(self) -> None:
         """Check and freeze the arrays."""
         K = np.array(self.K, dtype=float)
         distortion = np.zeros(5)
@@ -102,7 +109,7 @@ class Camera:
         """Build a camera from the values of `PARAMETER_NAMES`."""
         fx, fy, cx, cy, skew, *coefficients = np.asarray(values, dtype=float).ravel()
         return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]],
-                   plumb_bob.as_opencv(coefficients), width, height)
+                   plumb_bob.as_opencv(np.array(coefficients)), width, height)
 
     @property
     def parameters(self) -> np.ndarray:

@@ -95,7 +95,7 @@ class LensCamera:
     @classmethod
     def of(cls, camera: Camera | LensCamera) -> LensCamera:
         """Return the camera as one with a named lens model."""
-        if isinstance(camera, cls):
+        if isinstance(camera, LensCamera):
             return camera
         return cls(camera.K, 'plumb_bob', camera.distortion, camera.width, camera.height)
 
@@ -210,7 +210,10 @@ class LensCamera:
 
     def _distort(self, xy: np.ndarray) -> np.ndarray:
         """Distort normalised points (..., 2) by the polynomial models."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.coefficients_as('rational_polynomial')
+        coefficients = self.coefficients_as('rational_polynomial')
+        if coefficients is None:
+            raise ArgumentError(f'{self.model} is no polynomial model.')
+        k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
         s = np.sum(xy * xy, axis=-1, keepdims=True)
         radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
         cross = 2 * xy[..., :1] * xy[..., 1:]

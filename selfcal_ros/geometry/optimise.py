@@ -22,7 +22,7 @@ then a "point" is a view, and v is zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
@@ -229,8 +229,8 @@ class ReducedSystem:
     _inverse_root: np.ndarray
     _factors: list
     _shared: int
-    gradient: np.ndarray | None = None
-    half_b: np.ndarray | None = None
+    gradient: np.ndarray = field(default_factory=lambda: np.empty(0))
+    half_b: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """

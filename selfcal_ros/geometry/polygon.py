@@ -65,15 +65,14 @@ def triangulate(points: np.ndarray) -> np.ndarray | None:
     if not area > 1e-9 * span * span:
         return None
     xy = plane_coordinates(points) / span
-    left, triangles = list(range(len(xy))), []
+    left, found = list(range(len(xy))), []
     while len(left) > 3:
         ear = _best_ear(xy, left)
         if ear is None:
             return None
-        triangles.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
+        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
         del left[ear]
-    triangles.append(tuple(left))
-    triangles = np.array(triangles)
+    triangles = np.array([*found, left])
     a, b, c = (xy[triangles[:, k]] for k in range(3))
     areas = 0.5 * _cross(b - a, c - a)
     whole = areas > 1e-12

@@ -40,7 +40,8 @@ BASELINE = (0.45, 0.12, 0.4)
 
 def grid_camera(skew: float = 0.0) -> Camera:
     """Camera of tables 3.2 and 4.1: αu 649, ζ 1.5, principal point (252, 256), 512 x 512."""
-    return Camera([[649, skew, 252], [0, 649 * 1.5, 256], [0, 0, 1]], width=512, height=512)
+    K = np.array([[649, skew, 252], [0, 649 * 1.5, 256], [0, 0, 1]])
+    return Camera(K, width=512, height=512)
 
 
 def grid_points() -> np.ndarray:

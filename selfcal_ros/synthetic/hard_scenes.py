@@ -229,7 +229,8 @@ def _keeping(sequence, xy, kept) -> PointSequence:
 
 
 def _lens(focal_px: float = 520, distortion=(-0.05, 0.01, 0, 0)) -> Camera:
-    return Camera([[focal_px, 0, 328], [0, focal_px, 235], [0, 0, 1]], distortion, 640, 480)
+    K = np.array([[focal_px, 0, 328], [0, focal_px, 235], [0, 0, 1]])
+    return Camera(K, distortion, 640, 480)
 
 
 def _drive_with(change, *arguments) -> Callable:

@@ -89,7 +89,7 @@ def cube(side_m: float = 0.084, rng=None, clutter: float = 0.0) -> SolidObject:
 
     """
     s = side_m
-    marks = {}
+    marks: dict[int, list[Patch | Disc]] = {}
     for face, grey in ((0, 60), (1, 40)):
         marks[face] = [Patch((0.2 * s, 0.25 * s), (0.8 * s, 0.7 * s), grey)]
     for face, grey in ((2, 190), (3, 175), (4, 120)):
@@ -221,13 +221,14 @@ def spool(width_m: float = 0.09, rng=None, clutter: float = 0.0) -> SolidObject:
                              clutter)
     top, over, above = _box([-h, -h, h - t], [h, h, h], (165, 200, 120, 95, 235, 35), {}, rng,
                             clutter)
-    faces = under + [Polygon([i + 8 for i in face.indices]) for face in over]
+    faces = under + [Polygon(tuple(i + 8 for i in face.indices)) for face in over]
     ends = np.array([[0, 0, t - h], [0, 0, h - t]])
-    rings = [Conic(end, [radius, 0, 0], [0, radius, 0], name)
+    rings = [Conic(end, radius * np.eye(3)[0], radius * np.eye(3)[1], name)
              for end, name in zip(ends, ('foot', 'neck'))]
+    post = Cylinder(ends[0], ends[1], radius, 'post')
     model = WireframeModel.build(np.concatenate([low, top]), (), faces, conics=rings,
-                                 cylinders=[Cylinder(*ends, radius, 'post')], name='spool')
-    return SolidObject(model, below + above + _tube(*ends, radius))
+                                 cylinders=[post], name='spool')
+    return SolidObject(model, below + above + _tube(ends[0], ends[1], radius))
 
 
 SHAPES = {'cube': cube, 'step_block': step_block, 'spool': spool, 'box': box, 'l_block': l_block}

@@ -80,7 +80,8 @@ class ObjectRecording(Recording):
         K[:2, :2] *= self.focal_px[index] / K[0, 0]
         return Camera(K, self.camera.distortion, self.camera.width, self.camera.height)
 
-    def renderer(self, supersampling: int | None = None) -> _WindowRenderer:
+    def renderer(self, supersampling: int | None = None,  # type: ignore[override]
+                 ) -> _WindowRenderer:
         """Return a renderer of this sequence; keep it, it holds the background."""
         return _WindowRenderer(self, supersampling or self.supersampling)
 
@@ -92,7 +93,7 @@ class ObjectRecording(Recording):
     def truth(self) -> dict:
         """Return camera, poses, object and recipe as plain values for JSON."""
         truth = super().truth()
-        truth['object'] = self.model.name
+        truth['object'] = self.model.name if self.model else None
         truth['cam_from_object'] = truth.pop('cam_from_world')
         if self.focal_px is not None:
             truth['focal_px'] = np.round(self.focal_px, 9).tolist()
@@ -236,7 +237,7 @@ def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general
             'rate_hz': rate_hz, 'seed': seed}
     camera = camera or default_camera(size, distortion)
     thing = SHAPES[shape](rng=np.random.default_rng([seed, 0]), clutter=clutter)
-    focal = None if zoom_px is None else np.geomspace(*zoom_px, views)
+    focal = None if zoom_px is None else np.geomspace(zoom_px[0], zoom_px[1], views)
     first = camera.K[0, 0] if focal is None else focal[0]
     # the first focal length fixes how near the object is: it appears equally large
     poses = object_poses(motion, views, thing.model.diameter_m,

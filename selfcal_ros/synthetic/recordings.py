@@ -189,7 +189,8 @@ def agv_drive(views: int = 24, size=(640, 480), camera: Camera | None = None,
     camera = camera or default_camera(size, distortion)
     # the hall is laid out around the whole path, so that it is the same for every `views`
     surfaces = worlds.hall(np.random.default_rng([seed, 0]), *drive_path(200))
-    poses = planar_poses(*drive_path(views), height_m, 0.35, pitch_deg, roll_deg)
+    path_xy, heading_rad = drive_path(views)
+    poses = planar_poses(path_xy, heading_rad, height_m, 0.35, pitch_deg, roll_deg)
     return Recording('agv_drive', camera, poses, _stamps(views, rate_hz), surfaces,
                      noise_sigma=noise_sigma, seed=seed, made=made,
                      transmission=_dirt(camera, seed) if dirt else None)
@@ -232,7 +233,8 @@ def arm_move(views: int = 24, size=(640, 480), camera: Camera | None = None, dis
         'general': ([[0, 0, 0], [-.15, -.1, .05], [.1, -.15, .1], [.2, .1, -.1]],
                     [[0, 0, .35], [-.15, -.1, .1], [.1, .1, -.2], [-.1, .25, .1]]),
     }
-    offsets, turns = [], []
+    offsets: list[np.ndarray] = []
+    turns: list[np.ndarray] = []
     for label in moves:
         count = labels.count(label)
         at = np.arange(count) / max(count - 1, 1) if label == 'translation' else \

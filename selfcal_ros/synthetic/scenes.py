@@ -200,9 +200,9 @@ def observe(rng, camera: Camera, cam_from_world, points, noise_px: float = 0.0,
     pixels = camera.project(np.where(ahead[..., None], local, np.nan))
     keep = ahead.copy()
     if only_inside:
-        size = np.array([camera.width, camera.height])
+        corner = np.array([camera.width, camera.height]) - 0.5
         with np.errstate(invalid='ignore'):
-            keep &= ((pixels >= -0.5) & (pixels <= size - 0.5)).all(axis=-1)
+            keep &= ((pixels >= -0.5) & (pixels <= corner)).all(axis=-1)
     if seen is not None:
         keep &= np.asarray(seen, bool)
     noisy = pixels + noise_px * rng.standard_normal(pixels.shape)
@@ -249,7 +249,7 @@ def double_tsai_grid(per_side: int = 5, side: float = 1.0) -> np.ndarray:
 
 def si_camera(aspect_ratio: float = 1.0, skew: float = 0.0, distortion=()) -> Camera:
     """Camera of sequence SI: K = (900, 900, 400, 300, 0), image 800 x 600."""
-    return Camera([[900, skew, 400], [0, 900 * aspect_ratio, 300], [0, 0, 1]],
+    return Camera([[900.0, skew, 400.0], [0.0, 900 * aspect_ratio, 300.0], [0.0, 0.0, 1.0]],
                   np.asarray(distortion, float), 800, 600)
 
 

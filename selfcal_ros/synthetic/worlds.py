@@ -119,7 +119,7 @@ def _draw_shape(canvas, rng, radius, mean, contrast):
 
 def rectangle(rng, origin, edge_u, edge_v, style: Style, mean: float, body: int = 0) -> Surface:
     """Make a surface with a texture of its own."""
-    size = np.linalg.norm(edge_u), np.linalg.norm(edge_v)
+    size = float(np.linalg.norm(edge_u)), float(np.linalg.norm(edge_v))
     return Surface(np.asarray(origin, float), np.asarray(edge_u, float),
                    np.asarray(edge_v, float), texture(rng, *size, style, mean), body)
 
@@ -203,7 +203,7 @@ def hall(rng, path_xy, heading_rad, boxes: int = 18, clearance_m: float = 0.75) 
     floor = Style(texel_m=0.006, smallest_m=0.045, largest_m=0.7, cover=0.9, contrast=60.0)
     ceiling = Style(texel_m=0.02, smallest_m=0.1, largest_m=1.0, cover=0.8, contrast=40.0)
     surfaces = room(rng, low, high, floor, ceiling)
-    placed = []
+    placed: list[tuple] = []
     for attempt in range(400):
         if len(placed) == boxes:
             break
@@ -278,7 +278,8 @@ def turntable(rng, boxes: int = 7) -> list[Surface]:
 def scatter(rng, count: int, radius_m: float, style: Style,
             largest_m: float = 0.3) -> list[Surface]:
     """Stand `count` boxes on z = 0 within `radius_m` of the origin, apart from each other."""
-    surfaces, placed = [], []
+    surfaces: list[Surface] = []
+    placed: list[tuple] = []
     for attempt in range(60 * count):
         if len(placed) == count:
             break

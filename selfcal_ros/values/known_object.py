@@ -16,8 +16,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
 
@@ -57,7 +59,11 @@ class KnownObject:
     identity: np.ndarray
     points: np.ndarray
 
-    def __post_init__(self):
+    if TYPE_CHECKING:
+        # what may be given; the fields say what is kept
+        def __init__(self, identity: ArrayLike, points: ArrayLike) -> None: ...
+
+    def __post_init__(self) -> None:
         """Check the points and sort them by identity."""
         identity = np.asarray(self.identity).ravel().astype(np.int64)
         points = np.asarray(self.points, dtype=float)

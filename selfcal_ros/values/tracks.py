@@ -19,8 +19,10 @@ import csv
 from dataclasses import dataclass
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
 
@@ -95,7 +97,13 @@ class Tracks:
     image_size: tuple[int, int] | None = None
     stamps_ns: dict[int, int] | None = None
 
-    def __post_init__(self):
+    if TYPE_CHECKING:
+        # what may be given; the fields say what is kept
+        def __init__(self, frame: ArrayLike, track: ArrayLike, xy: ArrayLike,
+                     image_size: tuple[int, int] | None = None,
+                     stamps_ns: dict[int, int] | None = None) -> None: ...
+
+    def __post_init__(self) -> None:
         """Check the rows and sort them by track, then frame."""
         frame = np.asarray(self.frame).ravel()
         track = np.asarray(self.track).ravel()

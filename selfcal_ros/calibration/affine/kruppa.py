@@ -119,7 +119,8 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
                           items='equations, two a pair', found=2 * len(F))
 
     def camera(values):
-        f, ratio, cx, cy, skew = np.exp(values[0]), np.exp(values[1]), *values[2:]
+        f, ratio = np.exp(values[:2])
+        cx, cy, skew = values[2:]
         return np.array([[f, skew, cx], [0, f * ratio, cy], [0, 0, 1]])
 
     def residuals(unknown):
@@ -129,13 +130,12 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
         return (kruppa_residuals(F, K @ K.T) * weight[:, None]).ravel()
 
     low = np.array([np.log(0.1), np.log(0.2), -2, -2, -1])[free]
-    best = None
+    trials = []
     for focal in _FOCAL_SWEEP:
         start[0] = np.log(focal)
-        found = least_squares(residuals, start[free], bounds=(low, np.where(
-            low == np.log(0.1), np.log(20), -low)), x_scale=0.1, max_nfev=60)
-        if best is None or found.cost < best.cost:
-            best = found
+        trials.append(least_squares(residuals, start[free], bounds=(low, np.where(
+            low == np.log(0.1), np.log(20), -low)), x_scale=0.1, max_nfev=60))
+    best = min(trials, key=lambda trial: trial.cost)
     singular = np.linalg.svd(best.jac, compute_uv=False)
     if not singular[-1] > _LEAST_SLOPE or np.any(best.active_mask):
         return NoEstimate('pairs_leave_camera_open')

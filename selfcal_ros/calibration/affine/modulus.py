@@ -226,7 +226,8 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
     scaled = T @ cameras @ frame
     determinants = np.cbrt(np.linalg.det(scaled[:, :, :3]))
     scaled[1:] /= np.where(np.abs(determinants[1:]) > 1e-6, determinants[1:], 1.0)[:, None, None]
-    best, roots, last = None, [], None
+    best, last = None, None
+    roots: list[np.ndarray] = []
     for start in _proposed_planes(scaled, facts.aspect_ratio or 1.0):
         root = least_squares(lambda a: modulus_residuals(scaled, a), start, method='lm',
                              max_nfev=80, x_scale='jac')

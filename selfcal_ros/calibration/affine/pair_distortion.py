@@ -201,9 +201,9 @@ class _RadialFit:
         self._freedom = data.counts - 7.0
 
     def _undone(self, radial) -> PairMatches:
-        return PairMatches(*(homogeneous(undo_radial(x, radial, self._size) * self._scale
-                                         + self._shift) for x in self._pixels),
-                           self.data.weight, self.data.transform)
+        first, second = (homogeneous(undo_radial(x, radial, self._size) * self._scale
+                                     + self._shift) for x in self._pixels)
+        return PairMatches(first, second, self.data.weight, self.data.transform)
 
     def at(self, radial, F=None) -> _RadialPairs:
         """Find F (n, 3, 3) of every pair, from a start if there is one."""

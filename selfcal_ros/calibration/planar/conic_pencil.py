@@ -89,7 +89,7 @@ def conic_pencil(fixed: FixedPoints) -> tuple[np.ndarray, np.ndarray]:
 def _working_frame(fixed: FixedPoints):
     """Similarity T to the working frame, and the fixed points in it."""
     i = fixed.circular_point / fixed.circular_point[2]
-    scale = 1 / max(np.linalg.norm(i.imag), 1e-300)
+    scale = 1 / max(float(np.linalg.norm(i.imag)), 1e-300)
     T = np.array([[scale, 0, -scale * i[0].real], [0, scale, -scale * i[1].real], [0, 0, 1]])
     circular = T @ i
     # l is again made from i, so that it holds both exactly

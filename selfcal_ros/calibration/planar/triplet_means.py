@@ -96,7 +96,7 @@ def combine_triplets(xy, H, line, point, triplets, identity, least_common: int,
         canonical = flat[..., :2] / flat[..., 2:]
         # d (x / z) = (dx - (x / z) dz) / z, for the pixel and for the frame
         spreads = (H[:2, :2] - canonical[..., None] * H[2, :2]) / flat[..., 2:, None]
-        one = circular_points(*canonical, spreads)
+        one = circular_points(canonical[0], canonical[1], canonical[2], spreads)
         if isinstance(one, NoEstimate):
             reasons.append(one)
             continue

@@ -61,12 +61,12 @@ def choose_triplets(xy, limit: int = 24, least_common: int = 12) -> np.ndarray:
     """
     views = len(xy)
     if views <= 7:
-        candidates = list(combinations(range(views), 3))
+        chosen = list(combinations(range(views), 3))
     else:
         gaps = np.unique(np.geomspace(1, (views - 1) // 2, 14).astype(int))
-        candidates = [(i, i + g, i + 2 * g) for g in gaps
-                      for i in range(0, views - 2 * g, max(1, g // 2, views // 100))]
-    candidates = np.array(candidates, int).reshape(-1, 3)
+        chosen = [(i, i + g, i + 2 * g) for g in gaps
+                  for i in range(0, views - 2 * g, max(1, g // 2, views // 100))]
+    candidates = np.array(chosen, int).reshape(-1, 3)
     seen = np.isfinite(xy[..., 0])
     common = seen[candidates[:, 0]] & seen[candidates[:, 1]] & seen[candidates[:, 2]]
     count = common.sum(axis=1)
