@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from msg_adapters.message_types import Message, MessageTypes
 from msg_adapters.stamps import copy_header
 
 import numpy as np
@@ -91,9 +92,9 @@ class ImageWindow:
                          [0, max(self.binning_y, 1), self.y_offset], [0, 0, 1]], float)
 
 
-def camera_info_message(camera: Camera | None, header, types,
+def camera_info_message(camera: Camera | None, header: Message, types: MessageTypes,
                         size: tuple[int, int] | None = None,
-                        window: ImageWindow = ImageWindow()):
+                        window: ImageWindow = ImageWindow()) -> Message:
     """
     Build a CameraInfo.
 
@@ -137,7 +138,7 @@ def camera_info_message(camera: Camera | None, header, types,
         binning_x=window.binning_x, binning_y=window.binning_y, roi=roi)
 
 
-def window_of(msg) -> ImageWindow:
+def window_of(msg: Message) -> ImageWindow:
     """
     Return the image window of a CameraInfo.
 
@@ -162,7 +163,7 @@ def window_of(msg) -> ImageWindow:
     return window
 
 
-def camera_from_info(msg) -> Camera | None:
+def camera_from_info(msg: Message) -> Camera | None:
     """
     Return the camera of the full sensor.
 
@@ -198,7 +199,7 @@ def camera_from_info(msg) -> Camera | None:
         raise InputError(f'The CameraInfo is wrong: {error}') from None
 
 
-def image_camera_from_info(msg) -> Camera | None:
+def image_camera_from_info(msg: Message) -> Camera | None:
     """Return the camera of the images as they are delivered, after binning and cropping."""
     camera = camera_from_info(msg)
     return None if camera is None else window_of(msg).image_camera(camera)

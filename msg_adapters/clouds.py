@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from msg_adapters.message_types import Message, MessageTypes
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
@@ -24,7 +25,8 @@ _DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 
 _CODES = {name: code for code, name in _DATATYPES.items()}
 
 
-def cloud_message(records: np.ndarray, header, types, is_dense: bool = True):
+def cloud_message(records: np.ndarray, header: Message, types: MessageTypes,
+                  is_dense: bool = True) -> Message:
     """
     Build an unordered PointCloud2 from a structured array.
 
@@ -52,7 +54,8 @@ def cloud_message(records: np.ndarray, header, types, is_dense: bool = True):
                              row_step=data.size, data=data, is_dense=is_dense)
 
 
-def cloud_records(msg, names: tuple, optional: tuple = ()) -> np.ndarray:
+def cloud_records(msg: Message, names: tuple[str, ...],
+                  optional: tuple[str, ...] = ()) -> np.ndarray:
     """
     Read fields of a PointCloud2.
 
@@ -110,7 +113,8 @@ def cloud_records(msg, names: tuple, optional: tuple = ()) -> np.ndarray:
     return records.astype([(name, kind) for name, (kind, _) in fields.items()])
 
 
-def structure_cloud(points: np.ndarray, header, types, colours: np.ndarray | None = None):
+def structure_cloud(points: np.ndarray, header: Message, types: MessageTypes,
+                    colours: np.ndarray | None = None) -> Message:
     """
     Build a PointCloud2 of reconstructed points, x y z [rgb] as float32.
 
@@ -146,8 +150,9 @@ def structure_cloud(points: np.ndarray, header, types, colours: np.ndarray | Non
     return cloud_message(records, header, types)
 
 
-def points_from_cloud(msg) -> np.ndarray:
+def points_from_cloud(msg: Message) -> np.ndarray:
     """Return the points of a cloud, shape (P, 3); rows that are not finite are left out."""
     records = cloud_records(msg, ('x', 'y', 'z'))
     points = np.column_stack([records[name] for name in 'xyz']).astype(float)
-    return points[np.isfinite(points).all(axis=1)]
+    finite: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return finite

@@ -15,14 +15,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+
+from msg_adapters.message_types import Message, MessageTypes
 
 #: Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = range(4)
 
 
-def status_message(name: str, level: int, text: str, types, values: Mapping | None = None,
-                   hardware_id: str = ''):
+def status_message(name: str, level: int, text: str, types: MessageTypes,
+                   values: Mapping[str, object] | None = None, hardware_id: str = '') -> Message:
     """
     Build a DiagnosticStatus.
 
@@ -48,11 +50,12 @@ def status_message(name: str, level: int, text: str, types, values: Mapping | No
                                   values=pairs)
 
 
-def diagnostics_message(statuses, header, types):
+def diagnostics_message(statuses: Iterable[Message], header: Message,
+                        types: MessageTypes) -> Message:
     """Build a DiagnosticArray."""
     return types.DiagnosticArray(header=header, status=list(statuses))
 
 
-def status_level(msg) -> int:
+def status_level(msg: Message) -> int:
     """Return the level of a DiagnosticStatus, which is bytes in rclpy and int in rosbags."""
     return msg.level[0] if isinstance(msg.level, bytes) else int(msg.level)

@@ -20,6 +20,8 @@ announce gigapixels; both are found here before it decodes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -30,7 +32,7 @@ MAX_PIXELS = 2 ** 28
 _PNG = b'\x89PNG\r\n\x1a\n'
 
 
-def decode_file(data, colour: bool = False) -> np.ndarray:
+def decode_file(data: Any, colour: bool = False) -> np.ndarray:
     """
     Decode an image file.
 

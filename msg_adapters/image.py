@@ -24,9 +24,11 @@ brightness does not flicker from frame to frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 from msg_adapters.encoded import decode_file, MAX_PIXELS
+from msg_adapters.message_types import Message, MessageTypes
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 
@@ -43,7 +45,7 @@ class _Layout:
 _BAYER = ('rggb', 'bggr', 'gbrg', 'grbg')
 
 
-def _layouts() -> dict:
+def _layouts() -> dict[str, Any]:
     table = {'yuv422': _Layout('u1', 2, 'uyvy'), 'uyvy': _Layout('u1', 2, 'uyvy'),
              'yuv422_yuy2': _Layout('u1', 2, 'yuyv'), 'yuyv': _Layout('u1', 2, 'yuyv')}
     for bits, dtype in ((8, 'u1'), (16, 'u2')):
@@ -80,7 +82,7 @@ _TO_BGR = {
 }
 
 
-def is_compressed(msg) -> bool:
+def is_compressed(msg: Message) -> bool:
     """Tell a CompressedImage from an Image."""
     return hasattr(msg, 'format') and not hasattr(msg, 'encoding')
 
@@ -96,10 +98,10 @@ class ImageDecoder:
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.depth_bits = 0
 
-    def grey(self, msg) -> np.ndarray:
+    def grey(self, msg: Message) -> np.ndarray:
         """
         Return the image in grey, shape (H, W), uint8, C-contiguous and writable.
 
@@ -111,7 +113,7 @@ class ImageDecoder:
         """
         return self._eight_bits(_convert(*_pixels(msg, colour=False), colour=False))
 
-    def bgr(self, msg) -> np.ndarray:
+    def bgr(self, msg: Message) -> np.ndarray:
         """
         Return the image in colour, shape (H, W, 3), uint8, OpenCV's channel order.
 
@@ -123,7 +125,7 @@ class ImageDecoder:
         """
         return self._eight_bits(_convert(*_pixels(msg, colour=True), colour=True))
 
-    def colour(self, msg) -> np.ndarray | None:
+    def colour(self, msg: Message) -> np.ndarray | None:
         """Return what `bgr` does, or None where the image has no colours."""
         samples, order = _pixels(msg, colour=True)
         return None if order == 'mono' else self._eight_bits(_convert(samples, order, True))
@@ -147,20 +149,21 @@ class ImageDecoder:
         full = (1 << self.depth_bits) - 1
         # full scale to 255, rounded to nearest
         table = (np.arange(full + 1, dtype=np.uint32) * 510 + full) // (2 * full)
-        return table.astype(np.uint8)[image]
+        shown: np.ndarray = table.astype(np.uint8)[image]
+        return shown
 
 
-def image_to_grey(msg) -> np.ndarray:
+def image_to_grey(msg: Message) -> np.ndarray:
     """Return one Image or CompressedImage in grey; see `ImageDecoder.grey`."""
     return ImageDecoder().grey(msg)
 
 
-def image_to_bgr(msg) -> np.ndarray:
+def image_to_bgr(msg: Message) -> np.ndarray:
     """Return one Image or CompressedImage in colour; see `ImageDecoder.bgr`."""
     return ImageDecoder().bgr(msg)
 
 
-def _bytes_of(data) -> np.ndarray:
+def _bytes_of(data: Any) -> np.ndarray:
     """View the data of a message as bytes."""
     try:
         if isinstance(data, (list, tuple, np.ndarray)):
@@ -174,7 +177,7 @@ def _bytes_of(data) -> np.ndarray:
         raise InputError('The data of the image message are not bytes.') from None
 
 
-def _pixels(msg, colour: bool) -> tuple[np.ndarray, str]:
+def _pixels(msg: Message, colour: bool) -> tuple[np.ndarray, str]:
     """Return the samples (H, W) or (H, W, C), native byte order, and the channel order."""
     if is_compressed(msg):
         image = decode_file(_bytes_of(msg.data), colour)
@@ -220,7 +223,8 @@ def _convert(samples: np.ndarray, order: str, colour: bool) -> np.ndarray:
     return samples if code is None else cv2.cvtColor(samples, code)
 
 
-def image_message(image: np.ndarray, header, types, encoding: str | None = None):
+def image_message(image: np.ndarray, header: Message, types: MessageTypes,
+                  encoding: str | None = None) -> Message:
     """
     Build a sensor_msgs/Image, rows without padding, little endian.
 
@@ -258,8 +262,8 @@ def image_message(image: np.ndarray, header, types, encoding: str | None = None)
                        data=image.reshape(-1).view(np.uint8))
 
 
-def compressed_image_message(image: np.ndarray, header, types, codec: str = 'jpeg',
-                             quality: int = 95):
+def compressed_image_message(image: np.ndarray, header: Message, types: MessageTypes,
+                             codec: str = 'jpeg', quality: int = 95) -> Message:
     """
     Build a sensor_msgs/CompressedImage.
 

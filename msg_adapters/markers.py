@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from msg_adapters.message_types import Message, MessageTypes
 from msg_adapters.poses import camera_poses, point_message, pose_message
 from msg_adapters.stamps import copy_header
 
@@ -27,8 +28,9 @@ _LINE_STRIP, _LINE_LIST, _POINTS = 4, 5, 8
 _ADD, _DELETE_ALL = 0, 3
 
 
-def path_markers(cam_from_world: np.ndarray, header, types, width: float = 0.02,
-                 camera: Camera | None = None, frustum_length: float = 0.1):
+def path_markers(cam_from_world: np.ndarray, header: Message, types: MessageTypes,
+                 width: float = 0.02, camera: Camera | None = None,
+                 frustum_length: float = 0.1) -> Message:
     """
     Build a MarkerArray of the camera path: a line through the centres, a frustum at each.
 
@@ -61,7 +63,8 @@ def path_markers(cam_from_world: np.ndarray, header, types, width: float = 0.02,
     return types.MarkerArray(markers=markers)
 
 
-def structure_markers(points: np.ndarray, header, types, size: float = 0.02):
+def structure_markers(points: np.ndarray, header: Message, types: MessageTypes,
+                      size: float = 0.02) -> Message:
     """
     Build a MarkerArray of the structure.
 
@@ -84,8 +87,9 @@ def structure_markers(points: np.ndarray, header, types, size: float = 0.02):
                                               (size, size, 0), (0.9, 0.9, 0.9))])
 
 
-def object_markers(segments: np.ndarray, pose: np.ndarray, header, types, colour,
-                   width: float, lifetime_s: float = 0.0):
+def object_markers(segments: np.ndarray, pose: np.ndarray, header: Message, types: MessageTypes,
+                   colour: tuple[float, float, float],
+                   width: float, lifetime_s: float = 0.0) -> Message:
     """
     Build a MarkerArray of a wireframe at its pose.
 
@@ -113,13 +117,15 @@ def object_markers(segments: np.ndarray, pose: np.ndarray, header, types, colour
     return types.MarkerArray(markers=[marker])
 
 
-def delete_markers(header, types):
+def delete_markers(header: Message, types: MessageTypes) -> Message:
     """Build a MarkerArray that clears what was shown before."""
     return types.MarkerArray(markers=[types.Marker(header=copy_header(header, types),
                                                    action=_DELETE_ALL)])
 
 
-def _marker(header, types, namespace, kind, points, scale, colour):
+def _marker(header: Message, types: MessageTypes, namespace: str, kind: int,
+            points: np.ndarray, scale: tuple[float, float, float],
+            colour: tuple[float, float, float]) -> Message:
     """Build one marker; the same namespace and id replace it next time."""
     red, green, blue = colour
     return types.Marker(

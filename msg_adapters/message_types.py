@@ -23,9 +23,11 @@ checked against its range and length, because rclpy does neither: an int in a fl
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable
 from importlib import import_module
 import math
 import re
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -53,6 +55,14 @@ _INTEGERS = {f'{sign}int{bits}': (-(1 << bits - 1) if not sign else 0,
 _SPELLING = {'double': 'float64', 'float': 'float32', 'boolean': 'bool', 'octet': 'byte'}
 _FIELD = re.compile(r'^(?:sequence<([^,>]+)(?:, *\d+)?>|([^\[]+)\[(\d+)\]|(.+))$')
 
+#: A message of rclpy or of rosbags; only its fields count.
+Message: TypeAlias = Any
+Builder: TypeAlias = Callable[..., Message]
+#: None for a single value, 'sequence', or the length of an array.
+Shape: TypeAlias = int | str | None
+#: Type of the elements of a field, and its shape.
+Kind: TypeAlias = tuple[str, Shape]
+
 
 class MessageTypes:
     """
@@ -61,7 +71,7 @@ class MessageTypes:
     Make one with `rclpy_types` or `rosbags_types`.
     """
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name: str) -> Builder:
         """Return the builder of the message type of that name."""
         if name not in _PACKAGE_OF:
             raise AttributeError(f'no builder for the message type {name!r}')
@@ -69,10 +79,10 @@ class MessageTypes:
         setattr(self, name, builder)
         return builder
 
-    def _builder(self, package: str, name: str):
+    def _builder(self, package: str, name: str) -> Builder:
         spec = self._spec(package, name)
 
-        def build(**fields):
+        def build(**fields: Any) -> Message:
             unknown = fields.keys() - spec.keys()
             if unknown:
                 raise ArgumentError(f'{package}/{name} has no field {sorted(unknown)[0]!r}; it '
@@ -85,7 +95,7 @@ class MessageTypes:
         build.__doc__ = f'Build {package}/{name} from the keywords {", ".join(spec)}.'
         return build
 
-    def _cast(self, where: str, kind: tuple, value):
+    def _cast(self, where: str, kind: Kind, value: Any) -> Any:
         """Cast a value to (element type, None | 'sequence' | length of an array)."""
         element, shape = kind
         if shape is None:
@@ -110,7 +120,7 @@ class MessageTypes:
             raise ArgumentError(f'{where} takes {shape} values, not {values.size}.')
         return self._sequence(values, shape)
 
-    def _scalar(self, where: str, element: str, value):
+    def _scalar(self, where: str, element: str, value: Any) -> Any:
         """Cast one value."""
         if element in _INTEGERS:
             low, high = _INTEGERS[element]
@@ -140,7 +150,7 @@ class MessageTypes:
 class _RclpyTypes(MessageTypes):
     """Builds rclpy's messages."""
 
-    def _class(self, package, name):
+    def _class(self, package: str, name: str) -> Any:
         try:
             return getattr(import_module(f'{package}.msg'), name)
         except ImportError as error:
@@ -148,20 +158,25 @@ class _RclpyTypes(MessageTypes):
                              'ros-jazzy-common-interfaces or source a ROS 2 installation.'
                              ) from None
 
-    def _spec(self, package, name):
-        spec = {}
+    def _spec(self, package: str, name: str) -> dict[str, Kind]:
+        spec: dict[str, Kind] = {}
         for field, text in self._class(package, name).get_fields_and_field_types().items():
-            sequence, element, length, single = _FIELD.match(text).groups()
+            found = _FIELD.match(text)
+            if found is None:
+                raise InputError(f'The field {field} of {package}/{name} has the unknown type '
+                                 f'{text}.')
+            sequence, element, length, single = found.groups()
             base = (sequence or element or single).strip()
             base = 'string' if base.startswith('string<') else _SPELLING.get(base, base)
             spec[field] = (base, 'sequence' if sequence else int(length) if length else None)
         return spec
 
-    def _make(self, package, name, spec, values):
+    def _make(self, package: str, name: str, spec: dict[str, Kind],
+              values: dict[str, Any]) -> Message:
         return self._class(package, name)(**values)
 
     @staticmethod
-    def _sequence(values, shape):
+    def _sequence(values: np.ndarray, shape: Shape) -> Any:
         if shape != 'sequence':
             return values
         # array.array is what rclpy keeps; any other type it converts element by element
@@ -171,21 +186,21 @@ class _RclpyTypes(MessageTypes):
         return packed
 
     @staticmethod
-    def _byte(value):
+    def _byte(value: int) -> Any:
         return bytes([value])
 
 
 class _RosbagsTypes(MessageTypes):
     """Builds the messages of a rosbags typestore."""
 
-    def __init__(self, store):
+    def __init__(self, store: Any) -> None:
         self.store = store
 
-    def _spec(self, package, name):
+    def _spec(self, package: str, name: str) -> dict[str, Kind]:
         full = f'{package}/msg/{name}'
         if full not in self.store.fielddefs:
             raise InputError(f'This typestore does not know the message type {full}.')
-        spec = {}
+        spec: dict[str, Kind] = {}
         for field, (node, detail) in self.store.fielddefs[full][1]:
             length = None
             if node.name in ('ARRAY', 'SEQUENCE'):
@@ -196,22 +211,23 @@ class _RosbagsTypes(MessageTypes):
             spec[field] = (_SPELLING.get(base, base), length)
         return spec
 
-    def _make(self, package, name, spec, values):
+    def _make(self, package: str, name: str, spec: dict[str, Kind],
+              values: dict[str, Any]) -> Message:
         for field, kind in spec.items():
             if field not in values:
                 values[field] = self._zero(kind)
         return self.store.types[f'{package}/msg/{name}'](**values)
 
-    def _zero(self, kind):
+    def _zero(self, kind: Kind) -> Any:
         element, shape = kind
         plain = {'bool': False, 'byte': 0, 'string': '', 'wstring': ''}
         if element in _INTEGERS or element.startswith('float'):
             if shape is not None:
-                return np.zeros(0 if shape == 'sequence' else shape, element)
+                return np.zeros(0 if isinstance(shape, str) else shape, element)
             return 0 if element in _INTEGERS else 0.0
         if shape is not None:
             return [self._zero((element, None)) for _ in range(
-                0 if shape == 'sequence' else shape)]
+                0 if isinstance(shape, str) else shape)]
         if element in plain:
             return plain[element]
         package, _, name = element.split('/')
@@ -221,12 +237,12 @@ class _RosbagsTypes(MessageTypes):
         return message
 
     @staticmethod
-    def _sequence(values, shape):
+    def _sequence(values: np.ndarray, shape: Shape) -> Any:
         # a copy, so that the message does not change with its source
         return values.copy()
 
     @staticmethod
-    def _byte(value):
+    def _byte(value: int) -> Any:
         return value
 
 
@@ -239,7 +255,7 @@ def rclpy_types() -> MessageTypes:
     return _RclpyTypes()
 
 
-def rosbags_types(store=None) -> MessageTypes:
+def rosbags_types(store: Any = None) -> MessageTypes:
     """
     Return builders of the messages of a rosbags typestore.
 

@@ -20,6 +20,9 @@ the frame in the header. Quaternions are unit, in ROS's order x y z w.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
+from msg_adapters.message_types import Message, MessageTypes
 from msg_adapters.stamps import copy_header
 
 import numpy as np
@@ -28,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.errors import ArgumentError, InputError
 
 
-def pose_message(pose: np.ndarray, types):
+def pose_message(pose: np.ndarray, types: MessageTypes) -> Message:
     """
     Build a geometry_msgs/Pose.
 
@@ -51,17 +54,18 @@ def pose_message(pose: np.ndarray, types):
                       orientation=types.Quaternion(x=x, y=y, z=z, w=w))
 
 
-def point_message(xyz, types):
+def point_message(xyz: Sequence[float] | np.ndarray, types: MessageTypes) -> Message:
     """Build a geometry_msgs/Point."""
     return types.Point(x=xyz[0], y=xyz[1], z=xyz[2])
 
 
-def pose_stamped_message(pose: np.ndarray, header, types):
+def pose_stamped_message(pose: np.ndarray, header: Message, types: MessageTypes) -> Message:
     """Build a geometry_msgs/PoseStamped with a copy of the header."""
     return types.PoseStamped(header=copy_header(header, types), pose=pose_message(pose, types))
 
 
-def pose_with_covariance_message(pose: np.ndarray, covariance: np.ndarray, header, types):
+def pose_with_covariance_message(pose: np.ndarray, covariance: np.ndarray, header: Message,
+                                 types: MessageTypes) -> Message:
     """
     Build a geometry_msgs/PoseWithCovarianceStamped with a copy of the header.
 
@@ -88,7 +92,8 @@ def pose_with_covariance_message(pose: np.ndarray, covariance: np.ndarray, heade
     return types.PoseWithCovarianceStamped(header=copy_header(header, types), pose=both)
 
 
-def transform_message(pose: np.ndarray, header, child_frame: str, types):
+def transform_message(pose: np.ndarray, header: Message, child_frame: str,
+                      types: MessageTypes) -> Message:
     """
     Build a geometry_msgs/TransformStamped from the header's frame to that of an object.
 
@@ -109,7 +114,8 @@ def transform_message(pose: np.ndarray, header, child_frame: str, types):
         transform=types.Transform(translation=moved, rotation=at.orientation))
 
 
-def path_message(poses, headers, header, types):
+def path_message(poses: Iterable[Message], headers: Iterable[Message], header: Message,
+                 types: MessageTypes) -> Message:
     """
     Build a nav_msgs/Path.
 
@@ -138,7 +144,7 @@ def camera_poses(cam_from_world: np.ndarray) -> np.ndarray:
     return np.concatenate([transposed, -transposed @ matrices[:, :, 3:]], axis=2)
 
 
-def pose_matrix(msg) -> np.ndarray:
+def pose_matrix(msg: Message) -> np.ndarray:
     """
     Return the matrix (4, 4) of a Pose, PoseStamped or PoseWithCovariance[Stamped].
 
@@ -164,7 +170,7 @@ def pose_matrix(msg) -> np.ndarray:
     return matrix
 
 
-def pose_covariance(msg) -> np.ndarray:
+def pose_covariance(msg: Message) -> np.ndarray:
     """
     Return the covariance (6, 6) of a PoseWithCovariance[Stamped].
 

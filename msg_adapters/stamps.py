@@ -15,15 +15,17 @@
 
 from __future__ import annotations
 
+from msg_adapters.message_types import Message, MessageTypes
+
 from selfcal_ros.errors import ArgumentError
 
 
-def stamp_ns(stamp) -> int:
+def stamp_ns(stamp: Message) -> int:
     """Return the nanoseconds of a builtin_interfaces/Time."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def time_message(nanoseconds: int, types):
+def time_message(nanoseconds: int, types: MessageTypes) -> Message:
     """
     Build a builtin_interfaces/Time.
 
@@ -39,12 +41,12 @@ def time_message(nanoseconds: int, types):
     return types.Time(sec=seconds, nanosec=rest)
 
 
-def header_message(nanoseconds: int, frame_id: str, types):
+def header_message(nanoseconds: int, frame_id: str, types: MessageTypes) -> Message:
     """Build a std_msgs/Header."""
     return types.Header(stamp=time_message(nanoseconds, types), frame_id=frame_id)
 
 
-def copy_header(header, types):
+def copy_header(header: Message, types: MessageTypes) -> Message:
     """Copy a header bit by bit, also from rosbags' kind to rclpy's or back."""
     stamp = types.Time(sec=header.stamp.sec, nanosec=header.stamp.nanosec)
     return types.Header(stamp=stamp, frame_id=header.frame_id)

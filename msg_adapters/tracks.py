@@ -30,9 +30,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from msg_adapters.clouds import cloud_message, cloud_records
+from msg_adapters.message_types import Message, MessageTypes
 from msg_adapters.stamps import stamp_ns
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.values.tracks import Tracks
@@ -68,7 +70,8 @@ class FrameTracks:
     frame_id: str = ''
 
 
-def tracks_message(track, xy, image_size: tuple[int, int], header, types):
+def tracks_message(track: ArrayLike, xy: ArrayLike, image_size: tuple[int, int], header: Message,
+                   types: MessageTypes) -> Message:
     """
     Build the PointCloud2 of one image.
 
@@ -105,7 +108,7 @@ def tracks_message(track, xy, image_size: tuple[int, int], header, types):
     return cloud_message(records, header, types)
 
 
-def tracks_from_message(msg) -> FrameTracks:
+def tracks_from_message(msg: Message) -> FrameTracks:
     """
     Read the PointCloud2 of one image.
 

@@ -66,7 +66,7 @@ def test_each_image_gets_its_tracks_and_before_them_its_camera_info(graph, launc
                                     lambda msg: order.append(('camera_info', msg)), 10)
     graph.probe.create_subscription(PointCloud2, 'tracks', on_tracks, 10)
     camera = graph.probe.create_publisher(Image, 'image', 5)
-    launch('all')
+    launch('composition')
     image_stream.play(graph, camera, image_stream.image, tracks, 5)
     infos = [msg.header for topic, msg in order if topic == 'camera_info'][-2:]
     assert infos == [msg.header for msg in tracks[-2:]]
@@ -84,7 +84,8 @@ def test_the_recorded_drive_through_one_process_gives_the_true_camera(graph, lau
     graph = graph()
     results = graph.listen(String, 'planar_calibrator/result', LATCHED)
     infos = graph.listen(CameraInfo, 'camera_info', 100)
-    node = launch('all', '-p', f'bag:={BAG}', '-p', 'rate:=3.0', '-p', 'camera_name:=front',
+    node = launch('composition', '-p', f'bag:={BAG}', '-p', 'rate:=3.0',
+                  '-p', 'camera_name:=front',
                   before=('bag_player', 'feature_tracker', 'planar_calibrator'))
     graph.wait_for(lambda: node.has_said('played'), 120, 'end of the bag')
     graph.wait_for(lambda: results and json.loads(results[-1].data)['status'] == 'calibrated',
@@ -109,7 +110,7 @@ def test_the_recorded_drive_through_one_process_gives_the_true_camera(graph, lau
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_the_nodes_and_the_child_that_estimates(graph, launch, number):
     graph = graph()
-    node = launch('all')
+    node = launch('composition')
     graph.wait_for(lambda: graph.probe.count_subscribers('image') > 0, what='tracker')
     started = children(node.process.pid)
     assert started
@@ -137,7 +138,7 @@ def test_the_command_line_names_the_nodes():
 
 
 def test_a_wrong_name_is_one_sentence_and_status_2(launch):
-    node = launch('all', before=('tracker',))
+    node = launch('composition', before=('tracker',))
     assert node.process.wait(30) == 2
     node._reader.join(5)
     assert node.has_said("not 'tracker'") and 'Traceback' not in node.said

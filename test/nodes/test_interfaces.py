@@ -26,31 +26,9 @@ from selfcal_ros.nodes.player_node import BagPlayer
 from selfcal_ros.nodes.tracker_node import FeatureTracker
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
+from test_support.node_interfaces import has, written
 
 ROOT = Path(__file__).resolve().parents[2]
-#: What every node has.
-COMMON = {'/rosout', '/parameter_events'}
-
-
-def has(node):
-    """List the topics and services of a running node: direction, name and type."""
-    def spell(kind):
-        return f'{kind.__module__.split(".")[0]}/{kind.__name__}'
-
-    found = {('out', one.topic_name, spell(one.msg_type)) for one in node.publishers}
-    found |= {('in', one.topic_name, spell(one.msg_type)) for one in node.subscriptions}
-    found |= {('service', node.resolve_service_name(one.srv_name), spell(one.srv_type))
-              for one in node.services}
-    return {one for one in found if one[1] not in COMMON and '/get_' not in one[1]
-            and 'parameters' not in one[1] and 'type_description' not in one[1]}
-
-
-def written(name):
-    """List what is written of a node, with names as they resolve without a namespace."""
-    def resolve(topic):
-        return f'/{name}{topic[1:]}' if topic[0] == '~' else '/' + topic.lstrip('/')
-
-    return {(end.direction, resolve(end.name), end.type) for end in INTERFACES[name]}
 
 
 @pytest.mark.parametrize('name', ['planar_calibrator', 'affine_calibrator'])

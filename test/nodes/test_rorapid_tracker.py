@@ -282,7 +282,7 @@ def test_a_node_that_cannot_work_says_why(graph, model, tmp_path, parameters, er
 
 
 def test_interface_is_what_is_written(graph, model):
-    from test_interfaces import has, written
+    from test_support.node_interfaces import has, written
     node = graph('-p', f'model:={model}', '-p', 'camera_model:=zoom').add(RorapidNode())
     expected = {end for end in written('rorapid_tracker') if end[1] != '/tf'}
     assert has(node) == expected

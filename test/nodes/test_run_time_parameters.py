@@ -25,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.estimation_job import JobResult
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
@@ -224,11 +225,15 @@ def test_a_publisher_without_a_file_takes_what_does_not_concern_the_file(graph, 
 class Waiting:
     """A worker that works when it is told to."""
 
-    def __init__(self, _):
-        self.requests, self.done = [], []
+    def __init__(self):
+        self.jobs, self.done = [], []
 
-    def submit(self, request):
-        self.requests.append(request)
+    @property
+    def requests(self):
+        return [job.request for job in self.jobs]
+
+    def submit(self, job):
+        self.jobs.append(job)
 
     def poll(self):
         return self.done.pop() if self.done else None
@@ -255,7 +260,7 @@ def test_who_asks_while_an_estimate_is_dropped_is_told_so_and_gets_the_next(grap
     assert graph.set_parameters('planar_calibrator', aspect_ratio=0.0) == ['']
     asked, message = calibrate()
     assert not asked and 'is dropped; another follows' in message
-    worker.done.append((worker.requests[0], NotCalibrated('of old facts'), None))
+    worker.done.append(JobResult(worker.jobs[0], NotCalibrated('of old facts')))
     # too few views for one by itself: it was asked for
     graph.wait_for(lambda: len(worker.requests) == 2, what='the next estimate')
     assert worker.requests[1].settings.facts.aspect_ratio is None
