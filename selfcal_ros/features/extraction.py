@@ -31,7 +31,7 @@ from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
-_MOST_IMAGES = 60
+_MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
 #: Positions less certain than four times the median are dropped; bounds of that limit.
@@ -151,7 +151,7 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding]):
     """Match descriptors between neighbours, loop closures and look-alikes."""
     indices, stamps, images, features = [], {}, [], []
     stride, last = 1, None
-    limit = max(_MOST_IMAGES, max_keyframes)
+    limit = max(_MAX_IMAGES, max_keyframes)
     for count, (index, grey, stamp_ns) in enumerate(frames):
         last = grey.shape
         if count % stride:

@@ -20,15 +20,15 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from selfcal_ros.features.matching import Features, PairMatches
+from selfcal_ros.features.matching import Features, ImagePairMatches
 from selfcal_ros.features.registration import PatchRegistration
 
 _REGISTRATION = PatchRegistration(half_px=7)
-_LEAST_CORRELATION = 0.75
+_MIN_CORRELATION = 0.75
 _LEVELS = 3
 
 
-def link(features: list[Features], matches: list[PairMatches]):
+def link(features: list[Features], matches: list[ImagePairMatches]):
     """
     Join the matches of image pairs into tracks.
 
@@ -38,7 +38,7 @@ def link(features: list[Features], matches: list[PairMatches]):
     Parameters
     ----------
     features : list of Features
-    matches : list of PairMatches
+    matches : list of ImagePairMatches
 
     Returns
     -------
@@ -145,7 +145,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
                 templates.select(at), smooth[k][level], begin, start)
             found = found + (affine @ residue[at][:, :, None])[:, :, 0]
             shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
-            good = (correlation > _LEAST_CORRELATION) & (step < 0.05) & (shift < 2.5)
+            good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
             refined[rows[good]] = found[good] * scale
             registered[rows[good]] = True
             sigma[rows] = scale * templates.position_sigma(correlation, at)

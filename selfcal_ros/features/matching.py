@@ -34,7 +34,7 @@ GUIDED_RATIO = 0.85
 #: Similarity (cosine of Hellinger-normalised vectors) of a runner-up where none was found.
 _USUAL_SIMILARITY = 0.8
 #: Less alike than this cannot pass the guided ratio test against the usual runner-up.
-_LEAST_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - _USUAL_SIMILARITY)
+_MIN_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - _USUAL_SIMILARITY)
 #: Two places of one image more alike than this cannot be told apart, whatever the ratio says.
 _SAME_SIMILARITY = 0.95
 #: Images larger than this are searched at half size; registration restores the accuracy.
@@ -84,7 +84,7 @@ class Features:
 
 
 @dataclass
-class PairMatches:
+class ImagePairMatches:
     """
     Matches of features a[i] with b[i] between images first and second.
 
@@ -192,7 +192,7 @@ def similarity(a: Features, b: Features) -> np.ndarray:
 
 def _alike(product):
     """Rows and columns of what may match."""
-    flat = np.flatnonzero(product > _LEAST_SIMILARITY)
+    flat = np.flatnonzero(product > _MIN_SIMILARITY)
     return flat // product.shape[1], flat % product.shape[1]
 
 
@@ -207,7 +207,7 @@ def _distinctive(first: Features, second: Features, product: np.ndarray):
     a = np.arange(len(product))
     b = product.argmax(axis=1)
     best = product[a, b]
-    mutual = (product.argmax(axis=0)[b] == a) & (best > _LEAST_SIMILARITY)
+    mutual = (product.argmax(axis=0)[b] == a) & (best > _MIN_SIMILARITY)
     a, b, best = a[mutual], b[mutual], best[mutual]
     product[a, b] = -1
     runner_up = np.maximum(product.max(axis=1, initial=-1)[a], product.max(axis=0, initial=-1)[b])
@@ -336,7 +336,7 @@ def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
 
 
 def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
-                seed: int = 0, progress=None) -> tuple[list[PairMatches], float, int]:
+                seed: int = 0, progress=None) -> tuple[list[ImagePairMatches], float, int]:
     """
     Match image pairs, first the distinctive features, then all along epipolar lines.
 
@@ -355,7 +355,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
 
     Returns
     -------
-    matches : list of PairMatches
+    matches : list of ImagePairMatches
         Only pairs whose geometry was found.
     division : float
         Distortion used for the verification, see `epipolar`.
@@ -401,7 +401,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         a, b = a[good], b[good]
         good = _agrees_with_neighbours(features[i].xy[a], features[j].xy[b])
         if good.sum() >= 16:
-            matches.append(PairMatches(i, j, a[good], b[good], refined))
+            matches.append(ImagePairMatches(i, j, a[good], b[good], refined))
         if progress:
             progress(0.8 + 0.2 * (count + 1) / len(pairs))
     return matches, division, static

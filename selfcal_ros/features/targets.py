@@ -43,7 +43,7 @@ DICTIONARIES = ('DICT_4X4_1000', 'DICT_5X5_1000', 'DICT_6X6_1000', 'DICT_7X7_100
                 'DICT_ARUCO_ORIGINAL', 'DICT_APRILTAG_36h11', 'DICT_APRILTAG_25h9',
                 'DICT_APRILTAG_16h5')
 #: A point file beyond this is no list of an object's points.
-MOST_POINTS = 1_000_000
+MAX_POINTS = 1_000_000
 
 
 def _plane(columns: int, rows: int, pitch: float) -> np.ndarray:
@@ -362,8 +362,8 @@ def read_points(path) -> KnownObject:
                                      f'not {",".join(row)[:80]!r}.')
                 identity.append(number)
                 points.append(place)
-                if len(points) > MOST_POINTS:
-                    raise InputError(f'{path} holds more than {MOST_POINTS} points; is it the '
+                if len(points) > MAX_POINTS:
+                    raise InputError(f'{path} holds more than {MAX_POINTS} points; is it the '
                                      "file of the object's points?")
     except OSError as error:
         raise InputError(f'{path} cannot be read: {error.strerror}.') from None

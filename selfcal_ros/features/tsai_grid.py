@@ -34,7 +34,7 @@ from selfcal_ros.values.known_object import KnownObject
 #: Edge points of one side of a square, and the part of it near the corners that is left out.
 EDGE_POINTS, CORNER_SHARE = 16, 0.15
 #: Smallest square that is looked for, pixels.
-LEAST_SIDE_PX = 8
+MIN_SIDE_PX = 8
 #: A neighbouring square may differ so much from the expected place and shape.
 TOLERANCE = 0.35
 
@@ -165,12 +165,12 @@ def _dark_quads(image: np.ndarray, thorough: bool):
         contours = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[-2]
         quads = []
         for contour in contours:
-            if len(contour) < 3 * LEAST_SIDE_PX:
+            if len(contour) < 3 * MIN_SIDE_PX:
                 continue
             shape = cv2.approxPolyDP(contour, 0.06 * cv2.arcLength(contour, True), True)
             area = abs(cv2.contourArea(shape))
             if len(shape) == 4 and cv2.isContourConvex(shape) and (
-                    LEAST_SIDE_PX**2 / 2 < area < image.size / 8):
+                    MIN_SIDE_PX**2 / 2 < area < image.size / 8):
                 quads.append(shape.reshape(4, 2))
         yield np.array(quads, dtype=float).reshape(-1, 4, 2)
 

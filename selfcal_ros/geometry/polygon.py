@@ -45,7 +45,7 @@ def plane_coordinates(points: np.ndarray) -> np.ndarray:
     return (points - points[0]) @ np.column_stack([across, np.cross(normal, across)])
 
 
-def triangulate(points: np.ndarray) -> np.ndarray | None:
+def cut_into_triangles(points: np.ndarray) -> np.ndarray | None:
     """
     Cut a simple polygon, convex or not, into triangles by clipping ears.
 

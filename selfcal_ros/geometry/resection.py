@@ -23,7 +23,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform, rq
 
 #: A camera matrix has eleven degrees of freedom; six points give twelve equations.
-LEAST_POINTS = 6
+MIN_POINTS = 6
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ def resect_linear(points, xy):
 
     """
     X, xy = _homogeneous_points(points), np.asarray(xy, float)
-    if len(X) < LEAST_POINTS:
-        return NoEstimate('too_few', what='camera matrix', needed=LEAST_POINTS, items='points',
+    if len(X) < MIN_POINTS:
+        return NoEstimate('too_few', what='camera matrix', needed=MIN_POINTS, items='points',
                           found=len(X))
     X = X / np.linalg.norm(X, axis=1, keepdims=True)
     # any change of the points' frame will do; the one that whitens them conditions best

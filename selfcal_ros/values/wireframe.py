@@ -25,7 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.polygon import newell_normal, triangulate
+from selfcal_ros.geometry.polygon import cut_into_triangles, newell_normal
 
 #: No model may have more vertices, lines or faces than this, and no face more corners.
 LIMIT = 10_000
@@ -237,7 +237,7 @@ class WireframeModel:
         triangles, owner = [np.zeros((0, 3), int)], [np.zeros(0, int)]
         for k, face in enumerate(self.faces):
             indices = np.array(face.indices)
-            cut = triangulate(self.vertices[indices])
+            cut = cut_into_triangles(self.vertices[indices])
             if cut is None:
                 raise ArgumentError(f'Face {k} crosses itself or has no area.')
             triangles.append(indices[cut])

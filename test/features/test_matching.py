@@ -19,8 +19,8 @@ import pytest
 from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
                                            sampson_distance, straighten)
 from selfcal_ros.features.linking import link
-from selfcal_ros.features.matching import (detect, Features, match_pairs, moving_part,
-                                           PairMatches, propose_pairs)
+from selfcal_ros.features.matching import (detect, Features, ImagePairMatches, match_pairs,
+                                           moving_part, propose_pairs)
 from test_support.feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
 
 SIZE = (WIDTH, HEIGHT)
@@ -109,10 +109,10 @@ def _features(count):
 def test_link_joins_pairs_and_drops_contradictions():
     features = [_features(5)] * 3
     F = np.eye(3)
-    pairs = [PairMatches(0, 1, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
-             PairMatches(1, 2, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
+    pairs = [ImagePairMatches(0, 1, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
+             ImagePairMatches(1, 2, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
              # place 1 of image 0 is said to be place 3 of image 2, which it is not
-             PairMatches(0, 2, np.array([0, 1, 2]), np.array([0, 3, 2]), F)]
+             ImagePairMatches(0, 2, np.array([0, 1, 2]), np.array([0, 3, 2]), F)]
     image, place, track, dropped = link(features, pairs)
     assert dropped == 0
     rows = {tuple(sorted(zip(image[track == k].tolist(), place[track == k].tolist())))

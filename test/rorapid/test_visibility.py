@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.polygon import triangulate
+from selfcal_ros.geometry.polygon import cut_into_triangles
 from selfcal_ros.rorapid.model import Conic, Cylinder, Polygon, WireframeModel
 from selfcal_ros.rorapid.visibility.visibility_table import VisibilityTable
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
@@ -273,15 +273,15 @@ def test_polygons_are_cut_into_triangles_that_cover_them():
             continue
         for points in (flat, flat[::-1]):
             turned = points @ Rotation.from_rotvec(rng.normal(size=3)).as_matrix().T + 3
-            cut = triangulate(turned)
+            cut = cut_into_triangles(turned)
             a, b, c = (turned[cut[:, k]] for k in range(3))
             area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
             x, y = points[:, 0], points[:, 1]
             shoelace = abs((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()) / 2
             np.testing.assert_allclose(area, shoelace, rtol=1e-9)
     bow_tie = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0]], float)
-    assert triangulate(bow_tie) is None
-    assert triangulate(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)) is None
+    assert cut_into_triangles(bow_tie) is None
+    assert cut_into_triangles(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)) is None
 
 
 def test_a_cube_takes_less_than_a_millisecond():

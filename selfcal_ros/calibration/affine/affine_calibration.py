@@ -41,14 +41,14 @@ from selfcal_ros.geometry.triangulation import (correct_to_epipolar_line, metric
 from selfcal_ros.values.tracks import Tracks
 
 #: A pair or a view needs at least so many points.
-LEAST_MATCHES = 8
+MIN_MATCHES = 8
 #: Matches further from the pair's lines than so many robust sigmas take no part.
 _OUTLIER_SIGMAS = 4.0
 _HUBER_SIGMAS = 2.5
 #: Points are off a common plane if it leaves so many times the noise.
 _PLANE_RATIO = 3.0
 #: Displacements that vary by less than this are one displacement.
-_LEAST_PARALLAX_PX = 1e-4
+_MIN_PARALLAX_PX = 1e-4
 
 
 @dataclass(frozen=True)
@@ -129,13 +129,13 @@ def translated_pair(tracks: Tracks, frames):
     frames = [int(f) for f in frames]
     pairs = [(a, b) for k, a in enumerate(frames) for b in frames[k + 1:]]
     matches = [tracks.matches(a, b)[1:] for a, b in pairs]
-    usable = [k for k, (a, b) in enumerate(matches) if len(a) >= LEAST_MATCHES
-              and (b - a).std(axis=0).max() > _LEAST_PARALLAX_PX]
+    usable = [k for k, (a, b) in enumerate(matches) if len(a) >= MIN_MATCHES
+              and (b - a).std(axis=0).max() > _MIN_PARALLAX_PX]
     if not usable:
         most = max((len(a) for a, _ in matches), default=0)
-        if most >= LEAST_MATCHES:
+        if most >= MIN_MATCHES:
             return NoEstimate('translated_views_equal')
-        return NoEstimate('too_few', what='pair of translated views', needed=LEAST_MATCHES,
+        return NoEstimate('too_few', what='pair of translated views', needed=MIN_MATCHES,
                           items='shared points', found=most)
     # the most parallax that many points show
     worth = [np.sqrt(len(matches[k][0])) * np.median(
@@ -148,7 +148,7 @@ def translated_pair(tracks: Tracks, frames):
         epipole = np.array([F[2, 1], F[0, 2], F[1, 0]])
         moved = np.abs(correct_to_epipolar_line(epipole, a, b)[2][:, 0])
         near = moved <= _OUTLIER_SIGMAS * max(robust_sigma(moved), 1e-9)
-        if near.all() or near.sum() < LEAST_MATCHES:
+        if near.all() or near.sum() < MIN_MATCHES:
             break
         a, b = a[near], b[near]
     return (*pairs[best], epipole)
@@ -197,7 +197,7 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
         known = np.isfinite(points).all(axis=1)
         seen = [int(np.sum(known[track[tracks.frame == f]])) for f in waiting]
         k = int(np.argmax(seen))
-        if seen[k] < LEAST_MATCHES:
+        if seen[k] < MIN_MATCHES:
             break
         frame = waiting.pop(k)
         rows = np.flatnonzero((tracks.frame == frame) & known[track])

@@ -38,7 +38,7 @@ _NEAR_AXIS_DEG = 15.0
 #: Rotations must exceed their noise by so much (in variance) to tell anything.
 _IDENTITY_SLACK = 1.5
 #: Rotations below this are too small to tell their axis.
-_LEAST_TURN_DEG = 1.0
+_MIN_TURN_DEG = 1.0
 #: Focal lengths from which the least squares start, too (image sizes).
 _SUPPOSED = (0.7, 1.3, 2.6)
 _LOG_F, _LOG_ASPECT, _CX, _CY, _SKEW = range(5)
@@ -334,7 +334,7 @@ def _explain(status, rotations, family, facts, open_directions) -> NoEstimate:
     near = along[nearest] < _NEAR_AXIS_DEG
     known = {'missing': missing, 'largest_deg': largest, 'status': status,
              'open_directions': open_directions}
-    if not (largest > _LEAST_TURN_DEG
+    if not (largest > _MIN_TURN_DEG
             and (family or len(spread) < 2 or spread[1] < 0.2 * spread[0])):
         return NoEstimate('rotations_small', **known)
     known['helps'] = ()

@@ -32,7 +32,7 @@ from selfcal_ros.geometry.projective import cross_matrix
 #: Focal lengths to start from, in longer image sides.
 _FOCAL_SWEEP = (0.45, 0.65, 1.0, 1.6, 2.6, 4.2)
 #: Smallest singular value of the equations' slopes that counts (both sides have unit norm).
-_LEAST_SLOPE = 1e-5
+_MIN_SLOPE = 1e-5
 _UPPER = np.triu_indices(3)
 
 
@@ -137,7 +137,7 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
             low == np.log(0.1), np.log(20), -low)), x_scale=0.1, max_nfev=60))
     best = min(trials, key=lambda trial: trial.cost)
     singular = np.linalg.svd(best.jac, compute_uv=False)
-    if not singular[-1] > _LEAST_SLOPE or np.any(best.active_mask):
+    if not singular[-1] > _MIN_SLOPE or np.any(best.active_mask):
         return NoEstimate('pairs_leave_camera_open')
     values = start.copy()
     values[free] = best.x

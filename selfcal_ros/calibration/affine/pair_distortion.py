@@ -31,7 +31,7 @@ from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.tracks import Tracks
 
 #: Pairs with fewer common points are not tested.
-LEAST_MATCHES = 12
+MIN_MATCHES = 12
 #: Pairs on which the distortion is estimated, and matches of each.
 DISTORTION_PAIRS, DISTORTION_MATCHES = 24, 60
 #: Matches beyond so many robust sigmas of general F take no part.
@@ -39,10 +39,10 @@ _OUTLIER_SIGMAS = 4.0
 #: The tests need costs to such a share.
 COST_TOLERANCE = 1e-5
 #: Residuals below this are rounding.
-LEAST_RESIDUAL_PX = 1e-4
+MIN_RESIDUAL_PX = 1e-4
 #: Largest distortion that is looked for: displacement at the image's corner, as a share of the
 #: corner's distance from the middle.
-_MOST_DISTORTION = 0.25
+_MAX_DISTORTION = 0.25
 
 
 def undo_radial(xy, radial, size: tuple[int, int]) -> np.ndarray:
@@ -111,7 +111,7 @@ def pairs_with_matches(tracks: Tracks) -> np.ndarray:
     seen[view, point] = 1
     common = seen @ seen.T
     a, b = np.triu_indices(len(frames), 1)
-    keep = common[a, b] >= LEAST_MATCHES
+    keep = common[a, b] >= MIN_MATCHES
     pairs = np.column_stack([frames[a], frames[b]])[keep]
     different = [_differ(*tracks.matches(int(i), int(j))[1:]) for i, j in pairs]
     return pairs[np.array(different, bool)]
@@ -119,7 +119,7 @@ def pairs_with_matches(tracks: Tracks) -> np.ndarray:
 
 def _differ(xy_a, xy_b) -> bool:
     """Tell whether two images are more than one image, shifted as a whole, which says nothing."""
-    return bool((xy_b - xy_a).std(axis=0).max() > LEAST_RESIDUAL_PX)
+    return bool((xy_b - xy_a).std(axis=0).max() > MIN_RESIDUAL_PX)
 
 
 def general_geometry(data: PairMatches) -> tuple[PairMatches, np.ndarray]:
@@ -127,7 +127,7 @@ def general_geometry(data: PairMatches) -> tuple[PairMatches, np.ndarray]:
     F, cost, _, _ = refine_general(data, eight_point(data), tolerance=COST_TOLERANCE)
     distance = np.abs(pair_residuals(data, F)).max(axis=2)
     inside = np.where(data.weight > 0, distance, np.nan)
-    limit = _OUTLIER_SIGMAS * np.maximum(robust_sigma(inside, axis=1), LEAST_RESIDUAL_PX)
+    limit = _OUTLIER_SIGMAS * np.maximum(robust_sigma(inside, axis=1), MIN_RESIDUAL_PX)
     weight = data.weight * (distance <= limit[:, None])
     if (weight == data.weight).all():
         return data, cost
@@ -160,7 +160,7 @@ def estimate_radial(tracks: Tracks, size: tuple[int, int], pairs=None) -> tuple[
     matches = PairMatches.from_pixels(sampled_matches(tracks, few, DISTORTION_MATCHES))
     fit = _RadialFit(general_geometry(matches)[0], size)
     none, *grid = (fit.at(np.array([a, 0.0])) for a in (
-        0.0, *np.linspace(-_MOST_DISTORTION, _MOST_DISTORTION, 9)))
+        0.0, *np.linspace(-_MAX_DISTORTION, _MAX_DISTORTION, 9)))
     best = min(grid, key=fit.value)
     reach = 1.0
     for _ in range(12):
@@ -212,7 +212,7 @@ class _RadialFit:
             part, eight_point(part) if F is None else F, tolerance=COST_TOLERANCE))
 
     def _mean_square(self, pairs: _RadialPairs) -> np.ndarray:
-        return pairs.cost / np.maximum(self.data.counts, 1) + LEAST_RESIDUAL_PX**2
+        return pairs.cost / np.maximum(self.data.counts, 1) + MIN_RESIDUAL_PX**2
 
     def value(self, pairs: _RadialPairs) -> float:
         """Twice the negative logarithm of the likelihood."""

@@ -28,8 +28,8 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, estimate_radial,
-                                                            general_geometry, LEAST_MATCHES,
-                                                            LEAST_RESIDUAL_PX, pairs_with_matches,
+                                                            general_geometry, MIN_MATCHES,
+                                                            MIN_RESIDUAL_PX, pairs_with_matches,
                                                             sampled_matches, undo_radial)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -37,7 +37,7 @@ from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 from selfcal_ros.values.tracks import Tracks
 
 #: So many matches of a pair, evenly chosen, take part.
-MOST_MATCHES = 150
+MAX_MATCHES = 150
 #: A true translation is rejected as often as this.
 SIGNIFICANCE = 0.01
 #: What a robot calls a translation turns the camera by a little, and no lens is quite as its
@@ -45,7 +45,7 @@ SIGNIFICANCE = 0.01
 #: image, and in noise sigmas), however many matches there are.
 TOLERATED_DIAGONALS, TOLERATED_SIGMAS = 1e-4, 0.3
 #: A pair that moves the points by less than so many sigmas is no baseline.
-LEAST_MOTION_SIGMAS = 20.0
+MIN_MOTION_SIGMAS = 20.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class PairTests:
     @property
     def baseline(self) -> np.ndarray:
         """Translated pairs whose points have moved enough to tell of depth, shape (n,)."""
-        return self.translated & (self.motion_px > LEAST_MOTION_SIGMAS * self.noise_px)
+        return self.translated & (self.motion_px > MIN_MOTION_SIGMAS * self.noise_px)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class TranslationGroups:
         """What was found; a `NoEstimate` where there is no group."""
         tests = self.tests
         if not len(tests.frames):
-            return NoEstimate('too_few_shared', views=2, needed=LEAST_MATCHES, items='points')
+            return NoEstimate('too_few_shared', views=2, needed=MIN_MATCHES, items='points')
         if not self.groups:
             best = int(np.argmin(tests.statistic / tests.limit))
             a, b = tests.frames[best]
@@ -156,12 +156,12 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, rad
         return PairTests(pairs, none, none, none, none, np.zeros((0, 3))), (0.0, 0.0)
     radial = estimate_radial(tracks, size, pairs) if radial is None else radial
     samples = [(undo_radial(a, radial, size), undo_radial(b, radial, size))
-               for a, b in sampled_matches(tracks, pairs, MOST_MATCHES)]
+               for a, b in sampled_matches(tracks, pairs, MAX_MATCHES)]
     data, cost = general_geometry(PairMatches.from_pixels(samples))
     F, translation_cost, _, _ = refine_translation(data, COST_TOLERANCE)
     count = (data.weight > 0).sum(axis=1)
     # each of the two distances of a match has variance 2 sigma^2
-    noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), LEAST_RESIDUAL_PX)
+    noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), MIN_RESIDUAL_PX)
     statistic = np.maximum(translation_cost - cost, 0) / 5 / (4 * noise**2)
     limit = f_distribution.ppf(1 - SIGNIFICANCE, 5, np.maximum(count - 7, 1))
     tolerated = np.maximum(TOLERATED_DIAGONALS * np.hypot(*size) / noise, TOLERATED_SIGMAS)

@@ -27,8 +27,9 @@ import numpy as np
 from selfcal_ros.calibration.planar.circular import calibrate_circular
 from selfcal_ros.calibration.planar.conic_pencil import (calibrate_from_fixed_points,
                                                          PencilCalibration)
-from selfcal_ros.calibration.planar.pair_means import (agreed_pairs, best_batch, common_axis,
-                                                       common_point, line_covariances, mean_line)
+from selfcal_ros.calibration.planar.pair_means import (agreed_pairs, best_batch, common_point,
+                                                       line_covariances, mean_line,
+                                                       mean_screw_axis)
 from selfcal_ros.calibration.planar.triplet_means import circular_point_influence, combine_triplets
 from selfcal_ros.calibration.planar.triplets import choose_triplets, dense_tracks
 from selfcal_ros.calibration.result import FixedPoints
@@ -243,7 +244,7 @@ def _horizon_and_point(data, wanted, both, identity, method, trim_sigma):
     influence[..., 3:6] = moved[..., 2:] @ v_slope.T
     motion, screw_axis = 'planar', result.screw_axes[0]
     lines = planar_pairs.pair_lines(data, state, planar_cost)
-    axis, axis_moved, chi2 = common_axis(lines)
+    axis, axis_moved, chi2 = mean_screw_axis(lines)
 
     def in_pixels(carry, vector, by_match):
         """Carry a vector of normalised coordinates and its influences over."""

@@ -147,7 +147,7 @@ def common_point(axes, covariances, influences):
     return v, -np.einsum('in,nmc->nmic', inverse @ (axes * weight[:, None]).T, moved)
 
 
-def common_axis(lines: PairLines):
+def mean_screw_axis(lines: PairLines):
     """
     Mean screw axis, and how far the pairs' own ones deviate from it.
 
