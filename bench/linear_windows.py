@@ -123,7 +123,8 @@ class LinearWindow:
         covariance = self._covariance * sigma**2 * factor / mean
         information = np.linalg.inv(covariance)
         every = np.arange(len(self.free))
-        told = Information(covariance, influence, share, self._freedom / self._measured)
+        told = Information(covariance, influence, share, self._freedom / self._measured,
+                           self._system)
         return influence.sum(axis=0), information, shared_within_tracks(
             told, self.track, every, information)
 

@@ -19,6 +19,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
+from scipy.sparse import csr_array
 
 from selfcal_ros.geometry.optimise import ReducedSystem
 
@@ -97,7 +98,8 @@ class DampedFactor:
 
     """
 
-    def __init__(self, matrix, diagonal, damping, unknowns):
+    def __init__(self, matrix: np.ndarray, diagonal: np.ndarray, damping: float,
+                 unknowns: csr_array):
         self._unknowns = E = unknowns
         self._members = E.sum(axis=0)
         scale = np.maximum(E.T @ diagonal, 1e-300)
@@ -114,20 +116,24 @@ class DampedFactor:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for a step of all parameters; the held ones do not move. Shapes (n,)."""
         right = (self._unknowns.T @ right) / self._root
-        return self._unknowns @ (cho_solve(self._factor, right) / self._root)
+        step: np.ndarray = self._unknowns @ (cho_solve(self._factor, right) / self._root)
+        return step
 
     def length(self, step: np.ndarray) -> float:
         """Length of a step (n,) in the scaled unknowns."""
         return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))
 
 
-def straight_step(system: ReducedSystem, factor: DampedFactor):
+def straight_step(system: ReducedSystem, factor: DampedFactor,
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Levenberg-Marquardt step (n,) and that of the points (P, p)."""
     step = factor.solve(-system.gradient)
     return step, system.point_steps(step)
 
 
-def curved_step(system: ReducedSystem, factor: DampedFactor, ahead, reach: float = 0.1):
+def curved_step(system: ReducedSystem, factor: DampedFactor,
+                ahead: Callable[[np.ndarray, np.ndarray], np.ndarray], reach: float = 0.1,
+                ) -> tuple[np.ndarray, np.ndarray]:
     """
     Levenberg-Marquardt step with geodesic acceleration (Transtrum and Sethna 2012).
 

@@ -34,8 +34,10 @@ def sequence():
 @pytest.fixture(scope='session')
 def calibration(sequence):
     """Return the truth of the sequence as a calibration, with sigmas."""
-    sigma = np.array([2.0, 2.0, 1.0, 3.0, 0, 1e-3, 2e-3, 0, 0])
-    held = {'skew': 'skew = 0', 'p1': 'distortion = radial2', 'p2': 'distortion = radial2'}
+    known = {'fx': 2.0, 'fy': 2.0, 'cx': 1.0, 'cy': 3.0, 'k1': 1e-3, 'k2': 2e-3}
+    sigma = np.array([known.get(name, 0.0) for name in PARAMETER_NAMES])
+    held = {name: 'skew = 0' if name == 'skew' else 'distortion = radial2'
+            for name in PARAMETER_NAMES if name not in known}
     covariance = np.diag(sigma**2)
     covariance[0, 1] = covariance[1, 0] = sigma[0] * sigma[1]
     points = np.column_stack([sequence.points, np.ones(len(sequence.points))])

@@ -79,7 +79,7 @@ class Bundle:
         """Return the same problem with another noise level."""
         return self._with(sigma_px=sigma_px)
 
-    def _with(self, **changed) -> Bundle:
+    def _with(self, **changed: Any) -> Bundle:
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__, **changed)
         return other
@@ -143,13 +143,15 @@ class Bundle:
         return np.where(linearisation.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
     def _lengths(self, linearisation: Linearisation) -> np.ndarray:
-        return np.linalg.norm(linearisation.residual, axis=1)
+        lengths: np.ndarray = np.linalg.norm(linearisation.residual, axis=1)
+        return lengths
 
     def _root_weights(self, linearisation: Linearisation, robust: bool) -> np.ndarray:
         """Return the root of every observation's weight, (N, 1): Huber's, over the noise."""
         distance = self._lengths(linearisation) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
-        return (np.sqrt(weight * linearisation.ahead) / self.sigma_px)[:, None]
+        root: np.ndarray = np.sqrt(weight * linearisation.ahead) / self.sigma_px
+        return root[:, None]
 
     def normal_equations(self, state: Any, damping: float = 0.0, robust: bool = True,
                          linearisation: Linearisation | None = None) -> ReducedSystem:
@@ -195,7 +197,8 @@ class Bundle:
         BundleState
 
         """
-        def attempt(state, linearisation, damping):
+        def attempt(state: Any, linearisation: Linearisation, damping: float,
+                    ) -> tuple[Any, float]:
             system, root = self.weighted_equations(state, damping, linearisation=linearisation)
             factor = DampedFactor(system.matrix, system.diagonal, damping,
                                   self.unknowns.selection)
@@ -208,8 +211,11 @@ class Bundle:
 
         return minimise(state, self.cost, self.linearise, attempt, iterations, tolerance)
 
-    def _weighted_residuals(self, state, root, step, steps):
-        return root * self.linearise(self.moved(state, step, steps), jacobians=False).residual
+    def _weighted_residuals(self, state: Any, root: np.ndarray, step: np.ndarray,
+                            steps: np.ndarray) -> np.ndarray:
+        ahead = self.linearise(self.moved(state, step, steps), jacobians=False)
+        residual: np.ndarray = root * ahead.residual
+        return residual
 
     def refine_points(self, state: Any, iterations: int = 5) -> Any:
         """
@@ -218,7 +224,7 @@ class Bundle:
         Points intersected in closed form may be far off in the image, and a few of them would
         move the cameras in the joint adjustment.
         """
-        def point_costs(linearisation):
+        def point_costs(linearisation: Linearisation) -> np.ndarray:
             loss = huber_loss(self._misfits(linearisation), HUBER_SIGMAS)
             return self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
 

@@ -54,7 +54,8 @@ def points_from_centres(blocks: PointBlocks, directions: np.ndarray,
     return _homogeneous_points(blocks, directions, centres, points)
 
 
-def _homogeneous_points(blocks, directions, centres, points) -> np.ndarray:
+def _homogeneous_points(blocks: PointBlocks, directions: np.ndarray, centres: np.ndarray,
+                        points: np.ndarray) -> np.ndarray:
     """Put points without parallax, or behind their cameras, far along their mean ray."""
     mean = blocks.sum_over_points(directions)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
@@ -67,5 +68,6 @@ def _homogeneous_points(blocks, directions, centres, points) -> np.ndarray:
     reach = np.median(np.abs(depth[ahead[blocks.point]])) if ahead.any() else 1.0
     far = np.concatenate([mean * 20 * reach, np.ones((len(mean), 1))], axis=1)
     near = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-    result = np.where(usable[:, None], near, far)
-    return result / np.linalg.norm(result, axis=1, keepdims=True)
+    result: np.ndarray = np.where(usable[:, None], near, far)
+    result /= np.linalg.norm(result, axis=1, keepdims=True)
+    return result

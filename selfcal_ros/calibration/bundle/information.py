@@ -48,7 +48,7 @@ class Information:
     track_fraction : float
         The same once the points are accounted for: the influences of a whole track do not
         contain what its point has absorbed.
-    system : ReducedSystem, optional
+    system : ReducedSystem
         The normal equations, by which the eliminated block follows.
 
     """
@@ -57,7 +57,7 @@ class Information:
     influence: np.ndarray
     freedom_fraction: float
     track_fraction: float
-    system: ReducedSystem | None = field(default=None, repr=False)
+    system: ReducedSystem = field(repr=False)
 
     @property
     def lens_covariance(self) -> np.ndarray:
@@ -105,7 +105,8 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
     else:
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
-    return E @ (E @ (inverse / np.outer(root, root))).T
+    spread: np.ndarray = E @ (E @ (inverse / np.outer(root, root))).T
+    return spread
 
 
 def huber_factors(distance: np.ndarray, fraction: float, dimension: int = 2,

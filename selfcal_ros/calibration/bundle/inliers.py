@@ -21,7 +21,7 @@ import numpy as np
 VERIFYING_VIEWS = 3
 
 
-def verified(point, keep) -> np.ndarray:
+def verified(point: np.ndarray, keep: np.ndarray) -> np.ndarray:
     """
     Mark the observations of tracks that still vouch for themselves.
 
@@ -44,4 +44,5 @@ def verified(point, keep) -> np.ndarray:
     count = int(point.max(initial=-1)) + 1
     lost = np.bincount(point[~keep], minlength=count) > 0
     left = np.bincount(point[keep], minlength=count)
-    return ~(lost & (left < VERIFYING_VIEWS))[point]
+    sound = ~(lost & (left < VERIFYING_VIEWS))
+    return np.take(sound, point)

@@ -20,6 +20,7 @@ about ζ; results speak of fx and fy. `to_parameters` and `to_intrinsics` carry 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,7 @@ _PLACE = {name: index for index, name in enumerate(INTRINSIC_NAMES)}
 _F, _ASPECT, _CX, _CY, _SKEW = range(5)
 
 
-def intrinsic_places(names) -> np.ndarray:
+def intrinsic_places(names: Iterable[str]) -> np.ndarray:
     """Return where `names` stand among `INTRINSIC_NAMES`, shape (k,)."""
     return np.array([_PLACE[name] for name in names], dtype=int)
 
@@ -66,9 +67,9 @@ class Lens:
         fx, fy, *rest = camera.parameters
         return cls(np.array([fx, fy / fx, *rest]))
 
-    def take(self, names) -> np.ndarray:
+    def take(self, names: Iterable[str]) -> np.ndarray:
         """Return the values of some unknowns, shape (k,)."""
-        return self.values[intrinsic_places(names)]
+        return np.take(self.values, intrinsic_places(names))
 
     def camera(self, width: int = 0, height: int = 0) -> Camera:
         """Return the camera."""
@@ -180,7 +181,8 @@ def to_parameters(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     """
     J = np.eye(INTRINSICS)
     J[_ASPECT, _F], J[_ASPECT, _ASPECT] = lens['aspect'], lens['f']     # fy = ζ f
-    return J @ covariance[:INTRINSICS, :INTRINSICS] @ J.T
+    carried: np.ndarray = J @ covariance[:INTRINSICS, :INTRINSICS] @ J.T
+    return carried
 
 
 def to_intrinsics(covariance: np.ndarray, lens: Lens) -> np.ndarray:
@@ -199,4 +201,5 @@ def to_intrinsics(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     """
     J = np.eye(INTRINSICS)
     J[_ASPECT, _F], J[_ASPECT, _ASPECT] = -lens['aspect'] / lens['f'], 1 / lens['f']
-    return J @ covariance @ J.T
+    carried: np.ndarray = J @ covariance @ J.T
+    return carried

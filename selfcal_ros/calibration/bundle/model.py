@@ -27,8 +27,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import Projection
-from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.calibration.bundle.lens import Lens, Projection
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: Depth below which a point counts as behind the camera, relative to its distance.
@@ -83,31 +83,43 @@ class Model(Protocol):
 
     """
 
-    dimension: int
-    eliminated: int
-    eliminated_freedom: int
-    within_tracks: bool
-    has_scale_gauge: bool
-    is_bent: bool
+    @property
+    def dimension(self) -> int: ...
+    @property
+    def eliminated(self) -> int: ...
+    @property
+    def eliminated_freedom(self) -> int: ...
+    @property
+    def within_tracks(self) -> bool: ...
+    @property
+    def has_scale_gauge(self) -> bool: ...
+    @property
+    def is_bent(self) -> bool: ...
 
     def unknowns(self, views: int) -> Unknowns:
         """Lay out what remains, facts not yet regarded."""
+        ...
 
     def linearise(self, state: Any, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool) -> Linearisation:
         """Project every observation and differentiate."""
+        ...
 
     def moved(self, state: Any, step: np.ndarray, steps: np.ndarray, unknowns: Unknowns) -> Any:
         """Move a state by a step (n,) of what remains and steps (P, p) of what is eliminated."""
+        ...
 
-    def prior_terms(self, state: Any, unknowns: Unknowns):
-        """Return cost, gradient (n,) and diagonal (n,) of what the blocks suppose themselves."""
+    def prior_terms(self, state: Any, unknowns: Unknowns) -> PriorTerms:
+        """Return cost, gradient and diagonal of what the blocks suppose themselves."""
+        ...
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that these stand for."""
+        ...
 
     def gauge(self, state: Any, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that no image can determine, if there is one."""
+        ...
 
 
 def residuals_only(residual: np.ndarray, ahead: np.ndarray) -> Linearisation:
@@ -116,7 +128,8 @@ def residuals_only(residual: np.ndarray, ahead: np.ndarray) -> Linearisation:
     return Linearisation(residual, ahead, empty, empty, empty)
 
 
-def look(lens, X: np.ndarray, ahead: np.ndarray | None = None) -> tuple[np.ndarray, Projection]:
+def look(lens: Lens, X: np.ndarray, ahead: np.ndarray | None = None,
+         ) -> tuple[np.ndarray, Projection]:
     """
     Project points of the camera frame.
 

@@ -26,10 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, look, MINIMUM_DEPTH, residuals_only
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
-from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: An edgel may slide along its edge by so much of the depth; beyond it the first order of the
@@ -52,7 +53,7 @@ class _PoseElimination:
         """Move a state by a step (n,) of the lens and steps (V, 6) of the poses."""
         return ObjectState(state.lens.moved(step[unknowns.lens]), state.path.moved(steps))
 
-    def prior_terms(self, state: ObjectState, unknowns: Unknowns):
+    def prior_terms(self, state: ObjectState, unknowns: Unknowns) -> PriorTerms:
         """Nothing is supposed of the poses."""
         return 0.0, np.zeros(len(unknowns)), np.zeros(len(unknowns))
 
@@ -96,6 +97,31 @@ class KnownPoints(_PoseElimination):
 
 
 @dataclass(frozen=True)
+class _Feet:
+    """
+    Where each edge lies nearest to its edgel.
+
+    Attributes
+    ----------
+    turned : ndarray, shape (N, 3)
+        The points, turned into the camera's frame but not yet moved.
+    ahead : ndarray of bool, shape (N,)
+    pixels : Projection
+    normal : ndarray, shape (N, 2)
+        Unit normals of the projected edges.
+    by_point : ndarray, shape (N, 2, 3)
+        Derivatives of the pixels by the points.
+
+    """
+
+    turned: np.ndarray
+    ahead: np.ndarray
+    pixels: Projection
+    normal: np.ndarray
+    by_point: np.ndarray
+
+
+@dataclass(frozen=True)
 class KnownEdges(_PoseElimination):
     """
     Known edges, one for every edgel.
@@ -116,42 +142,37 @@ class KnownEdges(_PoseElimination):
     def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
         """Measure every edgel from its edge and differentiate; see `SceneModel.linearise`."""
-        turned, depth, ahead, pixels, normal, by_point = self._nearest(state, blocks.view, xy)
-        residual = np.einsum('ni,ni->n', pixels.uv - xy, normal)[:, None]
+        feet = self._nearest(state, blocks.view, xy)
+        residual = np.einsum('ni,ni->n', feet.pixels.uv - xy, feet.normal)[:, None]
         if not jacobians:
-            return residuals_only(residual, ahead)
-        J = np.einsum('nij,ni->nj', by_point, normal)[:, None]
-        shared = np.einsum('nij,ni->nj', pixels.by_intrinsics(unknowns.free), normal)[:, None]
-        return Linearisation(residual, ahead, shared, np.empty((len(xy), 1, 0)),
-                             ObjectPoses.by_steps(J, turned))
+            return residuals_only(residual, feet.ahead)
+        J = np.einsum('nij,ni->nj', feet.by_point, feet.normal)[:, None]
+        by_lens = feet.pixels.by_intrinsics(unknowns.free)
+        shared = np.einsum('nij,ni->nj', by_lens, feet.normal)[:, None]
+        return Linearisation(residual, feet.ahead, shared, np.empty((len(xy), 1, 0)),
+                             ObjectPoses.by_steps(J, feet.turned))
 
     def normals(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """Unit normals (N, 2) of the projected edges, where each lies nearest to its edgel."""
-        return self._nearest(state, view, xy)[4]
+        return self._nearest(state, view, xy).normal
 
-    def _nearest(self, state: ObjectState, view: np.ndarray, xy: np.ndarray):
-        """
-        Project the point of each edge that lies nearest to its edgel.
-
-        Returns the turned points, depth, which are ahead, the projection, the normals (N, 2),
-        and the derivatives by the points (N, 2, 3).
-        """
+    def _nearest(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> _Feet:
+        """Project the point of each edge that lies nearest to its edgel."""
         turned = state.path.turned(self.points, view)
         along = state.path.turned(self.tangents, view)
         move = state.path.translations(view)
 
-        def project(turned):
+        def project(turned: np.ndarray) -> tuple[_Feet, np.ndarray, np.ndarray]:
             X = turned + move
             ahead = X[:, 2] > MINIMUM_DEPTH
             depth, pixels = look(state.lens, X, ahead)
             by_point = pixels.by_points(depth)
             run = np.einsum('nij,nj->ni', by_point, along)
             length = np.maximum(np.linalg.norm(run, axis=1), 1e-12)
-            return depth, ahead, pixels, by_point, run / length[:, None], length
+            run /= length[:, None]
+            normal = np.column_stack([-run[:, 1], run[:, 0]])
+            slide = np.einsum('ni,ni->n', xy - pixels.uv, run) / length
+            return _Feet(turned, ahead, pixels, normal, by_point), slide, MAX_SLIDE * depth
 
-        depth, ahead, pixels, _, run, length = project(turned)
-        slide = np.einsum('ni,ni->n', xy - pixels.uv, run) / length
-        limit = MAX_SLIDE * depth
-        turned = turned + np.clip(slide, -limit, limit)[:, None] * along
-        depth, ahead, pixels, by_point, run, _ = project(turned)
-        return (turned, depth, ahead, pixels, np.column_stack([-run[:, 1], run[:, 0]]), by_point)
+        _, slide, limit = project(turned)
+        return project(turned + np.clip(slide, -limit, limit)[:, None] * along)[0]

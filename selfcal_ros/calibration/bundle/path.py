@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import MotionModel
-from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.rotation import (left_jacobian, pad, rotation_matrix, swing_twist,
                                            twist_matrix)
 
@@ -88,16 +88,19 @@ class AxisPath:
 
     def rotations(self) -> np.ndarray:
         """Return world-to-view rotations before the mount, shape (V, 3, 3)."""
-        return rotation_matrix(pad(self.tilt)) @ twist_matrix(self.angle)
+        turned: np.ndarray = rotation_matrix(pad(self.tilt)) @ twist_matrix(self.angle)
+        return turned
 
     def cam_from_world(self) -> np.ndarray:
         """Return [R | t] of every view, shape (V, 3, 4)."""
-        poses = np.concatenate([self.rotations(), self.translation[..., None]], axis=2)
-        return self.mount @ poses
+        in_plane = np.concatenate([self.rotations(), self.translation[..., None]], axis=2)
+        poses: np.ndarray = self.mount @ in_plane
+        return poses
 
     def centres(self) -> np.ndarray:
         """Camera centres in the world, shape (V, 3)."""
-        return -np.einsum('vji,vj->vi', self.rotations(), self.translation)
+        centres: np.ndarray = np.einsum('vji,vj->vi', self.rotations(), -self.translation)
+        return centres
 
     def step_length(self) -> float:
         """Root mean square distance between the camera centres of successive views."""
@@ -148,7 +151,8 @@ class AxisPath:
 
     def turned(self, vectors: np.ndarray, view: np.ndarray) -> np.ndarray:
         """Turn world vectors (N, 3) into the frames of views (N,), before the mount."""
-        return np.einsum('nij,nj->ni', self.rotations()[view], vectors)
+        turned: np.ndarray = np.einsum('nij,nj->ni', self.rotations()[view], vectors)
+        return turned
 
     def by_axis(self, J: np.ndarray, placed: np.ndarray, out: np.ndarray) -> None:
         """
@@ -207,7 +211,8 @@ class AxisPath:
 
 def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Product J (axis × vector) for every observation, shape (N, m)."""
-    return np.einsum('nki,ni->nk', J, np.cross(axis, vector))
+    along: np.ndarray = np.einsum('nki,ni->nk', J, np.cross(axis, vector))
+    return along
 
 
 # ---------------------------------------------------------------------- the motion as constraint
@@ -248,7 +253,7 @@ def path_unknowns(motion: MotionModel, views: int) -> Unknowns:
     return unknowns
 
 
-def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns):
+def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns) -> PriorTerms:
     """
     Cost of the path's distance from its plane, which is measured like anything else.
 
@@ -284,4 +289,5 @@ def scale_gauge(path: AxisPath, unknowns: Unknowns) -> np.ndarray:
     direction = np.zeros(len(unknowns))
     direction[unknowns.of_views(*_MOVES)] = path.translation
     direction[~unknowns.free] = 0
-    return direction / max(float(np.linalg.norm(direction)), 1e-300)
+    direction /= max(float(np.linalg.norm(direction)), 1e-300)
+    return direction

@@ -38,7 +38,7 @@ class Prior:
 
 
 Priors = dict[str, Prior]
-State = TypeVar('State', bound=BundleState)
+StateT = TypeVar('StateT', bound=BundleState)
 
 
 def priors_from_facts(facts: CameraFacts) -> Priors:
@@ -67,7 +67,7 @@ def all_fixed(lens: Lens) -> Priors:
     return {name: Prior(lens[name], 0.0) for name in INTRINSIC_NAMES}
 
 
-def with_fixed(state: State, priors: Priors) -> State:
+def with_fixed(state: StateT, priors: Priors) -> StateT:
     """Put the fixed unknowns of a state at the values that they are fixed at."""
     fixed = {name: prior.value for name, prior in priors.items() if prior.sigma == 0}
     return replace(state, lens=state.lens.with_values(fixed))

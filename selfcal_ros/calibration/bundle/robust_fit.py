@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -99,7 +100,9 @@ class Fit:
     @property
     def motion(self) -> MotionModel:
         """The kind of motion."""
-        return self.bundle.model.motion
+        model = self.bundle.model
+        assert isinstance(model, SceneModel)
+        return model.motion
 
     @property
     def cost(self) -> float:
@@ -126,7 +129,7 @@ class Fit:
         """Covariance of `INTRINSIC_NAMES` for independent noise, (k, k)."""
         return self.information.lens_covariance
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         """Leave out what is computed once: it is large, and can be computed again."""
         return {one.name: getattr(self, one.name) for one in fields(self)}
 

@@ -24,7 +24,7 @@ from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
 
@@ -115,7 +115,7 @@ class SceneModel:
                           state.path.moved(step[unknowns.places(unknowns.shared_names)],
                                            step[unknowns.by_view]), points)
 
-    def prior_terms(self, state: SceneState, unknowns: Unknowns):
+    def prior_terms(self, state: SceneState, unknowns: Unknowns) -> PriorTerms:
         """Return cost, gradient (n,) and diagonal (n,) of the motion's distance from its plane."""
         return path_prior(state.path, self.motion, unknowns)
 

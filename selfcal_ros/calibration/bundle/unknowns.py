@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,9 @@ from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS
 from selfcal_ros.geometry.optimise import unknowns_of
+
+#: Cost of what is supposed, and its gradient (n,) and diagonal (n,) by the unknowns.
+PriorTerms = tuple[float, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class Unknowns:
         """Where these unknowns of every view stand, shape (views, len(names))."""
         return self.by_view[:, [self.view_names.index(name) for name in names]]
 
-    def places(self, names) -> np.ndarray:
+    def places(self, names: Iterable[str]) -> np.ndarray:
         """Where shared unknowns stand, by name, shape (k,)."""
         every = (*INTRINSIC_NAMES, *self.shared_names)
         return np.array([every.index(name) for name in names], dtype=int)

@@ -224,7 +224,7 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
     centres = np.zeros((views, 3))
     last = max(int(pair.track.max()) for pair in pairs) + 1
     position, placed = np.zeros((last, 3)), np.zeros(last, dtype=bool)
-    steps = []
+    steps: list[float] = []
     for k, old, new in spanning_order(pairs, views):
         pair = pairs[k]
         sides = (pair.xy_first, pair.xy_second)

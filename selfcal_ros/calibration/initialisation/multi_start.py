@@ -64,10 +64,11 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Scen
     coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
     fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
     for camera in proposals:
-        candidates = [problem.start(blocks, few.xy, camera, exact)
-                      for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
-        costs = [np.inf if c is None else coarse.cost(c) for c in candidates]
-        if not np.isfinite(min(costs)):
+        found = (problem.start(blocks, few.xy, camera, exact)
+                 for exact in ((True, False) if problem.motion.keeps_plane else (False,)))
+        candidates = [state for state in found if state is not None]
+        costs = [coarse.cost(state) for state in candidates]
+        if not np.isfinite(min(costs, default=np.inf)):
             continue
         chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
@@ -135,7 +136,7 @@ def best_start(problem: Problem, first: list[Camera]) -> tuple[SceneState | None
             best, best_noise = state, noise
         # of a plane every start leaves little, also with poses of the plane's mirror image
         if (problem.flat is None and best_noise < GOOD_ENOUGH * problem.noise_px
-                and _is_plausible(best, problem.size)):
+                and best is not None and _is_plausible(best, problem.size)):
             break
     return best, best_noise
 

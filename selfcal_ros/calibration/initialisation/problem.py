@@ -95,8 +95,9 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) 
     """Camera with a supposed focal length; what no fact states is what most cameras have."""
     centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     aspect = facts.aspect_ratio or 1.0
-    return Camera([[focal_px, facts.skew or 0.0, centre[0]], [0, focal_px * aspect, centre[1]],
-                   [0, 0, 1]], width=size[0], height=size[1])
+    return Camera(np.array([[focal_px, facts.skew or 0.0, centre[0]],
+                            [0, focal_px * aspect, centre[1]], [0, 0, 1]]),
+                  width=size[0], height=size[1])
 
 
 def start_priors(problem: Problem) -> Priors:

@@ -266,12 +266,13 @@ class ChangeMonitor:
         """Move the oldest single window to the merged ones, unless it agrees with nothing."""
         block = self._new.pop(0)
         # not before: after a change, windows scatter about another camera
-        if self.change is None:
+        if self.change is None and block.score is not None:
             self._remember(block.score)
             block.score = None
         others = self._old + self._new
-        information = np.linalg.inv(self._prior) + sum(b.information for b in others)
-        statistic, *_ = self._ratios(information[None], sum(b.shift for b in others)[None],
+        information = np.linalg.inv(self._prior) + np.sum([b.information for b in others], axis=0)
+        shift = np.sum([b.shift for b in others], axis=0)
+        statistic, *_ = self._ratios(information[None], shift[None],
                                      block.information[None], block.shift[None])
         if statistic[0] > self._threshold(1):
             self.discarded += 1

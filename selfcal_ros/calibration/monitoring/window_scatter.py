@@ -36,7 +36,9 @@ class WindowScatter:
     """
 
     def __init__(self, tolerance: np.ndarray):
-        self._least, self._dependence, self._seen = tolerance, [], []
+        self._least = tolerance
+        self._dependence: list[float] = []
+        self._seen: list[tuple[np.ndarray, np.ndarray]] = []
 
     def inflation(self, own: float) -> float:
         """

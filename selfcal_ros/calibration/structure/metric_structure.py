@@ -93,6 +93,9 @@ def metric_structure(calibration: Calibration, tracks: Tracks,
 
     """
     shape = calibration.reconstruction
+    if shape is None:
+        raise ArgumentError('This calibration has no structure; calibrate from a camera that '
+                            'moves.')
     poses = np.asarray(shape.cam_from_world, float)
     points = np.asarray(shape.points, float)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
@@ -267,11 +270,11 @@ def pattern_error(grids) -> float:
     grids = _grids(grids)
     corners = [grids[..., :-1, :-1, :], grids[..., :-1, 1:, :], grids[..., 1:, 1:, :],
                grids[..., 1:, :-1, :]]
-    angles = []
+    found = []
     for k in range(4):
         a, b = corners[k - 1] - corners[k], corners[(k + 1) % 4] - corners[k]
-        angles.append(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
-    angles = np.ravel(angles)
+        found.append(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+    angles = np.ravel(found)
     angles = angles[np.isfinite(angles)]
     if not len(angles):
         raise ArgumentError('The pattern error needs at least one whole square.')
@@ -305,7 +308,7 @@ def plane_angle(first, second) -> float:
     arms = [np.cross(line, normal) for normal in (normal_1, normal_2)]
     arms = [arm if arm @ (centre - hinge) >= 0 else -arm
             for arm, centre in zip(arms, (centre_1, centre_2))]
-    return float(np.arctan2(np.linalg.norm(np.cross(*arms)), arms[0] @ arms[1]))
+    return float(np.arctan2(np.linalg.norm(np.cross(arms[0], arms[1])), arms[0] @ arms[1]))
 
 
 def _grids(points) -> np.ndarray:

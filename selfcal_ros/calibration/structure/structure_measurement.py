@@ -27,7 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens, to_intrinsics
 from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated, Reconstruction,
+from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated,
                                             StructurePrecision, StructureSample)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.projective import tangent_basis
@@ -79,9 +79,9 @@ def length_ratio(result: Calibration | NotCalibrated, first: tuple[int, int],
     True
 
     """
-    shape, rows = _found(result, [(first, 2), (second, 2)])
-    return distance_ratio(shape.precision, tuple(rows[:2]), tuple(rows[2:]), result.covariance,
-                          shape.points)
+    precision, points, rows = _found(result, [(first, 2), (second, 2)])
+    a, b, c, d = rows
+    return distance_ratio(precision, (a, b), (c, d), result.covariance, points)
 
 
 def structure_angle(result: Calibration | NotCalibrated, corner: tuple[int, int, int]) -> Measured:
@@ -121,17 +121,17 @@ def structure_angle(result: Calibration | NotCalibrated, corner: tuple[int, int,
     True
 
     """
-    shape, rows = _found(result, [(corner, 3)])
-    return corner_angle(shape.precision, tuple(rows), result.covariance, shape.points)
+    precision, points, (a, b, c) = _found(result, [(corner, 3)])
+    return corner_angle(precision, (a, b, c), result.covariance, points)
 
 
-def _found(result, groups) -> tuple[Reconstruction, np.ndarray]:
-    """Return the reconstruction and the rows of tracks; groups are pairs (tracks, how many)."""
+def _found(result, groups) -> tuple[StructurePrecision, np.ndarray, list[int]]:
+    """Return precision, points and the rows of tracks; groups are pairs (tracks, how many)."""
     shape = result.reconstruction if isinstance(result, Calibration) else None
     if shape is None or shape.precision is None:
         raise ArgumentError('There is no adjusted structure to measure in; use what calibrate '
                             'returns for a camera that moves and is calibrated.')
-    rows = []
+    rows: list[int] = []
     for given, count in groups:
         try:
             names = np.array([index(name) for name in given], np.int64)
@@ -145,8 +145,8 @@ def _found(result, groups) -> tuple[Reconstruction, np.ndarray]:
         if len(missing):
             raise ArgumentError(f'Track {missing[0]} is not in the reconstruction; choose from '
                                 'result.reconstruction.tracks.')
-        rows.append(at)
-    return shape, np.concatenate(rows)
+        rows += at.tolist()
+    return shape.precision, shape.points, rows
 
 
 def _all_different(ends, name: str) -> None:
@@ -158,12 +158,12 @@ def _all_different(ends, name: str) -> None:
 
 def precision_of(fit: Fit) -> StructurePrecision:
     """Take from an optimum what the sigmas of lengths and angles need."""
-    unknowns = fit.bundle.unknowns
+    unknowns, system = fit.bundle.unknowns, fit.information.system
     factor, _ = fit.bundle.loss_factors(fit.linearisation)
     return StructurePrecision(
         fit.state.camera(), fit.state.points, unknowns.free_lens_names,
         fit.covariance[np.ix_(unknowns.members, unknowns.members)],
-        fit.information.system.elimination(unknowns.selection), factor)
+        system.elimination(unknowns.selection), factor)
 
 
 def sample_structure(precision: StructurePrecision, tracks: np.ndarray, points: np.ndarray,

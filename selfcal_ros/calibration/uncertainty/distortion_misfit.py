@@ -146,10 +146,13 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
     place = np.r_[:shared_count, shared_count + count:len(system.matrix)]
     field = np.arange(shared_count, shared_count + count)
     _, gradient, diagonal = bundle.prior_terms(state)
+    assert system.gradient is not None
     system.gradient[place] += gradient / known
     system.matrix[place, place] += diagonal / known
     gauge = bundle.model.gauge(state, unknowns)
-    system.matrix[np.ix_(place, place)] += np.mean(system.diagonal[place]) * np.outer(gauge, gauge)
+    if gauge is not None:
+        system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
+                                                * np.outer(gauge, gauge))
 
     E = unknowns.selection
     matrix = E.T @ (E.T @ system.matrix[np.ix_(place, place)]).T

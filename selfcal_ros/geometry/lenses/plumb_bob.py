@@ -24,6 +24,7 @@ has to know of it stands in the tables here.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 #: Coefficients that can be estimated, in the order of covariances and files.
 COEFFICIENTS = ('k1', 'k2', 'p1', 'p2')
@@ -53,7 +54,8 @@ def radial_factor(distortion: np.ndarray, r2: np.ndarray) -> np.ndarray:
 
     """
     k1, k2, _, _, k3 = distortion
-    return 1 + r2 * (k1 + r2 * (k2 + r2 * k3)) if k3 else 1 + r2 * (k1 + r2 * k2)
+    factor: np.ndarray = 1 + r2 * (k1 + r2 * (k2 + r2 * k3 if k3 else k2))
+    return factor
 
 
 def distort(distortion: np.ndarray, x: np.ndarray, y: np.ndarray,
@@ -129,13 +131,13 @@ def by_coefficient(name: str, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
     return x * power, y * power
 
 
-def as_opencv(coefficients: np.ndarray) -> np.ndarray:
+def as_opencv(coefficients: ArrayLike) -> np.ndarray:
     """
     Put the values of `COEFFICIENTS` in OpenCV's order.
 
     Parameters
     ----------
-    coefficients : ndarray, shape (len(COEFFICIENTS),)
+    coefficients : array_like, shape (len(COEFFICIENTS),)
 
     Returns
     -------
@@ -144,6 +146,6 @@ def as_opencv(coefficients: np.ndarray) -> np.ndarray:
 
     """
     distortion = np.zeros(5)
-    for name, value in zip(COEFFICIENTS, coefficients):
+    for name, value in zip(COEFFICIENTS, np.asarray(coefficients, float)):
         distortion[OPENCV_PLACE[name]] = value
     return distortion
