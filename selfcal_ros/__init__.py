@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from importlib import import_module
 import logging
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.version import __version__
 
@@ -56,7 +56,7 @@ _HOMES = {
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     """Load what is asked for (PEP 562): `selfcal --help` must not wait for SciPy."""
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
