@@ -56,11 +56,11 @@ def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, i
     state
 
     """
-    cost, line = cost_of(state), None
+    cost, linearisation = cost_of(state), None
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        line = linearise(state) if line is None else line
-        moved, expected = attempt(state, line, damping)
+        linearisation = linearise(state) if linearisation is None else linearisation
+        moved, expected = attempt(state, linearisation, damping)
         new_cost = np.inf if moved is None else cost_of(moved)
         decrease = cost - new_cost
         if abs(decrease) < tolerance and damping < _SMALL:
@@ -69,7 +69,7 @@ def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, i
             # trust the model as far as it held (Nielsen 1999)
             gain = min(decrease / max(expected, 1e-300), 1.0)
             damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), least)
-            state, cost, line, growth = moved, new_cost, None, 2.0
+            state, cost, linearisation, growth = moved, new_cost, None, 2.0
         else:
             damping, growth = max(damping, 1e-8) * growth, growth * 2
             if damping > _HOPELESS:
