@@ -67,7 +67,7 @@ RECIPES = {'agv_drive': agv_drive, 'arm_move': arm_move, 'tracked_object': track
 #: Where it is not JPEG_QUALITY.
 QUALITIES = {'tracked_object': 70}
 #: How far the start pose of a tracker is from the truth: radians, and share of the distance.
-START_ANGLE_RAD, START_SHARE = 0.04, 0.01
+START_ANGLE_RAD, START_FRACTION = 0.04, 0.01
 
 
 def write(name: str, output) -> Path:
@@ -118,7 +118,7 @@ def _write_object(recording, bag: Path) -> None:
                       ['the true camera of the recording'])
     distance = np.linalg.norm(recording.translations[0])
     R, t = objects.perturbed(recording.rotations[0], recording.translations[0],
-                             np.random.default_rng(0), START_ANGLE_RAD, START_SHARE * distance)
+                             np.random.default_rng(0), START_ANGLE_RAD, START_FRACTION * distance)
     numbers = ' '.join(f'{value:.6f}' for value in (*t, *rotation_vector(R)))
     atomic_write(bag.with_name(bag.name + '.pos'),
                  '# tx ty tz rx ry rz, object in the optical frame, as a person would guess it\n'

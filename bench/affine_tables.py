@@ -54,7 +54,7 @@ DEGENERATE = {
     'two views': (0, 'x', {'fx', 'fy', 'cx', 'cy'}),
 }
 SIZE = (512, 512)
-MOST_FOCAL_ERROR = 1.0
+MAX_FOCAL_ERROR = 1.0
 METHODS = ('linear', 'affine adjustment', 'calibrate')
 
 
@@ -227,7 +227,7 @@ def run(report: Report, options) -> None:
             report.judge(ours <= theirs, f'{parameter}: rms error {ours:.3g}, thesis {theirs:.3g}')
         if name == '6 images':
             report.verdict('worst error of αu', float(np.abs(
-                100 * (values[:, 0] / truth[0] - 1)).max()), MOST_FOCAL_ERROR, '%')
+                100 * (values[:, 0] / truth[0] - 1)).max()), MAX_FOCAL_ERROR, '%')
     report.section('Table 4.2, metric structure', 'Mean over the sequences, and the spread of '
                    'the angle between the planes (90° in truth).')
     header = ('sequence', 'method', 'distance error %', 'pattern error °', 'plane angle °', '±')

@@ -26,7 +26,7 @@ from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
 
 SIZE = (720, 576)
-STEP_DEG, MOST_DEG = 10.0, 0.1
+STEP_DEG, MAX_DEG = 10.0, 0.1
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
 #: What a user would add if square pixels alone do not suffice.
 CENTRED = replace(SQUARE, principal_point=(359.5, 287.5), principal_point_sigma_px=50.0)
@@ -145,4 +145,4 @@ def show(report: Report, result, truth: dict) -> None:
     report.table(('of', 'ours', 'published matrices', 'difference'), rows)
     report.say(f'\nMotion {result.motion}, distortion {result.facts.distortion}. '
                + ' '.join(result.notes))
-    report.verdict('mean step from 10 degrees', float(steps.mean()) - STEP_DEG, MOST_DEG, 'deg')
+    report.verdict('mean step from 10 degrees', float(steps.mean()) - STEP_DEG, MAX_DEG, 'deg')

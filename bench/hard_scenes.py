@@ -42,7 +42,7 @@ from bench.tables import Report
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 #: Beyond so many stated sigmas a result is wrong.
-MOST_SIGMAS = 4.0
+MAX_SIGMAS = 4.0
 #: The images determine the camera where every bound is below this share of the sigma that makes
 #: a parameter unobservable.
 DETERMINED = 0.3
@@ -118,7 +118,7 @@ def one_run(task: tuple) -> tuple:
               and (one in LENS_APART or 'k3' not in name)]
     sigma = np.array([result.sigma[one] for one in PARAMETER_NAMES])
     worst = float(np.max(np.abs(away[judged]) / np.maximum(sigma[judged], 1e-12)))
-    return ('right' if worst < MOST_SIGMAS else 'WRONG', worst,
+    return ('right' if worst < MAX_SIGMAS else 'WRONG', worst,
             sigma[0] / sequence.camera.K[0, 0], '')
 
 
@@ -128,7 +128,7 @@ def run(report: Report, options) -> None:
     report.section(
         f'{len(HARD_SCENES)} sequences, {len(seeds)} seeds each, square pixels stated, '
         'motion and distortion found out',
-        f'wrong: an estimated parameter more than {MOST_SIGMAS:g} stated sigmas from the truth. '
+        f'wrong: an estimated parameter more than {MAX_SIGMAS:g} stated sigmas from the truth. '
         'needless: refused, though', f'the Fisher information gives fx, cx, cy within '
         f'{DETERMINED:g} of what makes them unobservable.')
     tasks = list(product(HARD_SCENES, seeds))

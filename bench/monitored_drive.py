@@ -41,7 +41,7 @@ SOUND_PX = 0.5
 #: Tracks that drift more than others: spread of the logarithm of their standard deviations.
 DRIFT_SPREAD = 0.8
 #: Observations that are anywhere within so many pixels.
-GROSS_SHARE, GROSS_PX = 0.01, 8.0
+GROSS_FRACTION, GROSS_PX = 0.01, 8.0
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def measurement_errors(drive: MeasuredDrive, rng: np.random.Generator) -> Iterat
             at = np.flatnonzero(now)
             error = drift[at] + drive.white_px * scale[at, None] * rng.standard_normal(
                 (len(at), 2))
-            gross = rng.random(len(at)) < GROSS_SHARE
+            gross = rng.random(len(at)) < GROSS_FRACTION
             error[gross] += rng.uniform(-GROSS_PX, GROSS_PX, (int(gross.sum()), 2))
             yield index, place, at, identity[at], error, gross
             before, index = now, index + 1

@@ -34,7 +34,7 @@ SEEDS = (4, 5, 6)
 #: The shift of the object between the two rendered images, metres; it is 0.26 m away.
 MOVED = np.array([-0.06, 0.01, 0.02])
 #: Required: error of a vertex over the size of the object, and pixels from the true model's pose.
-VERTEX_SHARE, POSE_PX = 0.01, 2.0
+VERTEX_FRACTION, POSE_PX = 0.01, 2.0
 #: Images of the wooden cube between which a hand pushed it without turning it (by 0.07 degrees,
 #: says a tracker that has the true model); its side, metres.
 CUBE_IMAGES, CUBE_M = (48, 102), 0.084
@@ -102,7 +102,7 @@ def rendered(report: Report) -> None:
     report.table(('object', 'background', 'models', 'lines', 'wrong', 'faces', 'wrong',
                   'vertices, median %', 'worst %', 'in sigmas'), rows)
     report.say('')
-    report.verdict('plain background: worst vertex', 100 * worst, 100 * VERTEX_SHARE, '%')
+    report.verdict('plain background: worst vertex', 100 * worst, 100 * VERTEX_FRACTION, '%')
     report.judge(missed == 0, f'plain background: {missed} visible lines missed')
     report.judge(wrong == 0, f'{wrong} lines or faces that the objects do not have')
 

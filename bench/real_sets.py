@@ -33,7 +33,7 @@ from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
 #: COLMAP runs in all configurations on sets of up to so many images.
-MOST_FOR_ALL = 30
+MAX_FOR_ALL = 30
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ def compare(report: Report, truth: dict, files, result, seconds: float) -> None:
                      f'{np.hypot(*(own[:2, 2] - K[:2, 2])):.1f}',
                      f'{len(result.frames)}/{len(files)}', f'{seconds:.1f}', '1'))
     # matching every pair of many images takes COLMAP minutes: its default alone has to do
-    choice = CONFIGURATIONS if len(files) <= MOST_FOR_ALL else CONFIGURATIONS[:1]
+    choice = CONFIGURATIONS if len(files) <= MAX_FOR_ALL else CONFIGURATIONS[:1]
     with tempfile.TemporaryDirectory() as work:
         for name, camera, registered, time_s in calibrate_with_colmap(
                 files, Path(work) / 'peer', choice):

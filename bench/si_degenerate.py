@@ -31,7 +31,7 @@ from selfcal_ros.synthetic.scenes import sequence_si
 
 NOISE_PX = 0.2
 #: Beyond so many stated sigmas a result is wrong.
-MOST_SIGMAS = 4.0
+MAX_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def one_run(task: tuple) -> tuple:
     free = np.array([result.status[name] == 'estimated' for name in PARAMETER_NAMES])
     ratio = float(np.max(np.abs(deviation[free]) / np.maximum(sigma[free], 1e-12)))
     truth = sequence.camera.K[0, 0]
-    return ('right' if ratio < MOST_SIGMAS else 'WRONG', ratio, sigma[0] / truth,
+    return ('right' if ratio < MAX_SIGMAS else 'WRONG', ratio, sigma[0] / truth,
             abs(deviation[0]) / truth, '')
 
 
@@ -161,7 +161,7 @@ def run(report: Report, options) -> None:
         report.section(
             f'Degenerate relatives of SI, {NOISE_PX} px, distortion {distortion} '
             f'({len(seeds)} seeds each)',
-            f'wrong: an estimated parameter more than {MOST_SIGMAS:g} stated sigmas from the '
+            f'wrong: an estimated parameter more than {MAX_SIGMAS:g} stated sigmas from the '
             'truth. σ, error: median of fx.',
             *(['Where the lens is found to distort, the centre of distortion tells the principal '
                'point: then scenes', 'that lack a fact may also come out right.']

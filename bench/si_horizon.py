@@ -34,7 +34,7 @@ THESIS_VARIANCE = {
     (0.3, 'pairs'): ((5.716e4, 9.378e5), (5.628e-13, 4.461e-12)),
     (0.3, 'batch'): ((4.670e4, 7.614e5), (4.498e-13, 3.362e-12)),
 }
-THESIS_SHARES = {
+THESIS_FRACTIONS = {
     (0.1, 'pairs'): ((0.667, 0.724, 0.763, 0.793), (0.716, 0.837, 0.899, 0.934)),
     (0.1, 'batch'): ((0.665, 0.830, 0.900, 0.954), (0.493, 0.661, 0.790, 0.866)),
     (0.3, 'pairs'): ((0.592, 0.599, 0.607, 0.618), (0.702, 0.832, 0.900, 0.943)),
@@ -94,7 +94,7 @@ def run(report: Report, options) -> None:
                          *(f'{b:.2f}' for b in bias), *(f'{t:.3g}' for t in thesis),
                          *(f'{t / v:.2f}' for t, v in zip(thesis, variance))))
             shares.append((noise_px, method, name, *(f'{share:.3f}' for share in held),
-                           *(f'{share:.3f}' for share in THESIS_SHARES[noise_px, method][k])))
+                           *(f'{share:.3f}' for share in THESIS_FRACTIONS[noise_px, method][k])))
             if method == 'batch':
                 gains.append(held - SHARES)
     report.section(

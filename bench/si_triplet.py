@@ -34,7 +34,7 @@ FACTS = CameraFacts(aspect_ratio=1.0, distortion='none')
 SHARES = np.array([0.60, 0.80, 0.90, 0.95])
 #: Thesis table 6.20: αu, u0, v0, s, linear chain, known aspect ratio, 1000 runs.
 THESIS = {0.1: (1.5, 3.2, 1.7, 4.5), 0.3: (4.4, 9.0, 5.2, 12.5)}
-MOST_RATIO, MOST_BIAS = 1.10, 0.1
+MAX_RATIO, MAX_BIAS = 1.10, 0.1
 
 
 def one_run(seed: int, noise_px: float):
@@ -117,8 +117,8 @@ def run(report: Report, options) -> None:
             f'{share:.3f} (should be {wanted:.2f})' for share, wanted in zip(shares, SHARES)))
         report.say(f'Refused: {len(found["refused"])} of {options.runs or 1000}; '
                    f'{1000 * found["seconds"]:.0f} ms a run')
-        report.verdict('largest σ / bound', float((spread / found['bound']).max()), MOST_RATIO)
-        report.verdict('largest |bias|', float(np.abs(bias / spread).max()), MOST_BIAS, 'σ')
+        report.verdict('largest σ / bound', float((spread / found['bound']).max()), MAX_RATIO)
+        report.verdict('largest |bias|', float(np.abs(bias / spread).max()), MAX_BIAS, 'σ')
         # binomial spread of a share, three sigmas, and 0.02 for what is of second order
         allowed = 3 * np.sqrt(SHARES * (1 - SHARES) / max(count, 1)) + 0.02
         report.judge(bool((np.abs(shares - SHARES) < allowed).all()),

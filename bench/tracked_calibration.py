@@ -30,7 +30,7 @@ from selfcal_ros.synthetic.recordings import write_image_folder
 CASES = (('cube', 2.0, ()), ('step_block', 2.0, ()), ('spool', 2.0, ()),
          ('cube', 2.0, (-0.12, 0.05, 0, 0, 0)))
 IMAGES = 120
-FOCAL_SHARE, SIGMAS = 0.01, 3.0
+FOCAL_FRACTION, SIGMAS = 0.01, 3.0
 
 
 def run(report: Report, options) -> None:
@@ -62,5 +62,5 @@ def run(report: Report, options) -> None:
                      f'{ratio.max():.1f}', f'{result.noise_sigma_px:.3f}'))
     report.table(('object', 'fx px', 'cx px', 'cy px', 'most sigmas', 'edge noise px'), rows)
     report.say('')
-    report.verdict('focal length, worst', 100 * focal, 100 * FOCAL_SHARE, '%')
+    report.verdict('focal length, worst', 100 * focal, 100 * FOCAL_FRACTION, '%')
     report.verdict('truth from the result, worst, in stated sigmas', worst, SIGMAS)

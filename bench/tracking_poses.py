@@ -34,9 +34,9 @@ SEEDS = (31, 32, 33, 34)
 #: The first images, in which a guess becomes a pose, do not count.
 SETTLING = 15
 #: How far the start is from the truth: radians and share of the distance.
-START_RAD, START_SHARE = 0.03, 0.01
+START_RAD, START_FRACTION = 0.03, 0.01
 #: Required.
-ROTATION_DEG, TRANSLATION_SHARE, FOCAL_SHARE, COVERAGE = 0.3, 0.005, 0.01, 0.05
+ROTATION_DEG, TRANSLATION_FRACTION, FOCAL_FRACTION, COVERAGE = 0.3, 0.005, 0.01, 0.05
 
 
 def run(report: Report, options) -> None:
@@ -52,7 +52,7 @@ def start_of(recording, seed: int = 1):
     """Return a guess of the first pose."""
     distance = np.linalg.norm(recording.translations[0])
     return perturbed(recording.rotations[0], recording.translations[0],
-                     np.random.default_rng(seed), START_RAD, START_SHARE * distance)
+                     np.random.default_rng(seed), START_RAD, START_FRACTION * distance)
 
 
 def tracked(recording, options: TrackerOptions | None = None, camera: Camera | None = None,
@@ -78,7 +78,7 @@ def accuracy(report: Report, images: int) -> None:
     """Rotation and translation against the truth."""
     report.section('Poses against truth: rendered objects, exact poses',
                    f'{images} images 640x480 each, distorted lens (k1 = -0.12), from a start '
-                   f'{np.rad2deg(START_RAD):.1f}° and {100 * START_SHARE:g} % off.')
+                   f'{np.rad2deg(START_RAD):.1f}° and {100 * START_FRACTION:g} % off.')
     rows, worst = [], np.zeros(2)
     for shape in ('cube', 'step_block', 'spool'):
         for motion in ('general', 'translation', 'planar'):
@@ -95,7 +95,7 @@ def accuracy(report: Report, images: int) -> None:
                   'ms an image'), rows)
     report.say('')
     report.verdict('rotation, worst rms', worst[0], ROTATION_DEG, '°')
-    report.verdict('translation, worst rms', 100 * worst[1], 100 * TRANSLATION_SHARE, '%')
+    report.verdict('translation, worst rms', 100 * worst[1], 100 * TRANSLATION_FRACTION, '%')
 
 
 def coverage(report: Report, images: int) -> None:
@@ -201,7 +201,7 @@ def _zoom_row(report, name, recording, camera, start, true_px):
     told = track.focal_sigma_px > 0
     sigmas = np.abs(track.focal_px - true_px)[told] / track.focal_sigma_px[told]
     report.verdict(f'{name}: rms error of the focal length after a third of the images',
-                   100 * float(np.sqrt(np.mean(late**2))), 100 * FOCAL_SHARE, '%')
+                   100 * float(np.sqrt(np.mean(late**2))), 100 * FOCAL_FRACTION, '%')
     return (name, f'{100 * np.sqrt(np.mean(late**2)):.2f}', f'{100 * error[-1]:+.2f}',
             f'{np.median(sigmas):.2f}' if told.any() else '-', int(track.lost.sum()),
             models.count('weak'))

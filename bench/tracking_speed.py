@@ -38,8 +38,8 @@ LONG = 10_000
 #: Images that the long run goes through, forward and backward.
 LOOP = 120
 #: The last tenth of a long run may take so much longer than the second.
-MOST_GROWTH = 1.1
-MOST_MEMORY_MB = 5.0
+MAX_GROWTH = 1.1
+MAX_MEMORY_MB = 5.0
 #: What a room or module of the tracker is for, in the table of parts.
 PARTS = {'edgels': 'edges along the normals', 'visibility': 'visible primitives',
          'projection': 'projection and derivatives',
@@ -162,9 +162,9 @@ def long_run(report: Report, count: int) -> None:
     report.table(('images', 'median ms', 'resident MB'), rows)
     report.say('')
     growth = np.median(seconds[-tenth:]) / np.median(seconds[tenth:2 * tenth])
-    report.verdict('median ms of the last tenth over the second', float(growth), MOST_GROWTH)
+    report.verdict('median ms of the last tenth over the second', float(growth), MAX_GROWTH)
     report.verdict('growth of the memory after the first tenth',
-                   max(float(memory[-1] - memory[tenth]), 0.0), MOST_MEMORY_MB, 'MB')
+                   max(float(memory[-1] - memory[tenth]), 0.0), MAX_MEMORY_MB, 'MB')
     report.judge(lost == 0, f'{lost} images without a pose')
 
 

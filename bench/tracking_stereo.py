@@ -33,7 +33,7 @@ CLICKS = {'left': [(247, 338), (523, 325), (514, 384), (503, 236), (252, 250), (
 #: The cameras' published calibrations, fx fy cx cy.
 CAMERAS = {'left': (680.0610429442, 680.8199518458, 338.1239478994, 247.1568627435),
            'right': (682.2252216804, 682.1643147488, 320.0806549595, 225.3683556175)}
-MOST_MM, MOST_DEG = 3.0, 1.0
+MAX_MM, MAX_DEG = 3.0, 1.0
 
 
 def run(report: Report, options) -> None:
@@ -66,8 +66,8 @@ def run(report: Report, options) -> None:
     report.table(('left against right', 'position mm', 'rotation °'), rows)
     report.say('\nThe box is not quite its model, and the two cameras see different edges of it: '
                'that can be constant.\n')
-    report.verdict('position, rms', _rms(apart), MOST_MM, 'mm')
-    report.verdict('rotation, rms', _rms(turn), MOST_DEG, '°')
+    report.verdict('position, rms', _rms(apart), MAX_MM, 'mm')
+    report.verdict('rotation, rms', _rms(turn), MAX_DEG, '°')
 
 
 def _rms(rows: np.ndarray) -> float:

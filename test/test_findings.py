@@ -31,7 +31,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'selfcal_ros'
-MOST_WORDS = 25
+MAX_WORDS = 25
 #: Written by nobody: what reads files of other versions makes it.
 FROM_FILES = {'note'}
 
@@ -92,7 +92,7 @@ def test_every_phrase_is_short_and_says_what_to_do(kind):
     assert phrase.means and phrase.advice
     for text in (phrase.sentence, phrase.means, phrase.advice):
         for sentence in _sentences(text):
-            assert len(sentence.split()) <= MOST_WORDS, f'{len(sentence.split())}: {sentence}'
+            assert len(sentence.split()) <= MAX_WORDS, f'{len(sentence.split())}: {sentence}'
         assert text.endswith(('.', '}')), text
 
 

@@ -39,7 +39,7 @@ from selfcal_ros.version import __version__
 
 #: With fewer views a small translation hides in the noise, yet moves the calibration by several
 #: sigmas: that the camera only rotates must then be said.
-ROTATION_LEAST_VIEWS = 5
+ROTATION_MIN_VIEWS = 5
 #: Below this ratio of homographies' misfit to that of epipolar geometry (which lens distortion
 #: raises, too) it is tried whether rotation alone explains the images.
 DOUBTFUL_PARALLAX = 10.0
@@ -133,7 +133,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     else:
         result = calibrate_from_motion(graph, size, facts, [start] if start else [],
                                        MOTION_MODELS[motion])
-        if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_LEAST_VIEWS:
+        if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_MIN_VIEWS:
             result = _with_little_parallax(graph, size, facts, motion, result)
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)

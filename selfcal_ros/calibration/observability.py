@@ -25,12 +25,12 @@ from selfcal_ros.geometry.lenses import plumb_bob
 #: share of the image's diagonal, and skew, as a share of the focal length: no better than
 #: assuming the middle and zero. Distortion: sigma of the displacement at the image's corner, as
 #: a share of the corner's distance from the middle.
-FOCAL_SHARE = 0.15
-PRINCIPAL_POINT_SHARE = 0.10
-SKEW_SHARE = 0.10
-DISTORTION_SHARE = 0.15
+FOCAL_FRACTION = 0.15
+PRINCIPAL_POINT_FRACTION = 0.10
+SKEW_FRACTION = 0.10
+DISTORTION_FRACTION = 0.15
 #: What exceeds these by such a factor on a share of the tracks does so with all of them, too.
-LOST = 1.5
+UNOBSERVABLE_FACTOR = 1.5
 
 
 def held_facts(facts: CameraFacts) -> dict[str, str]:
@@ -64,9 +64,9 @@ def observability_limits(camera: Camera) -> np.ndarray:
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     corner = diagonal / 2 / fx
     return np.array([
-        FOCAL_SHARE * fx, FOCAL_SHARE * fy, PRINCIPAL_POINT_SHARE * diagonal,
-        PRINCIPAL_POINT_SHARE * diagonal, SKEW_SHARE * fx,
-        *(DISTORTION_SHARE / corner**plumb_bob.CORNER_POWER[name]
+        FOCAL_FRACTION * fx, FOCAL_FRACTION * fy, PRINCIPAL_POINT_FRACTION * diagonal,
+        PRINCIPAL_POINT_FRACTION * diagonal, SKEW_FRACTION * fx,
+        *(DISTORTION_FRACTION / corner**plumb_bob.CORNER_POWER[name]
           for name in plumb_bob.COEFFICIENTS)])
 
 

@@ -32,7 +32,7 @@ from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.known_object import KnownObject
 
 #: Edge points of one side of a square, and the part of it near the corners that is left out.
-EDGE_POINTS, CORNER_SHARE = 16, 0.15
+EDGE_POINTS, CORNER_FRACTION = 16, 0.15
 #: Smallest square that is looked for, pixels.
 MIN_SIDE_PX = 8
 #: A neighbouring square may differ so much from the expected place and shape.
@@ -276,7 +276,7 @@ def _fitted_lines(image, corners, reach: float, bend: bool) -> _Lines | None:
 
     """
     start, end = corners[:, :, 0::2], corners[:, :, 1::2]
-    share = np.linspace(CORNER_SHARE, 1 - CORNER_SHARE, EDGE_POINTS)[:, None]
+    share = np.linspace(CORNER_FRACTION, 1 - CORNER_FRACTION, EDGE_POINTS)[:, None]
     sides = start[:, :, :, None] * (1 - share) + end[:, :, :, None] * share
     points = sides.reshape(*corners.shape[:2], -1, 2)
     origin = (corners[:, :, 0] + corners[:, :, -1]) / 2

@@ -37,7 +37,7 @@ REMARKS: dict[str, Phrase] = {
         'model: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
-    'errors_within_stretch': Phrase(
+    'errors_within_segment': Phrase(
         'Errors are shared within a stretch of images, as with jolts, moving objects or a '
         'rolling shutter: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',

@@ -25,7 +25,7 @@ from selfcal_ros.nodes.quality_of_service import STEADY
 #: What our nodes draw is nobody's input.
 DRAWN = '/overlay'
 #: Topics that a warning names at most, as those that might be meant.
-MOST_SUGGESTIONS = 5
+MAX_SUGGESTIONS = 5
 
 
 class InputWatchdog:
@@ -134,8 +134,8 @@ class InputWatchdog:
                  and self._node.count_publishers(name)]
         if not there:
             return ': start what publishes them, or remap the input'
-        more = ', ...' if len(there) > MOST_SUGGESTIONS else ''
-        return (f'; {self._what} may be meant on {", ".join(there[:MOST_SUGGESTIONS])}{more}: '
+        more = ', ...' if len(there) > MAX_SUGGESTIONS else ''
+        return (f'; {self._what} may be meant on {", ".join(there[:MAX_SUGGESTIONS])}{more}: '
                 'remap the input')
 
 

@@ -30,7 +30,7 @@ from selfcal_ros.values.tracks import Tracks
 
 #: With the memory full, an estimate whose focal length and principal point move no pixel further
 #: than this share of the image diagonal (one pixel of 640x480) is not replaced by itself.
-SETTLED_SHARE = 0.00125
+SETTLED_FRACTION = 0.00125
 #: A frame with fewer points than this is no keyframe.
 MINIMUM_POINTS = 8
 
@@ -57,8 +57,8 @@ class CalibrationSession:
     Keeps keyframes by parallax, says when an estimate is due, and holds the newest calibration.
 
     Estimates follow one another while they are of use: until one rests on as many keyframes as
-    are kept and is precise (`SETTLED_SHARE`). From then on the calibration stays until it is told
-    to go. What may follow what is a table: see `selfcal_ros.pipeline.session_state`.
+    are kept and is precise (`SETTLED_FRACTION`). From then on the calibration stays until it is
+    told to go. What may follow what is a table: see `selfcal_ros.pipeline.session_state`.
 
     The session does no work of its own beyond bookkeeping: `request` packs what an estimate
     needs, `EstimateRequest.run` computes in whatever thread the caller likes, and `accept` takes
@@ -341,8 +341,8 @@ class CalibrationSession:
 
 
 def _is_precise(calibration: Calibration) -> bool:
-    """Tell whether the sigmas are below `SETTLED_SHARE` all over the image."""
+    """Tell whether the sigmas are below `SETTLED_FRACTION` all over the image."""
     camera, sigma = calibration.camera, calibration.sigma
     diagonal = float(np.hypot(camera.width, camera.height))
     edge = sigma['fx'] / camera.K[0, 0] * diagonal / 2
-    return max(edge, sigma['cx'], sigma['cy']) <= SETTLED_SHARE * diagonal
+    return max(edge, sigma['cx'], sigma['cy']) <= SETTLED_FRACTION * diagonal

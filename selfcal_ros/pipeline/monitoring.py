@@ -31,7 +31,7 @@ from selfcal_ros.pipeline.calibration_session import Keyframe
 from selfcal_ros.values.tracks import Tracks
 
 #: Windows that wait for their turn; where the machine is slower than the camera, the rest go.
-MOST_WAITING = 40
+MAX_WAITING = 40
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Monitoring:
                         np.concatenate([f.ids for f in frames]),
                         np.concatenate([f.xy for f in frames]), image_size)
         self._keyframes = frames[-1:]
-        if len(self._waiting) < MOST_WAITING:
+        if len(self._waiting) < MAX_WAITING:
             self._waiting.append((tracks, False))
         else:
             self._skip('the machine does not keep up')

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from selfcal_ros.features.targets import Target
 
 #: More views add time and little accuracy.
-MOST_VIEWS = 80
+MAX_VIEWS = 80
 #: In a video a view counts as new when the points have moved by this share of the diagonal.
-NEW_VIEW_SHARE = 0.01
+NEW_VIEW_FRACTION = 0.01
 
 
 def read_object_views(path, target: Target, topic: str | None = None,
@@ -62,7 +62,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
         If the input cannot be used, or shows no object; the sentence says what to do.
 
     """
-    most = MOST_VIEWS if max_keyframes is None else max_keyframes
+    most = MAX_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
             return tracks_of_table(source)
@@ -77,7 +77,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
             identity, xy = target.find(frame.image, thorough=not moving)
             if progress:
                 progress('Looking for the object', looked, source.count)
-            step = NEW_VIEW_SHARE * float(np.hypot(*frame.image.shape))
+            step = NEW_VIEW_FRACTION * float(np.hypot(*frame.image.shape))
             if not len(identity) or moving and not _moved(last, (identity, xy), step):
                 continue
             last = identity, xy

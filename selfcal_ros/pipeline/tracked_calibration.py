@@ -46,7 +46,7 @@ from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
 #: Focal lengths to begin with, over the longer side of the image.
-FOCAL_SHARES = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
+FOCAL_FRACTIONS = (0.6, 0.75, 0.95, 1.2, 1.5, 1.9, 2.4, 3.2)
 #: How often each is tried on the first image, from where the last trial has come to.
 TRIALS = 5
 #: Focal lengths that are tried on the images kept, over the one that tracked them.
@@ -54,9 +54,9 @@ FOCAL_FACTORS = (0.75, 0.85, 0.92, 1.0, 1.09, 1.18, 1.33)
 #: Focal lengths that the object is followed with, over the one to begin with.
 FOLLOW_FACTORS = (1.0, 0.87, 1.15)
 #: Edges that lie nearer to the model than this (share of the diagonal) leave no doubt.
-SURE_SHARE = 0.0003
+SURE_FRACTION = 0.0003
 #: More views add time and little accuracy.
-MOST_VIEWS = 60
+MAX_VIEWS = 60
 #: Views that the focal lengths are compared on.
 TRIAL_VIEWS = 20
 #: How far from its edge an edgel is looked for, pixels, in each round; the last is repeated.
@@ -113,7 +113,7 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
         If an input is wrong.
 
     """
-    most = MOST_VIEWS if max_keyframes is None else max_keyframes
+    most = MAX_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic) as source:
         if source.kind == 'tracks':
             raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
@@ -149,7 +149,7 @@ def _best_passage(fine, source, camera: Camera, pose, facts, most: int, seed, pr
         cost = result.noise_sigma_px if result else np.inf
         if best is None or cost < best[0]:
             best = cost, passage, result, edges
-        if cost < SURE_SHARE * float(np.hypot(camera.width, camera.height)):
+        if cost < SURE_FRACTION * float(np.hypot(camera.width, camera.height)):
             break
     assert best is not None, 'there is a factor to try'
     return best[1:]
@@ -243,7 +243,7 @@ def _begin(source, model, facts, init, clicks, start, seed):
         return start, read_start(init, clicks, start)
     frame = next(iter(source), None)
     best, least, problem = None, np.inf, None
-    for share in FOCAL_SHARES if frame is not None else ():
+    for share in FOCAL_FRACTIONS if frame is not None else ():
         camera = _guess(source.image_size, share, facts)
         try:
             score, *begin = _trial(frame, model, camera, read_start(init, clicks, camera), seed)

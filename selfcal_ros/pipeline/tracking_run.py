@@ -36,11 +36,11 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 _LOGGER = logging.getLogger(__name__)
 #: Clicks may miss a pose by so much of the image diagonal; beyond it they are in another order.
-CLICK_ERROR_SHARE = 0.03
+CLICK_ERROR_FRACTION = 0.03
 #: Images without a clock are shown so many a second.
 RATE_HZ = 30.0
 #: Of several remarks of one kind, so many are told.
-MOST_REMARKS = 3
+MAX_REMARKS = 3
 
 
 @dataclass
@@ -93,12 +93,12 @@ class TrackingRun:
                 lines.append(f'Edges lie {self.rms_px:.2f} px rms from the model; '
                              f'{1000 * self.seconds / self.images:.2f} ms an image.')
         lines += [f'Lost from image {first} to {last}: {reason}'
-                  for first, last, reason in self.stretches[:MOST_REMARKS]]
-        if len(self.stretches) > MOST_REMARKS:
-            lines.append(f'... and {len(self.stretches) - MOST_REMARKS} times more.')
-        lines += self.remarks[:MOST_REMARKS]
-        if len(self.remarks) > MOST_REMARKS:
-            lines.append(f'... and {len(self.remarks) - MOST_REMARKS} more images passed over.')
+                  for first, last, reason in self.stretches[:MAX_REMARKS]]
+        if len(self.stretches) > MAX_REMARKS:
+            lines.append(f'... and {len(self.stretches) - MAX_REMARKS} times more.')
+        lines += self.remarks[:MAX_REMARKS]
+        if len(self.remarks) > MAX_REMARKS:
+            lines.append(f'... and {len(self.remarks) - MAX_REMARKS} more images passed over.')
         return '\n'.join(lines)
 
 
@@ -148,7 +148,7 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
         raise ArgumentError(f'{path} names {len(points)} points of the object, so --clicks takes '
                             f'{2 * len(points)} numbers, not {len(clicks)}.')
     rotation, translation, rms_px = pose_from_clicks(points, np.reshape(clicks, (-1, 2)), camera)
-    limit = CLICK_ERROR_SHARE * (np.hypot(camera.width, camera.height) or 1000.0)
+    limit = CLICK_ERROR_FRACTION * (np.hypot(camera.width, camera.height) or 1000.0)
     if rms_px > limit:
         raise InputError(f'No pose fits the clicks: {rms_px:.0f} px remain. Check that they are '
                          f'in the order of {path.name}, and that the calibration is of this '

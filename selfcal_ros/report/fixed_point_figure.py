@@ -28,7 +28,7 @@ from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, IN
 #: The whole view reaches no farther from the image than so many of its longer sides.
 FARTHEST = 3.0
 #: More lines than this make a black patch.
-MOST_LINES = 60
+MAX_LINES = 60
 #: Radius of a two-dimensional 95 % ellipse in sigmas.
 SIGMAS_95 = 2.4477
 
@@ -168,7 +168,7 @@ def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: PairGeometry, wi
     camera = result.camera
     centre, half = window
     lines = pairs.screw_axes[np.isfinite(pairs.screw_axes).all(axis=1)]
-    shown = lines[np.unique(np.linspace(0, len(lines) - 1, MOST_LINES).astype(int))] \
+    shown = lines[np.unique(np.linspace(0, len(lines) - 1, MAX_LINES).astype(int))] \
         if len(lines) else lines
     label: str | None = 'screw axes m'
     for line in shown:

@@ -36,7 +36,7 @@ from selfcal_ros.values.tracks import Tracks
 PICTURES, LONGER_SIDE_PX = 4, 720
 JPEG_QUALITY = 78
 #: Tracks in one picture; more hide the image.
-MOST_TRACKS = 700
+MAX_TRACKS = 700
 #: A trail goes back over so many of the views that were used.
 TRAIL_VIEWS = 3
 
@@ -147,7 +147,7 @@ def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict) -> l
         view = int(np.flatnonzero(frames == index)[0])
         ids, bad, now, steps, old = _recent(seen, view)
         # what was rejected first: it is rarer, and it is what one looks for
-        order = np.argsort(~bad, kind='stable')[:MOST_TRACKS]
+        order = np.argsort(~bad, kind='stable')[:MAX_TRACKS]
         shown = np.zeros(len(ids), bool)
         shown[order] = True
         if result and result.motion == 'known-object':

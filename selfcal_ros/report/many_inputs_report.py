@@ -34,7 +34,7 @@ from selfcal_ros.report.phrases import with_sigma
 COLUMNS = ('fx', 'fy', 'cx', 'cy')
 #: Focal lengths from features were off by this share on rendered drives (bench/README.md), the
 #: same way in all recordings of a scene; no scatter shows it.
-SHARED_SHARE = 3e-4
+SHARED_FRACTION = 3e-4
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ def verdict_of(camera: CameraSummary) -> str:
     """Say in a few sentences what came of a camera, and whether its recordings agree."""
     sentence, joint = _comparison(camera), camera.joint
     if joint is not None and len(camera.members) > 1 and (
-            joint.calibration.sigma['fx'] < SHARED_SHARE * joint.calibration.camera.K[0, 0]):
+            joint.calibration.sigma['fx'] < SHARED_FRACTION * joint.calibration.camera.K[0, 0]):
         sentence += (' A sigma so small leaves out what all recordings share: features alone '
-                     f'shift the focal length by up to {100 * SHARED_SHARE:g} %.')
+                     f'shift the focal length by up to {100 * SHARED_FRACTION:g} %.')
     return sentence
 
 

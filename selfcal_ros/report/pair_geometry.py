@@ -30,9 +30,9 @@ from selfcal_ros.geometry.planar_pairs import decompose_planar
 from selfcal_ros.report.observations import ObservationTable
 
 #: Pairs that turn by less than this, or come as close to half a turn, show no usable screw axis.
-LEAST_TURN_RAD = np.radians(2.0)
+MIN_TURN_RAD = np.radians(2.0)
 #: Pairs this many views apart are looked at singly, if they share so many points.
-STEPS, LEAST_COMMON = (1, 2, 3, 5, 8), 30
+STEPS, MIN_COMMON = (1, 2, 3, 5, 8), 30
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def single_pairs(result: Calibration, seen: ObservationTable,
         a, b = candidates[k]
         _, in_a, in_b = np.intersect1d(seen.track[rows[a]], seen.track[rows[b]],
                                        return_indices=True)
-        if len(in_a) < LEAST_COMMON:
+        if len(in_a) < MIN_COMMON:
             continue
         found = fundamental(xy[rows[a][in_a]], xy[rows[b][in_b]])
         if found and np.isfinite(found.F).all():
@@ -138,7 +138,7 @@ def _turns(R, a, b) -> np.ndarray:
     """Tell which pairs turn enough, and not by half a turn."""
     turn = np.einsum('nji,njk->nik', R[a], R[b])
     angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    return (angle > LEAST_TURN_RAD) & (angle < np.pi - LEAST_TURN_RAD)
+    return (angle > MIN_TURN_RAD) & (angle < np.pi - MIN_TURN_RAD)
 
 
 def _seen(K, R, t, points) -> np.ndarray:

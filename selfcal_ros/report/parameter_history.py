@@ -27,7 +27,7 @@ from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
 
 _UNITS = {'fx': 'px', 'fy': 'px', 'cx': 'px', 'cy': 'px', 'skew': 'px'}
 #: Names of recordings fit under the axis up to so many.
-_MOST_NAMES = 12
+_MAX_NAMES = 12
 
 
 def parameter_history(camera: CameraSummary) -> Figure | None:
@@ -110,7 +110,7 @@ def _label_places(axis, camera, shown, timed) -> None:
         axis.xaxis.set_major_locator(locator)
         axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=timezone.utc))
         axis.set_xlabel('time of recording / UTC')
-    elif len(camera.outcomes) <= _MOST_NAMES:
+    elif len(camera.outcomes) <= _MAX_NAMES:
         names = [outcome.path.rstrip('/').rpartition('/')[2][:24] for outcome in camera.outcomes]
         axis.set_xticks(range(1, len(names) + 1), names, rotation=20, ha='right')
     else:

@@ -22,7 +22,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.style import Drawing, GREY, INK, new_panel, SEQUENTIAL, styled
 
 #: More cameras than this hide each other.
-MOST_CONES = 24
+MAX_CONES = 24
 
 
 def path_figure(result: Calibration) -> Drawing | None:
@@ -66,7 +66,7 @@ def path_figure(result: Calibration) -> Drawing | None:
                   rasterized=True, label=f'points ({len(points)})')
         axes.plot(*path.T, color=INK, linewidth=0.8)
         reach = min(0.04 * float((high - low).max()), 2.0)
-        some = np.unique(np.linspace(0, len(path) - 1, MOST_CONES).astype(int))
+        some = np.unique(np.linspace(0, len(path) - 1, MAX_CONES).astype(int))
         lines = LineCollection(_cones(path, ahead, reach, result)[some], cmap=SEQUENTIAL,
                                linewidths=1.2)
         lines.set_array(some)

@@ -29,7 +29,7 @@ RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
 #: From what chance leaves to what it does not, to be seen on light and on dark paper.
 _SURPRISE = LinearSegmentedColormap.from_list('surprise', ['#9aa3ad', '#d98a1e', '#d4213d'])
 #: A cell with fewer residuals has no mean worth drawing.
-LEAST_IN_CELL = 5
+MIN_IN_CELL = 5
 
 
 def residual_figure(result: Calibration, seen: ObservationTable | None) -> Drawing | None:
@@ -113,7 +113,7 @@ def _field(axes, result: Calibration, xy, residual) -> None:
     xy, residual = xy[good], residual[good]
     index, shape, side = cells((camera.width, camera.height), xy, RESIDUAL_CELLS)
     count = np.bincount(index, minlength=shape[0] * shape[1])
-    keep = count >= LEAST_IN_CELL
+    keep = count >= MIN_IN_CELL
     image_axes(axes, camera.width, camera.height)
     if not keep.any():
         axes.set_title('Mean residual: too few in each cell')

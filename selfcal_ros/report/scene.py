@@ -26,7 +26,7 @@ from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.values.tracks import Tracks
 
 #: More points than this make the page large and not clearer.
-MOST_POINTS = 6000
+MAX_POINTS = 6000
 #: Points farther from the path than so many times its extent are left out.
 FARTHEST = 12.0
 
@@ -116,8 +116,8 @@ def scene_of(result: Calibration, tracks: Tracks,
         poses, points, ids = structure.cam_from_world, structure.points, structure.tracks
         unit, path = 'steps between views', True
     chosen = _near(poses, points)
-    if len(chosen) > MOST_POINTS:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_POINTS).astype(int)]
+    if len(chosen) > MAX_POINTS:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, MAX_POINTS).astype(int)]
     ids = np.asarray(ids)[chosen]
     paint = None
     if colours:

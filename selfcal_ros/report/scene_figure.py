@@ -24,7 +24,7 @@ from selfcal_ros.report.style import Drawing, GREY, INK, new_panel, PALE, SEQUEN
 #: The eye is behind the cameras, turned by this and above them by that, as in the viewer.
 TURN_RAD, PITCH_RAD = 0.5, 0.6
 #: More cameras than this hide each other.
-MOST_CAMERAS = 30
+MAX_CAMERAS = 30
 
 
 def scene_figure(scene: Scene) -> Drawing:
@@ -59,7 +59,7 @@ def scene_figure(scene: Scene) -> Drawing:
         if scene.path:
             axes.plot(*project(centres).T, color=INK, linewidth=0.9)
             axes.plot(*project(centres[:1]).T, 'o', color=INK, markersize=3.5)
-        some = np.unique(np.linspace(0, len(R) - 1, MOST_CAMERAS).astype(int))
+        some = np.unique(np.linspace(0, len(R) - 1, MAX_CAMERAS).astype(int))
         reach = max(min(0.035 * size, 1.6 if scene.path else size), 0.014 * size)
         cameras = LineCollection(
             project(_pyramids(centres[some], R[some], reach, scene.corners)), cmap=SEQUENTIAL,

@@ -37,7 +37,7 @@ from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
 #: Uncertainty of a first guess: share of the distance, diameters across, and radians.
-_START_SHARE, _START_DIAMETERS, _START_RAD = 0.02, 0.1, 0.05
+_START_FRACTION, _START_DIAMETERS, _START_RAD = 0.02, 0.1, 0.05
 #: Unknown first velocity: diameters of the object, and radians, per second.
 _START_SPEED, _START_TURN = 2.0, 1.0
 #: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
@@ -185,7 +185,7 @@ class RorapidTracker:
                                 'positive).')
         if covariance is None:
             # a guess is right to some pixels, however far away the object is
-            depth = _START_SHARE * centred[2]
+            depth = _START_FRACTION * centred[2]
             lateral = min(depth, _START_DIAMETERS * self.model.diameter_m)
             spread = np.diag(np.square([_START_RAD] * 3 + [lateral, lateral, depth]))
         else:
@@ -214,7 +214,7 @@ class RorapidTracker:
         if size == 8:
             scale = 1 / state.translation[2]
             full[:6, :6] = np.eye(6) * (_START_RAD * scale)**2
-            full[6:, 6:] = np.eye(2) * (_START_SHARE)**2
+            full[6:, 6:] = np.eye(2) * (_START_FRACTION)**2
             speed[:6], speed[6:] = _START_TURN * scale, _START_SPEED * diameter * scale
             turn[:6] = options.acceleration_rad_s2 * scale
             turn[6:] = options.acceleration_m_s2 * scale

@@ -25,7 +25,7 @@ from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, to_intrinsics,
 from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed, priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit, Observations
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit, Observations
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.calibration.structure.structure_measurement import (corner_angle, distance_ratio,
@@ -192,7 +192,7 @@ def test_a_point_at_infinity_has_no_distance():
         distance_ratio(near, (0, 1), (2, 2))
 
 
-def _fit(sequence, facts) -> Fit:
+def _fit(sequence, facts) -> RobustFit:
     """Adjust a planar sequence from its truth."""
     tracks = sequence.tracks
     order = np.lexsort((tracks.frame, tracks.track))
@@ -209,4 +209,4 @@ def _fit(sequence, facts) -> Fit:
     observations = Observations(view, point, tracks.xy[order], np.arange(len(points)))
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 0.3)
     state = bundle.optimise(SceneState(Lens.of(sequence.camera), path, points), 50, 1e-6)
-    return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations, 0)
+    return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations, 0)

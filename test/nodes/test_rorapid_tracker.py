@@ -297,7 +297,7 @@ def test_a_refused_setting_changes_nothing_and_the_next_camera_info_counts(stati
     station.graph.spin_for(0.3)
     cameras = station.graph.listen(CameraInfo, 'rorapid_tracker/camera_info')
     station.track(range(3))
-    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MOST_TESTS', 2000)
+    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MAX_TESTS', 2000)
     refused, = station.graph.set_parameters('rorapid_tracker', control_points_per_line=200)
     assert 'too many to be tested' in refused
     K = station.recording.camera.K.copy()

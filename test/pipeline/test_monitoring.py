@@ -22,7 +22,7 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, Keyframe,
                                                       SessionSettings)
-from selfcal_ros.pipeline.monitoring import Monitoring, MOST_WAITING
+from selfcal_ros.pipeline.monitoring import Monitoring, MAX_WAITING
 from selfcal_ros.synthetic.special_scenes import drive
 
 SIZE = (640, 480)
@@ -86,7 +86,7 @@ def test_a_slow_machine_leaves_windows_out(road):
     monitoring = Monitoring()
     monitoring.watch(calibration, first)
     frame = keyframe(tracks, 0)
-    for index in range(9 * MOST_WAITING):
+    for index in range(9 * MAX_WAITING):
         monitoring.add_keyframe(replace(frame, index=index), SIZE)
     state = monitoring.snapshot()
     assert state.skipped > 0 and 'keep up' in state.why_skipped

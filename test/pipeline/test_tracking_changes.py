@@ -166,7 +166,7 @@ def test_settings_that_are_refused_change_nothing(start, recording, monkeypatch)
     made, images = recording
     session = start(4)
     old = session.options
-    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MOST_TESTS', 2000)
+    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MAX_TESTS', 2000)
     for options in (replace(old, control_points_per_line=200),
                     replace(old, control_points_per_line=200, motion='translation')):
         with pytest.raises(ArgumentError, match='control points .* too many'):
@@ -184,7 +184,7 @@ def test_a_camera_that_is_refused_leaves_the_old_one_and_its_tracker(start, reco
                                                                      monkeypatch):
     made, images = recording
     session = start(4)
-    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MOST_TESTS', 10)
+    monkeypatch.setattr('selfcal_ros.rorapid.visibility.visible_model.MAX_TESTS', 10)
     with pytest.raises(ArgumentError, match='too many'):
         session.set_camera(scaled(made.camera, 1.05))
     assert session.camera is made.camera

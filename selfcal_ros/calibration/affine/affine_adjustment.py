@@ -28,7 +28,7 @@ from selfcal_ros.geometry.resection import projection_jacobian
 _HUBER_SIGMAS = 2.5
 #: An iteration that lowers the cost by less than this share is the last one: what the pixels'
 #: distortion leaves makes the cost fall slowly for long.
-_LAST_SHARE = 2e-3
+_LAST_FRACTION = 2e-3
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class _Adjustment:
             if new < cost:
                 cameras, points, residual = moved, new_points, new_residual
                 damping = max(0.1 * damping, 1e-10)
-                if cost - new < _LAST_SHARE * new:
+                if cost - new < _LAST_FRACTION * new:
                     break
             else:
                 damping *= 10

@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from selfcal_ros.calibration.affine.diac import (camera_from_dual_conic, InfiniteHomographies,
                                                  linear_conic, ROUNDING)
-from selfcal_ros.calibration.observability import FOCAL_SHARE, parameter_status
+from selfcal_ros.calibration.observability import FOCAL_FRACTION, parameter_status
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
@@ -247,7 +247,7 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     status = {k: v for k, v in parameter_status(camera, nine, facts).items()
               if k in ('fx', 'fy', 'cx', 'cy', 'skew')}
     status['aspect_ratio'] = ('held' if not free[_LOG_ASPECT] else 'estimated'
-                              if log_aspect_sigma < FOCAL_SHARE else 'unobservable')
+                              if log_aspect_sigma < FOCAL_FRACTION else 'unobservable')
     near = constraints.K(theta)
     U, _, Vt = np.linalg.svd(np.linalg.inv(near) @ H @ near)
     rotations = rotation_vector(U @ Vt)
@@ -315,7 +315,7 @@ def _judge(information, free, K, scale, inflation):
     names = np.array(['focal length', 'aspect ratio', 'cx', 'cy', 'skew'])[index]
     directions = []
     for value, vector in zip(values, vectors.T):
-        if np.sqrt(inflation / value) > FOCAL_SHARE:
+        if np.sqrt(inflation / value) > FOCAL_FRACTION:
             share = np.abs(vector) / np.abs(vector).max()
             directions.append(' with '.join(names[np.argsort(-share)][np.sort(-share) < -0.2]))
     J = np.zeros((5, 5))

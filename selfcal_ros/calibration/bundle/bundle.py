@@ -229,13 +229,14 @@ class Bundle:
             return self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
 
         damping = np.full(self.blocks.point_count, 1e-3)
-        line = self.linearise(state)
-        cost = point_costs(line)
+        linearisation = self.linearise(state)
+        cost = point_costs(linearisation)
         for _ in range(iterations):
-            weight = huber_weights(self._misfits(line), HUBER_SIGMAS) * line.ahead
-            weighted = np.swapaxes(line.eliminated * weight[:, None, None], 1, 2)
-            H = self.blocks.sum_over_points(weighted @ line.eliminated)
-            b = self.blocks.sum_over_points(weighted @ line.residual[..., None])
+            weight = huber_weights(self._misfits(linearisation), HUBER_SIGMAS)
+            weight *= linearisation.ahead
+            weighted = np.swapaxes(linearisation.eliminated * weight[:, None, None], 1, 2)
+            H = self.blocks.sum_over_points(weighted @ linearisation.eliminated)
+            b = self.blocks.sum_over_points(weighted @ linearisation.residual[..., None])
             ridge = damping * np.einsum('pii->p', H) + 1e-300
             step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b)[..., 0]
             moved = self.moved(state, np.zeros(len(self.unknowns)), step)
@@ -244,7 +245,7 @@ class Bundle:
             damping *= np.where(better, 0.1, 10.0)
             state = replace(state, points=np.where(better[:, None], moved.points, state.points))
             cost = np.minimum(cost, new_cost)
-            line = self.linearise(state)
+            linearisation = self.linearise(state)
         return state
 
     # ------------------------------------------------------------------ noise

@@ -89,7 +89,7 @@ class Observations:
 
 
 @dataclass(frozen=True)
-class Fit:
+class RobustFit:
     """An optimum, with the problem that it solves and the observations that it explains."""
 
     bundle: Bundle
@@ -157,7 +157,7 @@ def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
 
 
 def fit_robustly(observations: Observations, state: SceneState, motion: MotionModel,
-                 priors: Priors, sigma_px: float, rounds: int = 5) -> Fit:
+                 priors: Priors, sigma_px: float, rounds: int = 5) -> RobustFit:
     """
     Optimise, estimate the noise, drop outliers, and repeat until nothing changes.
 
@@ -174,7 +174,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
 
     Returns
     -------
-    Fit
+    RobustFit
 
     """
     before = len(observations.view)
@@ -206,11 +206,11 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
             break
     bundle = bundle_of(observations, motion, priors, sigma_px)
     state = bundle.optimise(rescaled(state), 30, 0.02)
-    return Fit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
-               before - len(observations.view))
+    return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
+                     before - len(observations.view))
 
 
-def out_of_plane(fit: Fit) -> tuple[float, float]:
+def out_of_plane(fit: RobustFit) -> tuple[float, float]:
     """
     Estimate the standard deviations of tilt (rad) and height (per distance between views).
 
@@ -224,14 +224,14 @@ def out_of_plane(fit: Fit) -> tuple[float, float]:
             max(float(height) / path.step_length(), MINIMUM_HEIGHT))
 
 
-def refit(fit: Fit, motion: MotionModel, state: SceneState | None = None) -> Fit:
+def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) -> RobustFit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
     state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
-    return Fit(bundle, state, fit.observations, fit.outliers)
+    return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 
-def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
+def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFit, bool]:
     """
     Decide whether the plane of motion is exact.
 
@@ -241,14 +241,14 @@ def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
 
     Parameters
     ----------
-    relaxed : Fit
+    relaxed : RobustFit
         Of nearly planar motion.
     dependence : float
         Variance of the estimate over that with independent errors; the excess is divided by it.
 
     Returns
     -------
-    fit : Fit
+    fit : RobustFit
     exact : bool
 
     """
@@ -268,8 +268,9 @@ def choose_motion(relaxed: Fit, dependence: float = 1.0) -> tuple[Fit, bool]:
     return fit, False
 
 
-def choose_distortion(fit: Fit, facts: CameraFacts,
-                      determined: Callable[[Fit, CameraFacts], bool]) -> tuple[Fit, CameraFacts]:
+def choose_distortion(fit: RobustFit, facts: CameraFacts,
+                      determined: Callable[[RobustFit, CameraFacts], bool],
+                      ) -> tuple[RobustFit, CameraFacts]:
     """
     Choose the richest distortion model with which the images still determine the camera.
 
@@ -278,7 +279,7 @@ def choose_distortion(fit: Fit, facts: CameraFacts,
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
     facts : CameraFacts
         Its distortion is 'auto'.
     determined : callable
@@ -286,7 +287,7 @@ def choose_distortion(fit: Fit, facts: CameraFacts,
 
     Returns
     -------
-    Fit, CameraFacts
+    RobustFit, CameraFacts
         The latter with the model chosen; the simplest if none determines the camera.
 
     """
@@ -295,7 +296,7 @@ def choose_distortion(fit: Fit, facts: CameraFacts,
         priors = priors_from_facts(facts)
         bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
         state = bundle.optimise(with_fixed(fit.state, priors), 25, 0.1)
-        trial = Fit(bundle, state, fit.observations, fit.outliers)
+        trial = RobustFit(bundle, state, fit.observations, fit.outliers)
         if determined(trial, facts):
             break
     return trial, facts

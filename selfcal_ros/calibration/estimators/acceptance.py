@@ -22,48 +22,49 @@ import numpy as np
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.estimators.model_selection import dependence_of, Model
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
-from selfcal_ros.calibration.initialisation.problem import Problem
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
-from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_findings
-from selfcal_ros.calibration.uncertainty.distortion_misfit import find_lens_field, LensField
+from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
+from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
+                                                                   find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
 
-#: A larger share of outliers than this, and the rest proves nothing.
-MOST_OUTLIERS = 1 / 3
-#: With its distortion free a lens deviates from its model by less than this share of the image's
-#: longer side (kitti, the worst of the recorded sets that are right: 0.0002), or than so many
-#: sigmas of the noise; what deviates by more is not the lens.
-FIELD_SHARE, FIELD_SIGMAS = 8e-4, 3.0
+#: A larger fraction of outliers than this, and the rest proves nothing.
+MAX_OUTLIERS = 1 / 3
+#: With its distortion free a lens deviates from its model by less than this fraction of the
+#: image's longer side (kitti, the worst of the recorded sets that are right: 0.0002), or than so
+#: many sigmas of the noise; what deviates by more is not the lens.
+FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
 MINIMUM_FREEDOM = 40
-#: A calibration whose weakest direction has more than this share of the sigma that would make it
-#: unobservable comes with advice.
-WEAK = 0.05
+#: A calibration whose weakest direction has more than this fraction of the sigma that would make
+#: it unobservable comes with advice.
+ADVISED_FRACTION = 0.05
 
 
 @dataclass(frozen=True)
 class _Optimum:
     """What an optimum is accepted or refused by."""
 
-    fit: Fit
-    model: Model
-    problem: Problem
+    fit: RobustFit
+    model: ModelDecision
+    problem: SelfCalibrationProblem
     path: PathDescription
     status: dict[str, str]
     held: dict[str, str]
     rejected: float
-    field: LensField | None
+    field: DistortionMisfit | None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -73,18 +74,18 @@ class _Optimum:
     def motion_for(self, names: tuple[str, ...]) -> tuple[Finding, ...]:
         """Tell which motion would determine these parameters."""
         return best_motion(suggest_motions(self.model.fit, self.problem.size, names,
-                                           self.model.share), names)
+                                           self.model.fraction), names)
 
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
     return (NoEstimate('too_many_outliers', rejected=float(found.rejected))
-            if found.rejected > MOST_OUTLIERS else None)
+            if found.rejected > MAX_OUTLIERS else None)
 
 
 def _lens_fits(found: _Optimum) -> NoEstimate | None:
     """Refuse deviations that are smooth over the image and larger than a lens's."""
-    field, limit = found.field, max(FIELD_SHARE * max(found.problem.size),
+    field, limit = found.field, max(FIELD_FRACTION * max(found.problem.size),
                                     FIELD_SIGMAS * found.fit.bundle.sigma_px)
     if field is None or found.problem.facts.distortion == 'none' or field.rms_px <= limit:
         return None
@@ -113,21 +114,21 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
 ACCEPTANCE_TESTS = (_most_agree, _lens_fits, _can_be_checked, _is_determined)
 
 
-def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
-             ) -> Calibration | NoEstimate:
+def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
+           ) -> Calibration | NoEstimate:
     """Judge an optimum: what the data determine, and what the motion lacks."""
     facts, state = problem.facts, fit.state
-    dependence = dependence_of(fit, problem.size)
+    dependence = robust_covariance_of(fit, problem.size)
     inner, findings = dependence.covariance, dependence.findings()
     residuals = np.where(fit.linearisation.ahead[:, None], fit.linearisation.residual, np.nan)
-    field = find_lens_field(fit, problem.size, dependence.ratios['track']**2)
+    field = find_distortion_misfit(fit, problem.size, dependence.ratios['track']**2)
     if field is not None:
         # the field is what the image's regions share
         state, inner, residuals = field.state, field.covariance, field.residual
         findings = (*dependence.findings('track'), *field.findings())
-    ratio, added = model.stretches
-    inner = inner + added + model.valley * dependence.inflation**2
-    findings += stretch_findings(ratio)
+    ratio, added = model.jackknife
+    inner = inner + added + model.profile_excess * dependence.inflation**2
+    findings += segment_findings(ratio)
     camera = state.camera(*problem.size)
     covariance = to_parameters(inner, state.lens)
     held = held_facts(facts)
@@ -146,7 +147,7 @@ def conclude(fit: Fit, model: Model, problem: Problem, graph: ViewGraph,
                                      'motion': path.motion})
     known = identify(model.fit, problem.size,
                      tuple(name for name in status if status[name] == 'estimated'))
-    if known.weakest_share > WEAK:
+    if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in PARAMETER_NAMES[:5]))
     precision = precision_of(fit)
     return Calibration(

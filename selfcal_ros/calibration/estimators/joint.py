@@ -46,7 +46,7 @@ SURE = 0.001
 #: order covariances are not truer than that.
 NEARLY = 1.25
 #: At most this share of the calibrations may be left out as contradicting the rest.
-MOST_LEFT_OUT = 0.25
+MAX_LEFT_OUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
         deviation, doubt = _against_others(shares, used, P, value)
         scatter = np.sqrt(total / freedom) if freedom else 1.0
         worst = int(np.argmin(np.where(used, doubt, np.inf)))
-        alone = used.sum() <= 2 or (~used).sum() + 1 > MOST_LEFT_OUT * len(used)
+        alone = used.sum() <= 2 or (~used).sum() + 1 > MAX_LEFT_OUT * len(used)
         if scatter < NEARLY or alone or doubt[worst] * len(used) > SURE:
             break
         used[worst] = False

@@ -16,7 +16,7 @@ Motion → K: closed-form starts, one maximum-likelihood estimate, and its evide
 
 The thesis's chain (fixed points v, i, j, then the pencil of conics; chapters 5 and 6) proposes
 one calibration; a sweep over the focal length proposes others. Each proposal is a start for the
-same bundle adjustment on a small share of the tracks, the best one is finished on all of them.
+same bundle adjustment on a small fraction of the tracks, the best one is finished on all of them.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_P
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.acceptance import conclude, unchecked
+from selfcal_ros.calibration.estimators.acceptance import assess, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
-                                                                hold_parallel, Model)
-from selfcal_ros.calibration.estimators.motion_class import (MOST_TILT_RAD, not_planar,
+                                                                hold_parallel, ModelDecision)
+from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
-from selfcal_ros.calibration.initialisation.problem import observations_of, Problem
+from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
@@ -56,7 +56,7 @@ MOTION_MODELS = {
 EXPLAINED = 4.0
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
-MOST_TURN_RAD = np.radians(1.0)
+MAX_TURN_RAD = np.radians(1.0)
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -95,8 +95,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
     if graph.parallax < PARALLAX_RATIO and plane is None:
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
-    problem = Problem(observations, graph.pairs, size, facts, max(graph.noise_px, 0.02),
-                      flat=plane)
+    problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
+                                     max(graph.noise_px, 0.02), flat=plane)
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
@@ -108,7 +108,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     return result
 
 
-def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
+def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
              ) -> Calibration | NoEstimate:
     """Calibrate under one kind of motion."""
     window = problem.window()
@@ -123,19 +123,19 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
         return NoEstimate('tracks_unexplained', left_px=float(noise_px),
                           noise_px=problem.noise_px, motion=as_far_as_told)
     # far out of the plane, against a prior that pulls there: no need to go on
-    if problem.motion.keeps_plane and out_of_plane_rad(start.path) > 2 * MOST_TILT_RAD:
+    if problem.motion.keeps_plane and out_of_plane_rad(start.path) > 2 * MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(start.path))
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = with_all_points(start, medium)
     if state is None:
         return NoEstimate('start_distortion_not_invertible')
     fit = first_fit(window, medium, state)
-    if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MOST_TILT_RAD:
+    if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
-        if turned > MOST_TURN_RAD:
+        if turned > MAX_TURN_RAD:
             return NoEstimate('frames_turned', turned_deg=float(np.degrees(turned)),
                               motion='general')
         if turned:
@@ -152,12 +152,12 @@ def _attempt(problem: Problem, graph: ViewGraph, proposals: list[Camera],
         return extended.saying(facts=problem.facts)
     fit = fit_robustly(problem.observations, extended, motion, priors_from_facts(model.facts),
                        model.fit.bundle.sigma_px)
-    result = conclude(fit, model, problem, graph)
+    result = assess(fit, model, problem, graph)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 
 
-def extend(problem: Problem, model: Model) -> SceneState | NoEstimate:
-    """Start for all views and tracks from what was found on a share of them."""
+def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:
+    """Start for all views and tracks from what was found on a fraction of them."""
     found = model.fit.state
     folded = NoEstimate('distortion_not_invertible', model=model.facts.distortion)
     if len(found.path) == problem.views:

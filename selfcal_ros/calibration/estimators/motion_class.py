@@ -30,9 +30,9 @@ from selfcal_ros.geometry.rotation import rotation_vector
 DOUBTFUL_ROTATION_RAD = np.radians(6.0)
 #: What helps then.
 #: A motion that leaves the plane by more than this is not planar (radians, root mean square).
-MOST_TILT_RAD = np.radians(5.0)
+MAX_TILT_RAD = np.radians(5.0)
 #: A path is circular when the axis keeps its place in the camera to this share of its distance.
-CIRCULAR_SHARE = 0.01
+CIRCULAR_FRACTION = 0.01
 #: The horizon counts as level when it is within this angle of the image's x axis (radians).
 LEVEL_RAD = np.radians(5.0)
 
@@ -129,7 +129,7 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
     if not turned:
         motion = 'translation'
         refusal = NoEstimate('no_rotation')
-    elif keeps_plane and tilt > MOST_TILT_RAD:
+    elif keeps_plane and tilt > MAX_TILT_RAD:
         motion = 'general'
         refusal = not_planar(tilt)
     elif keeps_plane and _is_circular(path):
@@ -151,4 +151,4 @@ def _is_circular(path: AxisPath) -> bool:
     radius = np.linalg.norm(solution[2:])
     span = np.ptp(path.centres()[:, :2], axis=0).max()
     return bool(np.sqrt(np.mean(np.sum(error**2, axis=1)))
-                < CIRCULAR_SHARE * min(radius, 5 * span))
+                < CIRCULAR_FRACTION * min(radius, 5 * span))

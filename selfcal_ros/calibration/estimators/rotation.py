@@ -32,11 +32,11 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.initialisation.rotation_homographies import (LEAST_MATCHES,
+from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, Reconstruction
-from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
+from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -48,13 +48,13 @@ from selfcal_ros.values.tracks import Tracks
 #: geometry, which has more freedom.
 ROTATION_RATIO = 2.0
 #: Fewer observations to spare than this cannot check themselves.
-LEAST_FREEDOM = 12
+MIN_FREEDOM = 12
 #: Noise below this is rounding, which tells nothing apart.
-LEAST_NOISE_PX = 1e-3
+MIN_NOISE_PX = 1e-3
 #: A focal length beyond so many image sides is a camera at infinity.
-MOST_FOCAL_SHARE = 30.0
+MAX_FOCAL_FRACTION = 30.0
 #: A skew beyond this share of the focal length is no camera's.
-MOST_SKEW_SHARE = 0.2
+MAX_SKEW_FRACTION = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Distortion models that are tried where none is stated, the richest first.
@@ -65,7 +65,7 @@ _LENSES = ('radial2', 'radial1', 'none')
 def epipolar_noise(tracks: Tracks, frames) -> float:
     """Median noise of a coordinate by general F between the first of frames and the others."""
     pairs = [tracks.matches(int(frames[0]), int(f))[1:] for f in frames[1:]]
-    pairs = [pair for pair in pairs if len(pair[0]) >= LEAST_MATCHES]
+    pairs = [pair for pair in pairs if len(pair[0]) >= MIN_MATCHES]
     if not pairs:
         return np.nan
     data = PairMatches.from_pixels(pairs)
@@ -99,7 +99,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         return NoEstimate('too_few_images_share_points')
     frames, homographies, sigma_px = rotation_homographies(tracks)
     if len(frames) < 2:
-        return NoEstimate('no_homography_pair', needed=LEAST_MATCHES)
+        return NoEstimate('no_homography_pair', needed=MIN_MATCHES)
     conic = camera_from_homographies(homographies, size, facts)
     if not conic and conic.kind in _NOT_ROTATED:
         return NoEstimate('no_motion', motion='none', status={
@@ -115,7 +115,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     for K in _starting_cameras(conic, size, facts):
         state = _start(K, homographies.H, observed)
         bundle = bundle_of(observed, ROTATION, priors, max(sigma_px, 0.02))
-        if bundle.degrees_of_freedom < LEAST_FREEDOM:
+        if bundle.degrees_of_freedom < MIN_FREEDOM:
             return NoEstimate('too_few_observations', points=len(names), images=len(frames),
                               freedom=bundle.degrees_of_freedom, motion='rotation')
         state = bundle.optimise(with_fixed(state, priors), 30, 0.1)
@@ -125,8 +125,8 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
     facts, state = _richest_lens(best, observed, facts, size)
-    return _conclude(state, observed, priors_from_facts(facts), facts, frames, size, conic,
-                     epipolar_noise(tracks, frames))
+    return _assess(state, observed, priors_from_facts(facts), facts, frames, size, conic,
+                   epipolar_noise(tracks, frames))
 
 
 def _richest_lens(state, observed, facts, size):
@@ -136,9 +136,9 @@ def _richest_lens(state, observed, facts, size):
         priors = priors_from_facts(stated)
         bundle = bundle_of(observed, ROTATION, priors, 1.0)
         state = with_fixed(state, priors)
-        bundle = bundle.with_sigma(max(bundle.noise_sigma(state), LEAST_NOISE_PX))
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
         found = bundle.optimise(state, 30, 0.1)
-        bundle = bundle.with_sigma(max(bundle.noise_sigma(found), LEAST_NOISE_PX))
+        bundle = bundle.with_sigma(max(bundle.noise_sigma(found), MIN_NOISE_PX))
         covariance = to_parameters(bundle.covariance(found), found.lens)
         if found.lens['f'] > 0 and 'unobservable' not in parameter_status(
                 found.camera(*size), covariance, stated).values():
@@ -146,7 +146,7 @@ def _richest_lens(state, observed, facts, size):
     return stated, found
 
 
-def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
+def _assess(state, observed, priors, facts, frames, size, conic, noise_px):
     """Drop gross errors, estimate the noise, and judge the optimum."""
     total = len(observed.view)
     bundle = bundle_of(observed, ROTATION, priors, max(noise_px, 0.02))
@@ -162,17 +162,18 @@ def _conclude(state, observed, priors, facts, frames, size, conic, noise_px):
         state = bundle.optimise(state, 30, 0.01)
         if near.all():
             break
-    bundle = bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX))
+    bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))
     if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
         return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
                           facts=facts)
     focal, skew = state.lens['f'], state.lens['skew']
-    if not 1 / MOST_FOCAL_SHARE < focal / max(size) < MOST_FOCAL_SHARE \
-            or abs(skew) > MOST_SKEW_SHARE * focal:
+    if not 1 / MAX_FOCAL_FRACTION < focal / max(size) < MAX_FOCAL_FRACTION \
+            or abs(skew) > MAX_SKEW_FRACTION * focal:
         return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
                           motion='rotation', facts=facts)
     camera = state.camera(*size)
-    dependence = assess_dependence(bundle.information(state), observed.point, observed.xy, size)
+    dependence = cluster_robust_covariance(
+        bundle.information(state), observed.point, observed.xy, size)
     covariance = to_parameters(dependence.covariance, state.lens)
     held = held_facts(facts)
     for name in held:

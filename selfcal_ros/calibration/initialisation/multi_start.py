@@ -23,7 +23,8 @@ from selfcal_ros.calibration.affine.modulus import MIN_VIEWS, propose_camera
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.initialisation.problem import Problem, start_priors, supposed_camera
+from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
+                                                            supposed_camera)
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -33,7 +34,7 @@ from selfcal_ros.values.tracks import Tracks
 #: long one (13°), the likely ones first.
 FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
 #: A closed form outside this range (the same unit) is no start.
-FOCAL_SWEEP_LEAST, FOCAL_SWEEP_MOST = 0.2, 10.0
+FOCAL_SWEEP_MIN, FOCAL_SWEEP_MAX = 0.2, 10.0
 #: Triplets that the closed form combines.
 CLOSED_FORM_TRIPLETS = 6
 #: A start that explains the images this well needs no rival (ratio to the noise of the
@@ -45,7 +46,8 @@ MODULUS_MAX_VIEWS = 8
 START_TRACKS_PER_VIEW = 40
 
 
-def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[SceneState, float]]:
+def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
+           ) -> Iterator[tuple[SceneState, float]]:
     """
     Follow proposed calibrations to their nearest optimum on a share of the tracks.
 
@@ -77,7 +79,7 @@ def starts(problem: Problem, proposals: Iterator[Camera]) -> Iterator[tuple[Scen
         yield state, fine.noise_sigma(state)
 
 
-def closed_form(problem: Problem) -> list[Camera]:
+def closed_form(problem: SelfCalibrationProblem) -> list[Camera]:
     """
     Calibration of the thesis's chain: horizon, v, circular points, pencil (chapters 5 and 6).
 
@@ -92,18 +94,19 @@ def closed_form(problem: Problem) -> list[Camera]:
         return []
     K = np.triu(found.K)
     focal = K[0, 0] / max(problem.size)
-    if not FOCAL_SWEEP_LEAST < focal < FOCAL_SWEEP_MOST:
+    if not FOCAL_SWEEP_MIN < focal < FOCAL_SWEEP_MAX:
         return []
     return [Camera(K / K[2, 2], width=problem.size[0], height=problem.size[1])]
 
 
-def best_start(problem: Problem, first: list[Camera]) -> tuple[SceneState | None, float]:
+def best_start(problem: SelfCalibrationProblem, first: list[Camera],
+               ) -> tuple[SceneState | None, float]:
     """
     Choose the start that explains the images best.
 
     Parameters
     ----------
-    problem : Problem
+    problem : SelfCalibrationProblem
     first : list of Camera
         Proposals to try before the closed form and the sweep over the focal length.
 

@@ -35,7 +35,7 @@ from selfcal_ros.values.tracks import Tracks
 
 #: While starts are compared, soft facts keep them from wandering: principal point within so
 #: much of the middle (share of the longer side), distortion that of ordinary lenses.
-START_PRINCIPAL_POINT_SHARE = 0.06
+START_PRINCIPAL_POINT_FRACTION = 0.06
 #: Longer sequences are started, and their models chosen, on the stretch of so many successive
 #: views that turns most: the time for that does not grow with the sequence.
 WINDOW_VIEWS = 48
@@ -44,7 +44,7 @@ TRACKS_PER_VIEW = 400
 
 
 @dataclass(frozen=True)
-class Problem:
+class SelfCalibrationProblem:
     """What every start is judged on; `flat` where the scene may be one plane."""
 
     observations: Observations
@@ -67,7 +67,7 @@ class Problem:
             return self.flat.start(blocks, xy, camera, exact)
         return planar_start(self.pairs, blocks, xy, camera, exact)
 
-    def window(self) -> Problem:
+    def window(self) -> SelfCalibrationProblem:
         """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
         if self.views <= WINDOW_VIEWS:
             return self
@@ -100,12 +100,12 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) 
                   width=size[0], height=size[1])
 
 
-def start_priors(problem: Problem) -> Priors:
+def start_priors(problem: SelfCalibrationProblem) -> Priors:
     """Facts, and for the starts alone what most cameras have."""
     priors = priors_from_facts(problem.facts)
     longer = max(problem.size)
-    usual = {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
-             'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_SHARE * longer),
+    usual = {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
+             'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
              'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer),
              **{name: Prior(0.0, sigma) for name, sigma in plumb_bob.USUAL_SIGMA.items()}}
     return {**usual, **priors}

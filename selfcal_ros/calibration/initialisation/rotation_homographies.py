@@ -22,7 +22,7 @@ from selfcal_ros.geometry.homography import homography
 from selfcal_ros.values.tracks import Tracks
 
 #: Matches that two views need to be joined by a homography.
-LEAST_MATCHES = 12
+MIN_MATCHES = 12
 
 
 def rotation_homographies(tracks: Tracks):
@@ -49,7 +49,7 @@ def rotation_homographies(tracks: Tracks):
     for i, a in enumerate(frames):
         for b in frames[i + 1:]:
             _, xy_a, xy_b = tracks.matches(int(a), int(b))
-            if len(xy_a) >= LEAST_MATCHES:
+            if len(xy_a) >= MIN_MATCHES:
                 matches[int(a), int(b)] = (xy_a, xy_b)
     shared = {int(f): sum(len(m[0]) for pair, m in matches.items() if f in pair) for f in frames}
     reference = max(shared, key=lambda f: (shared[f], -f))

@@ -40,7 +40,7 @@ MINIMUM_MATCHES = 12
 #: may agree by chance with what seven determine; the adjustment of all views finds that out.
 FEWEST_MATCHES = 8
 #: Noise below this is rounding.
-LEAST_NOISE_PX = 1e-3
+MIN_NOISE_PX = 1e-3
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
 RANSAC_MATCHES = 200
 #: Largest distance of an inlier from the epipolar geometry, pixels. Where the noise is so large
@@ -251,4 +251,4 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
-                     _parallax(pairs, max(median, LEAST_NOISE_PX)))
+                     _parallax(pairs, max(median, MIN_NOISE_PX)))

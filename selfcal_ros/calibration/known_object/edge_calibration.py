@@ -35,9 +35,9 @@ from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (assess_dependence,
-                                                                    stretch_excess,
-                                                                    stretch_findings)
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
+                                                                    jackknife_excess,
+                                                                    segment_findings)
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -49,16 +49,16 @@ AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
 #: Residuals beyond so many sigmas are outliers.
 OUTLIER_SIGMAS = 4.0
 #: A view keeps its pose only with so many edgels of so many primitives.
-LEAST_EDGELS, LEAST_PRIMITIVES = 12, 4
-#: Edgels farther than this from the model, rms, do not belong to it (share of the diagonal): the
-#: nearest of any edges around would lie about as far.
-MISFIT_SHARE = 0.00075
+MIN_EDGELS, MIN_PRIMITIVES = 12, 4
+#: Edgels farther than this from the model, rms, do not belong to it (fraction of the diagonal):
+#: the nearest of any edges around would lie about as far.
+MISFIT_FRACTION = 0.00075
 #: Focal lengths beyond these, over the longer side of the image, are those of no lens.
-FOCAL_SHARES = (0.2, 30.0)
+FOCAL_FRACTIONS = (0.2, 30.0)
 #: Stretches of the sequence that are left out in turn.
-STRETCHES = 6
-#: Two halves of the sequence may differ in focal length by so many sigmas, or by this share.
-ZOOM_SIGMAS, ZOOM_SHARE = 5.0, 0.02
+SEGMENTS = 6
+#: Two halves of the sequence may differ in focal length by so many sigmas, or by this fraction.
+ZOOM_SIGMAS, ZOOM_FRACTION = 5.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class EdgeViews:
         counts = np.bincount(view[mask], minlength=len(frames))
         pairs = np.unique(np.column_stack([view[mask], self.primitive[mask]]), axis=0)
         kinds = np.bincount(pairs[:, 0], minlength=len(frames)) if len(pairs) else counts
-        good = (counts >= LEAST_EDGELS) & (kinds >= LEAST_PRIMITIVES)
+        good = (counts >= MIN_EDGELS) & (kinds >= MIN_PRIMITIVES)
         mask = mask & good[view]
         return replace(self, cam_from_object=self.cam_from_object[good],
                        **{name: getattr(self, name)[mask] for name in (
@@ -192,10 +192,10 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     if found is None:
         return NoEstimate('no_fit_to_edges')
     used, bundle, state, chosen, covariance, inflation, findings, status = found
-    if not bundle.sigma_px <= MISFIT_SHARE * float(np.hypot(*size)):
+    if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
     missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
-    low, high = FOCAL_SHARES[0] * max(size), FOCAL_SHARES[1] * max(size)
+    low, high = FOCAL_FRACTIONS[0] * max(size), FOCAL_FRACTIONS[1] * max(size)
     if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
     if missing:
@@ -297,28 +297,28 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
     information = bundle.information(state)
     _, view = np.unique(views.frame, return_inverse=True)
     within = view * (int(views.primitive.max()) + 1) + views.primitive
-    by_primitive = assess_dependence(information, views.primitive, views.xy, size)
-    by_stay = assess_dependence(information, within, views.xy, size)
+    by_primitive = cluster_robust_covariance(information, views.primitive, views.xy, size)
+    by_stay = cluster_robust_covariance(information, within, views.xy, size)
     wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
-    ratio, more = _stretches(views, bundle, state, wider)
+    ratio, more = _segments(views, bundle, state, wider)
     covariance = to_parameters(wider.covariance + more, state.lens)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
-    findings = wider.findings(track='errors_within_edge') + stretch_findings(ratio)
+    findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
     return (covariance, wider.inflation * ratio, findings,
             parameter_status(state.camera(*size), covariance, facts))
 
 
-def _stretches(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
-    """Return what leaving out a stretch of images at a time tells: ratio and covariance."""
+def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
+    """Return what leaving out a segment of images at a time tells: ratio and covariance."""
     nothing = 1.0, np.zeros((INTRINSICS, INTRINSICS))
     frames = views.frames
-    if len(frames) < 3 * STRETCHES:
+    if len(frames) < 3 * SEGMENTS:
         return nothing
     base = bundle.ideal_covariance(state)
     shifts, covariances = [], []
-    for gone in np.array_split(frames, STRETCHES):
+    for gone in np.array_split(frames, SEGMENTS):
         keep = ~np.isin(views.frame, gone)
         rest = views.select(keep)
         part = rest.bundle(bundle.priors, bundle.sigma_px)
@@ -326,7 +326,7 @@ def _stretches(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
         moved = part.optimise(own, 20, 1e-4)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved))
-    return stretch_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
+    return jackknife_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
 
 
 def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimate | None:
@@ -350,7 +350,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found
     limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
-                ZOOM_SHARE * state.lens['f'])
+                ZOOM_FRACTION * state.lens['f'])
     if abs(a - b) < limit:
         return None
     return NoEstimate('focal_length_changes', first_px=float(a), second_px=float(b))

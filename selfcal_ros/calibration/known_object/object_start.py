@@ -43,7 +43,7 @@ from selfcal_ros.geometry.resection import resect_linear
 #: next share is a line, which shows no pose.
 FLAT, NARROW = 0.02, 1e-3
 #: Supposed focal lengths as shares of the longer side, where the linear equations give none.
-FOCAL_SHARES = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
+FOCAL_FRACTIONS = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def supposed_cameras(views: list[LinearView], size: tuple[int, int],
                 0.05 < K[1, 1] / K[0, 0] < 20):
             cameras.append(K / K[2, 2])
     centre = facts.principal_point or middle
-    for share in FOCAL_SHARES:
+    for share in FOCAL_FRACTIONS:
         cameras.append(np.array([[share * longer, 0, centre[0]],
                                  [0, share * longer * aspect, centre[1]], [0, 0, 1.0]]))
     return cameras

@@ -36,7 +36,7 @@ from selfcal_ros.calibration.known_object.object_start import (linear_view, Line
                                                                start_state, supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
-from selfcal_ros.calibration.uncertainty.cluster_covariance import assess_dependence
+from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -52,7 +52,7 @@ AUTOMATIC_DISTORTION = ('plumb_bob', 'radial2', 'radial1', 'none')
 OUTLIER_SIGMAS = 4.0
 #: An image noise beyond this share of the image's diagonal is no noise: points and object do not
 #: belong together.
-MISFIT_SHARE = 0.006
+MISFIT_FRACTION = 0.006
 #: Starts are compared on so many points a view.
 START_POINTS = 40
 
@@ -152,7 +152,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if isinstance(fit, NoEstimate):
         return fit
     used, bundle, state, chosen, judgement = fit
-    limit = MISFIT_SHARE * float(np.hypot(*size))
+    limit = MISFIT_FRACTION * float(np.hypot(*size))
     if all(view.mirrored and view.error_px < limit for view in views.linear):
         return NoEstimate('object_mirrored')
     if not bundle.sigma_px <= limit:
@@ -296,7 +296,7 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts,
 
 def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
     """Return how far errors are shared, the covariance, and every parameter's status."""
-    dependence = assess_dependence(bundle.information(state), views.point, views.xy, size)
+    dependence = cluster_robust_covariance(bundle.information(state), views.point, views.xy, size)
     covariance = to_parameters(dependence.covariance, state.lens)
     for k, name in enumerate(PARAMETER_NAMES):
         if name in held_facts(facts):

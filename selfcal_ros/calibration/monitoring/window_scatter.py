@@ -19,9 +19,9 @@ import numpy as np
 from scipy.stats import chi2
 
 #: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
-REMEMBERED, LEAST_FOR_SCATTER = 60, 3
+REMEMBERED, MIN_FOR_SCATTER = 60, 3
 #: The variances that scenes add may grow to so many times the stated tolerance.
-MOST_TOLERANCE = 1e4
+MAX_TOLERANCE = 1e4
 
 
 class WindowScatter:
@@ -69,7 +69,7 @@ class WindowScatter:
 
         """
         count = len(self._seen)
-        if count < LEAST_FOR_SCATTER:
+        if count < MIN_FOR_SCATTER:
             return self._least, np.zeros(3)
         steps, covariances = (np.array(part) for part in zip(*self._seen))
         # the mean takes its share of the freedom
@@ -86,7 +86,7 @@ class WindowScatter:
         middle, mean = scatter(1.0)
         if middle < share * chi2.ppf(0.5 + 0.82 / np.sqrt(count), 3):
             return self._least, mean
-        low, high = 0.0, np.log(MOST_TOLERANCE)
+        low, high = 0.0, np.log(MAX_TOLERANCE)
         for _ in range(20):
             factor = (low + high) / 2
             if scatter(np.exp(factor))[0] > share * chi2.median(3):

@@ -34,7 +34,7 @@ from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
 from selfcal_ros.calibration.initialisation.initial_structure import planar_start
 from selfcal_ros.calibration.initialisation.problem import observations_of
-from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, LEAST_NOISE_PX
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, MIN_NOISE_PX
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
@@ -43,7 +43,7 @@ from selfcal_ros.values.tracks import Tracks
 #: Tracks per view that a window uses, the longest ones.
 WINDOW_TRACKS_PER_VIEW = 120
 #: Windows with fewer views or points say too little to be judged.
-LEAST_VIEWS, LEAST_POINTS = 4, 20
+MIN_VIEWS, MIN_POINTS = 4, 20
 #: No path is assumed: even where the calibration's motion was planar, the plane would add one
 
 
@@ -119,7 +119,7 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
         tuple(int(frame) for frame in graph.frames), state.lens.values[places],
         told.influence[:, places].sum(axis=0), information,
         shared_within_tracks(told, observations.point, places, information),
-        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, LEAST_NOISE_PX))
+        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX))
 
 
 def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
@@ -135,13 +135,13 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
     graph = build_view_graph(tracks, rng)
     if isinstance(graph, NoEstimate):
         return graph
-    if len(graph.frames) < LEAST_VIEWS:
+    if len(graph.frames) < MIN_VIEWS:
         return NoEstimate('window_disconnected')
     if graph.parallax < PARALLAX_RATIO:
         return NoEstimate('window_without_parallax')
     observations = observations_of(graph.tracks, graph.frames)
     observations, _ = observations.select(observations.longest(WINDOW_TRACKS_PER_VIEW))
-    if len(observations.track) < LEAST_POINTS:
+    if len(observations.track) < MIN_POINTS:
         return NoEstimate('window_few_points', points=len(observations.track))
     fitted = _fit(graph, observations, camera)
     if fitted is None:
@@ -158,7 +158,7 @@ def without_camera(bundle: Bundle, free: tuple[str, ...]) -> Bundle:
 def _fit(graph, observations: Observations, camera: Camera):
     """Adjust poses and points with the camera held; gross errors go once."""
     fixed = all_fixed(Lens.of(camera))
-    bundle = bundle_of(observations, GENERAL, fixed, max(graph.noise_px, LEAST_NOISE_PX))
+    bundle = bundle_of(observations, GENERAL, fixed, max(graph.noise_px, MIN_NOISE_PX))
     state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
@@ -171,7 +171,7 @@ def _fit(graph, observations: Observations, camera: Camera):
     state = replace(state, points=state.points[points])
     bundle = bundle_of(fewer, GENERAL, fixed, sigma_px)
     state = bundle.optimise(state, 15, 0.01)
-    return bundle.with_sigma(max(bundle.noise_rms(state), LEAST_NOISE_PX)), state, fewer
+    return bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX)), state, fewer
 
 
 def shared_within_tracks(told: Information, point, places, information) -> float:

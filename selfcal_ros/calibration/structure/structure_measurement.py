@@ -26,7 +26,7 @@ from operator import index
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens, to_intrinsics
-from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated,
                                             StructurePrecision, StructureSample)
 from selfcal_ros.errors import ArgumentError
@@ -156,7 +156,7 @@ def _all_different(ends, name: str) -> None:
                             'different points.')
 
 
-def precision_of(fit: Fit) -> StructurePrecision:
+def precision_of(fit: RobustFit) -> StructurePrecision:
     """Take from an optimum what the sigmas of lengths and angles need."""
     unknowns, system = fit.bundle.unknowns, fit.information.system
     factor, _ = fit.bundle.loss_factors(fit.linearisation)

@@ -14,12 +14,12 @@
 """
 How far from independent are the errors? What the covariance of ideal noise cannot see.
 
-Errors that the observations of one track, of one view or stretch of views, or of one region of
-the image share (drift of a patch, a jolt, a lens that the model does not describe) do not average
-out. Sums of influences
+Errors that the observations of one track, of one view or segment of views, or of one region of
+the image share (drift of a patch, a jolt, a lens that the model does not describe) do not
+average out. Sums of influences
 over such clusters measure what they do to the calibration (the cluster-robust covariance; Liang
 and Zeger 1986; several ways of clustering: Cameron, Gelbach and Miller 2011), and so do estimates
-that leave out one stretch of views each.
+that leave out one segment of views each.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
-class Dependence:
+class ClusterCovariance:
     """
     Variance that shared errors add.
 
@@ -69,13 +69,13 @@ class Dependence:
                      for name in names or kinds if self.ratios.get(name, 1) > 1)
 
 
-def stretch_findings(ratio: float) -> tuple[Finding, ...]:
-    """Tell what `stretch_excess` found, if anything."""
-    return () if ratio <= 1 else (Finding('errors_within_stretch', ratio=float(ratio)),)
+def segment_findings(ratio: float) -> tuple[Finding, ...]:
+    """Tell what `jackknife_excess` found, if anything."""
+    return () if ratio <= 1 else (Finding('errors_within_segment', ratio=float(ratio)),)
 
 
-def assess_dependence(information: Information, track: np.ndarray, xy: np.ndarray,
-                      size: tuple[int, int]) -> Dependence:
+def cluster_robust_covariance(information: Information, track: np.ndarray, xy: np.ndarray,
+                              size: tuple[int, int]) -> ClusterCovariance:
     """
     Widen a covariance by the dependence that the residuals show.
 
@@ -91,7 +91,7 @@ def assess_dependence(information: Information, track: np.ndarray, xy: np.ndarra
 
     Returns
     -------
-    Dependence
+    ClusterCovariance
 
     """
     base = information.lens_covariance
@@ -107,7 +107,7 @@ def assess_dependence(information: Information, track: np.ndarray, xy: np.ndarra
             ('region', _regions(xy, size), effects, effects.T @ effects)):
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
-    return Dependence(ratios, widened)
+    return ClusterCovariance(ratios, widened)
 
 
 def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
@@ -141,19 +141,19 @@ def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
     return ratio, added
 
 
-def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
-                   known: float = 1.0) -> tuple[float, np.ndarray]:
+def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
+                     known: float = 1.0) -> tuple[float, np.ndarray]:
     """
-    Variance that errors shared by stretches of views add.
+    Variance that errors shared by segments of views add.
 
     With independent errors the shift of an estimate that leaves out a part of the data has the
     covariance of that estimate less that of the one from all (Hausman 1978). Shifts larger than
-    that tell of errors that a stretch shares; linear cluster sums of few groups would miss them.
+    that tell of errors that a segment shares; linear cluster sums of few groups would miss them.
 
     Parameters
     ----------
     shifts : ndarray, shape (G, k)
-        Estimates that each leave out one stretch, less the one from all.
+        Estimates that each leave out one segment, less the one from all.
     covariances : ndarray, shape (G, k, k)
         Of those estimates, for independent errors.
     covariance : ndarray, shape (k, k)
@@ -173,7 +173,7 @@ def stretch_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.n
     nothing = 1.0, np.zeros_like(covariance)
     if groups < 4:
         return nothing
-    # a stretch without weight in some direction must not divide by nothing there
+    # a segment without weight in some direction must not divide by nothing there
     expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
     if not (np.diag(expected) > 0).any():
         return nothing

@@ -32,24 +32,24 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.lens import INTRINSICS
-from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
 
 #: Degrees of the polynomials.
-LEAST_DEGREE, MOST_DEGREE = 2, 4
+MIN_DEGREE, MAX_DEGREE = 2, 4
 #: Standard deviations of a coefficient that are tried, pixels.
 SIZES_PX = 0.003 * 2.0**np.arange(9)
 #: Least gain of the log evidence over no field: odds of 150 to 1.
-LEAST_GAIN = 5.0
-#: A step that changes the focal length by more than this share is outside the linear range.
-MOST_SHIFT = 0.1
+MIN_GAIN = 5.0
+#: A step that changes the focal length by more than this fraction is outside the linear range.
+MAX_SHIFT = 0.1
 
 
 @dataclass(frozen=True)
-class LensField:
+class DistortionMisfit:
     """
     What a field that was found changes.
 
@@ -101,23 +101,24 @@ def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
     """
     scaled = (xy - (np.array(size) - 1) / 2) / (max(size) / 2)
-    along, across = (legendre.legvander(scaled[:, axis], MOST_DEGREE) for axis in (0, 1))
+    along, across = (legendre.legvander(scaled[:, axis], MAX_DEGREE) for axis in (0, 1))
     values = np.stack([along[:, i] * across[:, j]
-                       for i in range(MOST_DEGREE + 1) for j in range(MOST_DEGREE + 1)
-                       if LEAST_DEGREE <= i + j <= MOST_DEGREE], axis=1)
+                       for i in range(MAX_DEGREE + 1) for j in range(MAX_DEGREE + 1)
+                       if MIN_DEGREE <= i + j <= MAX_DEGREE], axis=1)
     modes = np.zeros((len(xy), 2, 2 * values.shape[1]))
     modes[:, 0, :values.shape[1]] = values
     modes[:, 1, values.shape[1]:] = values
     return modes
 
 
-def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField | None:
+def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
+                           ) -> DistortionMisfit | None:
     """
     Look for a field in the residuals of an optimum.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         At its optimum.
     size : (int, int)
         Width and height of the image.
@@ -126,22 +127,24 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
 
     Returns
     -------
-    LensField or None
+    DistortionMisfit or None
         None where the residuals show none.
 
     """
-    bundle, state, line = fit.bundle, fit.state, fit.linearisation
+    bundle, state, linearisation = fit.bundle, fit.state, fit.linearisation
     unknowns, shared_count = bundle.unknowns, bundle.unknowns.shared.stop
     # where the points project: at the measured places the modes would carry the noise itself,
     # and one that the rest of the adjustment all but absorbs would explain the residuals by it
-    modes = displacement_modes(bundle.xy + line.residual, size)
+    modes = displacement_modes(bundle.xy + linearisation.residual, size)
     count = modes.shape[2]
-    distance = np.linalg.norm(line.residual, axis=1) / bundle.sigma_px
-    weight = huber_weights(distance, HUBER_SIGMAS) * line.ahead / (known * bundle.sigma_px**2)
+    distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
+    weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
+    weight /= known * bundle.sigma_px**2
     root = np.sqrt(weight)[:, None]
-    shared = np.concatenate([line.shared, modes], axis=2)
-    system = bundle.blocks.reduce(shared * root[..., None], line.view * root[..., None],
-                                  line.eliminated * root[..., None], line.residual * root)
+    shared = np.concatenate([linearisation.shared, modes], axis=2)
+    system = bundle.blocks.reduce(shared * root[..., None], linearisation.view * root[..., None],
+                                  linearisation.eliminated * root[..., None],
+                                  linearisation.residual * root)
     # of the adjustment's unknowns, and of the field
     place = np.r_[:shared_count, shared_count + count:len(system.matrix)]
     field = np.arange(shared_count, shared_count + count)
@@ -173,7 +176,7 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
     gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
                          - np.log1p(square * values), axis=1)
     best = int(np.argmax(gains))
-    if gains[best] < LEAST_GAIN:
+    if gains[best] < MIN_GAIN:
         return None
     posterior = square[best] / (1 + square[best] * values)
     coefficients = -vectors @ (posterior * turned)
@@ -194,12 +197,13 @@ def find_lens_field(fit: Fit, size: tuple[int, int], known: float) -> LensField 
     rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
     inner = rows[:, unknowns.lens]
     found = bundle.moved(state, step[place], points)
-    if not abs(found.lens['f'] / state.lens['f'] - 1) < MOST_SHIFT:
+    if not abs(found.lens['f'] / state.lens['f'] - 1) < MAX_SHIFT:
         return None
     displacement = modes @ coefficients
     change = system.predict(step, points)
     system.residual = system.residual + change
     ratio, added = region_excess(inner, system.influence(rows), bundle.xy, size)
-    return LensField(float(SIZES_PX[best]), float(np.sqrt(np.mean(np.sum(displacement**2, 1)))),
-                     ratio, found, (inner + inner.T) / 2 + added,
-                     line.residual + change / np.maximum(root, 1e-300))
+    rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
+    return DistortionMisfit(float(SIZES_PX[best]), rms_px, ratio, found,
+                            (inner + inner.T) / 2 + added,
+                            linearisation.residual + change / np.maximum(root, 1e-300))

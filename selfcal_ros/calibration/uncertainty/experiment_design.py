@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS, Lens, to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
@@ -53,7 +53,7 @@ class Suggestion:
     sigma : dict of str to float
         Standard deviations that are to be expected with it.
     worst_share : float
-        Largest of them, as a share of what makes the parameter unobservable.
+        Largest of them, as a fraction of what makes the parameter unobservable.
 
     """
 
@@ -62,20 +62,20 @@ class Suggestion:
     worst_share: float
 
 
-def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float = 1.0,
+def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fraction: float = 1.0,
                     rng: np.random.Generator | None = None) -> list[Suggestion]:
     """
     Rank motions by how well they would determine some parameters.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         The optimum at hand; where it leaves parameters open, they are taken as they came out.
     size : (int, int)
         Width and height of the image.
     names : tuple of str
         The parameters that matter, among `PARAMETER_NAMES`.
-    share : float
+    fraction : float
         Of all observations that the fit uses.
     rng : numpy.random.Generator, optional
         A fixed seed by default: the same images give the same advice.
@@ -91,7 +91,7 @@ def suggest_motions(fit: Fit, size: tuple[int, int], names: tuple, share: float 
     depths = _depths(fit)
     if depths is None or not names:
         return []
-    at_hand = _information(bundle, state) / share
+    at_hand = _information(bundle, state) / fraction
     state = _plausible(state, bundle, size)
     limits = observability_limits(state.camera(*size))
     place = [PARAMETER_NAMES.index(name) for name in names]
@@ -156,7 +156,7 @@ def _plausible(state: SceneState, bundle: Bundle, size: tuple[int, int]) -> Scen
     return replace(state, lens=Lens(np.where(unknown, usual, state.lens.values)))
 
 
-def _depths(fit: Fit) -> np.ndarray | None:
+def _depths(fit: RobustFit) -> np.ndarray | None:
     """Distances along the optical axis of the observed points, or None."""
     state, view, point = fit.state, fit.bundle.view, fit.bundle.part
     local = np.einsum('nij,nj->ni', state.path.cam_from_world()[view], state.points[point])

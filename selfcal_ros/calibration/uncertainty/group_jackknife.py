@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-What would the estimate be without a stretch of views? Cross-validation of an optimum.
+What would the estimate be without a segment of views? A delete-a-group jackknife.
 
-Nothing is optimised again: the optimum is linearised once, the stretch's observations are taken
+Nothing is optimised again: the optimum is linearised once, the segment's observations are taken
 out of its normal equations, and one Gauss-Newton step goes to the optimum of the rest (case
 deletion; Cook and Weisberg 1982, 5.2).
 """
@@ -27,19 +27,19 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.calibration.bundle.model import Linearisation
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Fit
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 
 #: Stretches of views that are left out in turn, and the views that this needs.
-STRETCHES, LEAST_VIEWS = 7, 6
+SEGMENTS, MIN_VIEWS = 7, 6
 
 
-def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+def delete_a_group(fit: RobustFit) -> tuple[np.ndarray, np.ndarray]:
     """
-    Estimate anew, to first order, without each of several stretches of views.
+    Estimate anew, to first order, without each of several segments of views.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         At its optimum.
 
     Returns
@@ -47,19 +47,19 @@ def leave_out_stretches(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     shifts : ndarray, shape (G, k)
         Change of the internal parameters; G = 0 where too few views would remain.
     covariances : ndarray, shape (G, k, k)
-        Of the estimates without a stretch, for independent errors.
+        Of the estimates without a segment, for independent errors.
 
     """
     views = len(fit.state.path)
-    groups = min(views, STRETCHES) if views >= LEAST_VIEWS else 0
-    stretch = (np.arange(views) * groups // views)[fit.observations.view]
-    found = [_without(fit, stretch != k) for k in range(groups)]
+    groups = min(views, SEGMENTS) if views >= MIN_VIEWS else 0
+    segment = (np.arange(views) * groups // views)[fit.observations.view]
+    found = [_without(fit, segment != k) for k in range(groups)]
     shifts, covariances = zip(*filter(None, found)) if any(found) else ((), ())
     return (np.array(shifts).reshape(-1, INTRINSICS),
             np.array(covariances).reshape(-1, INTRINSICS, INTRINSICS))
 
 
-def _without(fit: Fit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _without(fit: RobustFit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Shift (k,) and covariance (k, k) of the estimate from some observations, or None."""
     observations = fit.observations
     rest, points = observations.select(kept)
@@ -68,19 +68,19 @@ def _without(fit: Fit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None
         return None
     rows = kept & np.isin(observations.point, points)
     every = fit.linearisation
-    line = Linearisation(*(getattr(every, field.name)[rows] for field in fields(every)))
+    linearisation = Linearisation(*(getattr(every, field.name)[rows] for field in fields(every)))
     state = replace(fit.state, path=fit.state.path.of_views(seen),
                     points=fit.state.points[points])
     bundle = bundle_of(replace(rest, view=view), fit.motion.of_views(seen),
                        fit.bundle.priors, fit.bundle.sigma_px)
-    system, root = bundle.weighted_equations(state, linearisation=line)
+    system, root = bundle.weighted_equations(state, linearisation=linearisation)
     inverse = bundle.inverse(system)
     # the gradient's slope is not the weight where Huber's loss is no parabola
-    _, pull = bundle.loss_factors(line)
+    _, pull = bundle.loss_factors(linearisation)
     step = -inverse @ system.gradient
     change = pull * system.predict(step, system.point_steps(step))
-    # without the stretch the rest is explained better; the small difference of two covariances
+    # without the segment the rest is explained better; the small difference of two covariances
     # is what counts, so that the noise must be that of this estimate
-    there = line.residual + change / np.maximum(root, 1e-300)
+    there = linearisation.residual + change / np.maximum(root, 1e-300)
     lens = bundle.unknowns.lens
-    return pull * step[lens], bundle.loss_factors(line, there)[0] * inverse[lens, lens]
+    return pull * step[lens], bundle.loss_factors(linearisation, there)[0] * inverse[lens, lens]

@@ -16,7 +16,7 @@ What the images say and what the facts say.
 
 The covariance C of an estimate from images and facts obeys C = C (I + Λ) C, with I the images'
 information and Λ that of the facts. So C Λ C is the part of the variance that the facts' own
-sigmas bring in, and of a parameter that has a fact of its own, its share is that of the
+sigmas bring in, and of a parameter that has a fact of its own, its fraction is that of the
 information. An exact fact brings in no variance; what rests on it shows when it is taken away.
 """
 
@@ -27,24 +27,24 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS, to_parameters
-from selfcal_ros.calibration.bundle.robust_fit import Fit
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.result import Identifiability
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
 #: Facts that may be stated, and the unknowns of the lens that each is about.
 FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
-#: Parameters of a direction that weigh less than this share of the heaviest are left out of words.
+#: Parameters of a direction that weigh less than this fraction of the heaviest are not named.
 MINOR = 0.2
 
 
-def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiability:
+def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple) -> Identifiability:
     """
     Tell images from facts.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         An optimum.
     size : (int, int)
         Width and height of the image.
@@ -83,7 +83,7 @@ def identify(fit: Fit, size: tuple[int, int], estimated: tuple) -> Identifiabili
         float(np.sqrt(max(values[-1], 0))))
 
 
-def _without_facts(fit: Fit) -> dict[str, np.ndarray]:
+def _without_facts(fit: RobustFit) -> dict[str, np.ndarray]:
     """Covariances (n, n) of the optimum if each stated fact were not stated."""
     priors, state = fit.bundle.priors, fit.state
     stated = {fact: about for fact, about in FACTS.items() if set(about) <= set(priors)}

@@ -30,47 +30,48 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, INTRINSICS,
                                                  to_parameters)
 from selfcal_ros.calibration.bundle.priors import Prior
-from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.observability import LOST, observability_limits
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.observability import UNOBSERVABLE_FACTOR, observability_limits
 
 #: Sigmas that the parameter is moved by; the quadratic rises by half their square.
 REACH = 2.0
-#: The parameter determined worst is followed when its sigma exceeds this share of what makes it
+#: The parameter determined worst is followed when its sigma exceeds this fraction of what makes it
 #: unobservable.
-WEAK = 0.02
+PROFILED_FRACTION = 0.02
 #: Most cameras have pixels of about this aspect ratio: whether it is as unlikely as the sigma says
 #: is seen from the cost there.
-LIKELY_ASPECT = 1.0
-#: Doublings of the reach before the valley counts as without an end.
-DOUBLINGS = 4
+USUAL_ASPECT = 1.0
+#: Displacements, each farther, before the valley counts as without an end.
+MAX_DISPLACEMENTS = 4
 #: A fall of the cost by more than this is another optimum.
-FALL = 0.05
+BETTER_BY = 0.05
 
 
-def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[Fit, np.ndarray]:
+def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: float = 1.0,
+                              ) -> tuple[RobustFit, np.ndarray]:
     """
     Compare the cost along the valley of a weak optimum with the quadratic.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         At its optimum.
     size : (int, int)
         Width and height of the image.
-    share : float
+    fraction : float
         Of all observations that the fit uses; its own sigmas are larger than those of all by
         the root of it, and the valley is followed so far only.
 
     Returns
     -------
-    Fit
+    RobustFit
         A better optimum, if there was one in the valley.
     ndarray, shape (k, k)
         Covariance to add to that of the internal parameters from all observations, for
         independent errors.
 
     """
-    joint = share * fit.covariance
+    joint = fraction * fit.covariance
     lens, unknowns = fit.state.lens, fit.bundle.unknowns
     inner = unknowns.lens
     limits = observability_limits(fit.state.camera(*size))
@@ -80,19 +81,19 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     if weakest == 'aspect' and not unknowns.free[place]:
         place, weakest = intrinsic_places('f')[0], 'f'
     nothing = np.zeros((INTRINSICS, INTRINSICS))
-    if not WEAK * limits[place] < sigma[place] < LOST * limits[place]:
+    if not PROFILED_FRACTION * limits[place] < sigma[place] < UNOBSERVABLE_FACTOR * limits[place]:
         return fit, nothing
-    along = joint[place] / np.sqrt(joint[place, place])
-    likely = LIKELY_ASPECT - lens['aspect'] if weakest == 'aspect' else 0.0
+    per_sigma = joint[place] / np.sqrt(joint[place, place])
+    likely = USUAL_ASPECT - lens['aspect'] if weakest == 'aspect' else 0.0
     sides = []
     for side in (-1, 1):
-        found = _displaced(fit, weakest, side * along, share, max(side * likely, 0.0))
-        if isinstance(found, Fit):
-            return follow_valley(found, size, share)
+        found = _displaced(fit, weakest, side * per_sigma, fraction, max(side * likely, 0.0))
+        if isinstance(found, RobustFit):
+            return profile_likelihood_excess(found, size, fraction)
         sides.append(found)
     # truths and estimates lie to either side equally often: the mean square of both ways
     scale = np.outer(limits, limits)
-    first_order = np.outer(along[inner], along[inner])
+    first_order = np.outer(per_sigma[inner], per_sigma[inner])
     more = (np.einsum('si,sj->ij', sides, sides) / 2 - first_order) / scale
     values, vectors = np.linalg.eigh(more)
     excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
@@ -100,49 +101,49 @@ def follow_valley(fit: Fit, size: tuple[int, int], share: float = 1.0) -> tuple[
     return fit, excess * np.outer(unknowns.free[inner], unknowns.free[inner])
 
 
-def _displaced(fit: Fit, name: str, sigma: np.ndarray, share: float, least: float = 0.0,
-               ) -> np.ndarray | Fit:
+def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, least: float = 0.0,
+               ) -> np.ndarray | RobustFit:
     """
     Move one parameter, let the rest follow, and compare the rise of the cost with a quadratic.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
     name : str
         Of the parameter, among `INTRINSIC_NAMES`.
     sigma : ndarray, shape (n,)
         Change of all unknowns but the points where it moves by one sigma, to first order.
-    share : float
+    fraction : float
     least : float
         Way of the parameter that is gone in any case.
 
     Returns
     -------
     ndarray, shape (k,)
-        The way to where the cost of all observations has risen by a half, as one sigma; or
-    Fit
+        The displacement at which the cost of all observations has risen by a half; or
+    RobustFit
         where the cost is lower than at the optimum.
 
     """
     state, step, before = fit.state, REACH * sigma, fit.cost
     unknowns = fit.bundle.unknowns
-    for _ in range(DOUBLINGS):
+    for _ in range(MAX_DISPLACEMENTS):
         start = fit.bundle.moved(state, step)
         bundle = fit.bundle.with_priors({**fit.bundle.priors, name: Prior(start.lens[name], 0.0)})
-        moved = bundle.optimise(bundle.refine_points(start), 30, 0.02 * share)
+        moved = bundle.optimise(bundle.refine_points(start), 30, 0.02 * fraction)
         # a fact with a sigma counts, also where it is about the parameter that was moved
         rise = fit.bundle.cost(moved) - before
-        if rise < -FALL:
+        if rise < -BETTER_BY:
             better = replace(fit, state=fit.bundle.optimise(moved, 50, 0.02))
-            if better.cost < before - FALL:
+            if better.cost < before - BETTER_BY:
                 return better
-        # of one sigma: the quadratic rises with the square of the way
-        sigmas = np.sqrt(2 * max(rise, 1e-6) / share)
-        way = moved.lens.values - fit.state.lens.values
+        # of one sigma: the quadratic rises with the square of the displacement
+        sigmas = np.sqrt(2 * max(rise, 1e-6) / fraction)
+        displacement = moved.lens.values - fit.state.lens.values
         if sigmas > 0.7 * REACH and abs(moved.lens[name] - fit.state.lens[name]) >= least:
             break
-        # as far again, the way the valley went
-        step[unknowns.lens] = way
+        # as far again, the displacement the valley went
+        step[unknowns.lens] = displacement
         step[unknowns.by_view] = fit.state.path.steps_to(moved.path)
         state = moved
-    return way / sigmas
+    return displacement / sigmas

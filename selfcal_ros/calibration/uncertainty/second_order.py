@@ -16,10 +16,10 @@ What a covariance misses to second order: the ellipsoid at the estimate is tilte
 
 Where parameters trade against each other (k1 against k2, focal length against angles) the cost is
 thin across a surface that is bent. The ellipsoid at the estimate is tangent to that surface, and
-the truth, a sigma away along it, lies off the ellipsoid by the bend. How the Fisher information
+the truth, a sigma away along it, lies off the ellipsoid by the offset. How the Fisher information
 turns along the surface says how much: its Christoffel symbols are the second derivatives of the
 model in units of sigmas, the parameter-effects curvature of Bates and Watts (1980), and the mean
-square of the bend follows in closed form.
+square of the offset follows in closed form.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS
-from selfcal_ros.calibration.bundle.robust_fit import Fit
-from selfcal_ros.calibration.observability import LOST, observability_limits
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.observability import UNOBSERVABLE_FACTOR, observability_limits
 
-#: The bend is followed along what is determined worst: the directions whose sigma exceeds this
-#: share of what makes a parameter unobservable. It grows with the square of the way.
-WEAK = 0.1
-#: Whether the truth lies inside an ellipsoid is decided at its surface, where the bend is larger
-#: than on average: the one that holds this share is taken for all.
+#: The offset is followed along what is determined worst: the directions whose sigma exceeds this
+#: fraction of what makes a parameter unobservable. It grows with the square of the way.
+CURVED_FRACTION = 0.1
+#: Whether the truth lies inside an ellipsoid is decided at its surface, where the offset is larger
+#: than on average: the one that holds this fraction is taken for all.
 SURFACE = 0.8
 
 
-def mean_square_bend(slopes: np.ndarray) -> np.ndarray:
+def mean_square_offset(slopes: np.ndarray) -> np.ndarray:
     """
     Mean square of how far a bent model lies from its tangent, for Gaussian errors.
 
@@ -62,13 +62,14 @@ def mean_square_bend(slopes: np.ndarray) -> np.ndarray:
     return 0.5 * np.einsum('kij,lij->kl', A, A) + 0.25 * np.outer(mean, mean)
 
 
-def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarray:
+def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float = 1.0,
+                            ) -> np.ndarray:
     """
     Covariance that the internal parameters have beyond first order.
 
     Parameters
     ----------
-    fit : Fit
+    fit : RobustFit
         At its optimum.
     size : (int, int)
         Width and height of the image.
@@ -89,7 +90,7 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
     limits[intrinsic_places(('aspect',))] /= fit.state.lens['f']
     limits = limits[free]
     squares, vectors = np.linalg.eigh(joint[np.ix_(free, free)] / np.outer(limits, limits))
-    if not (squares[0] > 0 and WEAK**2 < squares[-1] < LOST**2):
+    if not (squares[0] > 0 and CURVED_FRACTION**2 < squares[-1] < UNOBSERVABLE_FACTOR**2):
         return nothing
     # columns: independent changes of the parameters, one sigma each; everything else follows
     root = limits[:, None] * vectors * np.sqrt(squares)
@@ -103,13 +104,13 @@ def bend_excess(fit: Fit, size: tuple[int, int], scale: float = 1.0) -> np.ndarr
 
     slopes = np.zeros((len(free),) * 3)
     try:
-        for k in np.flatnonzero(squares > WEAK**2):
+        for k in np.flatnonzero(squares > CURVED_FRACTION**2):
             slopes[k] = (information(ways[:, k]) - information(-ways[:, k])) / 2
     except np.linalg.LinAlgError:
         # a sigma away there is no camera any more
         return nothing
     excess = nothing.copy()
-    excess[np.ix_(free, free)] = root @ mean_square_bend(slopes) @ root.T
+    excess[np.ix_(free, free)] = root @ mean_square_offset(slopes) @ root.T
     p = len(free)
     # of |u|⁴ at the surface to its mean
     return excess * chi2.ppf(SURFACE, p)**2 / (p * (p + 2))

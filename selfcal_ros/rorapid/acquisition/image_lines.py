@@ -27,11 +27,11 @@ _NEAR_PX = 0.7
 #: Ends of lines this far apart may meet in a corner, pixels.
 _MEET_PX = 8.0
 #: Lines that meet under a smaller angle have no good intersection.
-_LEAST_ANGLE_RAD = np.deg2rad(15)
+_MIN_ANGLE_RAD = np.deg2rad(15)
 #: Height of the arch of an edge that counts as straight, as a share of its length.
-_MOST_ARCH = 0.015
+_MAX_ARCH = 0.015
 #: Of more pieces of lines in an image the longest are taken.
-_MOST_LINES = 600
+_MAX_LINES = 600
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,11 @@ def detect_lines(image: np.ndarray, least_length_px: float = 20.0,
     found = cv2.createLineSegmentDetector().detect(image)[0]
     segments = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
-    longest = np.argsort(-lengths, kind='stable')[:_MOST_LINES]
+    longest = np.argsort(-lengths, kind='stable')[:_MAX_LINES]
     segments = segments[longest[lengths[longest] > 0.5 * least_length_px]]
     segments, support, arch = _refined(image, segments, 3)
     # chords of round edges are no lines; a lens bends lines much less
-    segments = _joined(segments[(support > 0.5) & (arch < _MOST_ARCH)])
+    segments = _joined(segments[(support > 0.5) & (arch < _MAX_ARCH)])
     lengths = np.hypot(*(segments[:, 1] - segments[:, 0]).T)
     order = np.argsort(-lengths, kind='stable')
     segments = segments[order[lengths[order] >= least_length_px]]
@@ -243,7 +243,7 @@ def intersection(segments: np.ndarray) -> np.ndarray | None:
     along = along / np.hypot(*along.T)[:, None]
     normals = np.column_stack([-along[:, 1], along[:, 0]])
     smallest = np.linalg.svd(normals, compute_uv=False)[-1]
-    if smallest**2 < 1 - np.cos(_LEAST_ANGLE_RAD):
+    if smallest**2 < 1 - np.cos(_MIN_ANGLE_RAD):
         return None
     offsets = (normals * segments[:, 0]).sum(axis=1)
     return np.linalg.lstsq(normals, offsets, rcond=None)[0]

@@ -37,15 +37,15 @@ from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, Acquir
 #: Half side of the square that is compared around corners, pixels.
 _HALF = 9
 #: Corners that correlate less are no match.
-_LEAST_CORRELATION = 0.6
+_MIN_CORRELATION = 0.6
 #: With the translation known, lines that meet in the same directions need less.
-_LEAST_GUIDED, _SAME_DIRECTION_RAD = 0.2, np.deg2rad(8)
+_MIN_GUIDED, _SAME_DIRECTION_RAD = 0.2, np.deg2rad(8)
 #: Corners further from their epipolar line are no match, pixels.
 _BAND_PX = 1.5
 #: Corners that moved less tell nothing about the translation, pixels.
-_LEAST_MOTION_PX = 2.0
+_MIN_MOTION_PX = 2.0
 #: Share of a line along which its edge must be found, in both images.
-_LEAST_SUPPORT = 0.6
+_MIN_SUPPORT = 0.6
 
 
 def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
@@ -169,10 +169,10 @@ def _proposed(first, second, places_a, places_b, allowed, largest_motion_px):
         return none, none
     product = _patches(first, places_a) @ _patches(second, places_b).T
     motion = np.linalg.norm(places_a[:, None] - places_b, axis=2)
-    product[(motion > largest_motion_px) | (motion < _LEAST_MOTION_PX) | ~allowed[:, None]] = -1
+    product[(motion > largest_motion_px) | (motion < _MIN_MOTION_PX) | ~allowed[:, None]] = -1
     b = product.argmax(axis=1)
     a = np.arange(len(b))
-    mutual = (product.argmax(axis=0)[b] == a) & (product[a, b] > _LEAST_CORRELATION)
+    mutual = (product.argmax(axis=0)[b] == a) & (product[a, b] > _MIN_CORRELATION)
     return a[mutual], b[mutual]
 
 
@@ -236,7 +236,7 @@ def _guided(first, second, camera, e, lines, corners, matches, allowed):
     score = _patches(first, places[0][left]) @ _patches(second, places[1][right]).T
     score[~((miss < _BAND_PX) & (inverse_depth > 0.7 * known.min())
             & (inverse_depth < 1.4 * known.max()))] = -1
-    for i, j in zip(*np.nonzero(score > _LEAST_GUIDED)):
+    for i, j in zip(*np.nonzero(score > _MIN_GUIDED)):
         one, two = corners[0][left[i]], corners[1][right[j]]
         turn = (_directions(one, lines[0])[:, None] - _directions(two, lines[1])) % (2 * np.pi)
         same = np.minimum(turn, 2 * np.pi - turn) < _SAME_DIRECTION_RAD
@@ -244,7 +244,7 @@ def _guided(first, second, camera, e, lines, corners, matches, allowed):
             score[i, j] = -1
     best = score.argmax(axis=1)
     rows = np.arange(len(best))
-    mutual = (score.argmax(axis=0)[best] == rows) & (score[rows, best] > _LEAST_GUIDED)
+    mutual = (score.argmax(axis=0)[best] == rows) & (score[rows, best] > _MIN_GUIDED)
     return np.concatenate([a, left[mutual]]), np.concatenate([b, right[best[mutual]]])
 
 
@@ -265,4 +265,4 @@ def _connected(images, places, corners):
         return []
     support = [refine_lines(image, xy[np.array(pairs)], 2)[1]
                for image, xy in zip(images, places)]
-    return [pair for pair, least in zip(pairs, np.min(support, axis=0)) if least > _LEAST_SUPPORT]
+    return [pair for pair, least in zip(pairs, np.min(support, axis=0)) if least > _MIN_SUPPORT]

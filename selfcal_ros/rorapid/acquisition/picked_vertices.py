@@ -43,7 +43,7 @@ import yaml
 
 _KEYS = ('vertices', 'faces', 'lines', 'ellipses', 'frame')
 #: Nobody picks more; a YAML file takes long to parse.
-_MOST_VERTICES, _LARGEST_YAML = 1000, 500_000
+_MAX_VERTICES, _LARGEST_YAML = 1000, 500_000
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ def _picked(data) -> PickedVertices:
     if unknown:
         raise InputError(f'it may hold {", ".join(_KEYS)}, but not {unknown[0][:40]!r}.')
     rows = data['vertices']
-    if len(rows) > _MOST_VERTICES:
-        raise InputError(f'{len(rows)} vertices are too many; {_MOST_VERTICES} may be.')
+    if len(rows) > _MAX_VERTICES:
+        raise InputError(f'{len(rows)} vertices are too many; {_MAX_VERTICES} may be.')
     names = tuple(str(name) for name in rows)
     if len(set(names)) != len(names):
         raise InputError('two vertices have the same name.')

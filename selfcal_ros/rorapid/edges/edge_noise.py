@@ -21,7 +21,7 @@ import numpy as np
 _MEMORY = 0.9
 #: Noise of an edge's place (pixels) and of the grey levels around it that is assumed at first, as
 #: if so many edgels of such contrast had been seen; and the least noise of the place.
-_USUAL_NOISE, _USUAL_CONTRAST, _USUAL_COUNT, _LEAST_PLACE_PX = (0.1, 4.0), 40.0, 20.0, 0.08
+_USUAL_NOISE, _USUAL_CONTRAST, _USUAL_COUNT, _MIN_PLACE_PX = (0.1, 4.0), 40.0, 20.0, 0.08
 #: So near the end of a line what meets it there doubles the variance, pixels.
 _END_PX = 6.0
 #: Freedom of what is assumed of the common scatter at first, and its bounds.
@@ -34,7 +34,7 @@ _RIDGE = 0.02
 #: Freedom for which what was learned from the images before counts beside one image: views differ.
 _BEFORE_FREEDOM = 8.0
 #: Curvature of the cost against the weights, at the least.
-_LEAST_CURVATURE = 0.3
+_MIN_CURVATURE = 0.3
 
 
 class EdgeNoise:
@@ -92,7 +92,7 @@ class EdgeNoise:
         det = max(p * r - q * q, 1e-30)
         place = (r * self._right[0] - q * self._right[1]) / det
         grey = (p * self._right[1] - q * self._right[0]) / det
-        least = _LEAST_PLACE_PX**2
+        least = _MIN_PLACE_PX**2
         if place < least:
             place, grey = least, (self._right[1] - q * least) / r
         if grey < 0:
@@ -129,7 +129,7 @@ class CommonScatter:
         """By how much the variance of a pose grows, from what its image shows (`sums_of`)."""
         square, freedom, curvature, weight = self._sums
         scatter = (sums[0] + _BEFORE_FREEDOM * square / freedom) / (sums[1] + _BEFORE_FREEDOM)
-        bend = max(curvature / weight, _LEAST_CURVATURE)
+        bend = max(curvature / weight, _MIN_CURVATURE)
         return float(np.clip(_UNSEEN * scatter / bend**2, *_COMMON))
 
     def learn(self, sums: np.ndarray) -> None:

@@ -29,7 +29,7 @@ from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
 #: Noise of the edges in one image against what was learned, at the least.
-_LEAST_NOISE = 0.7
+_MIN_NOISE = 0.7
 #: Tukey's limit in sigmas, and of the last steps at the most, pixels.
 _TUKEY, _NARROW_PX = 4.5, 3.0
 #: Steps with the narrow limit in the last round; each leaves a third of the error before.
@@ -251,7 +251,7 @@ class EdgeSearch:
             if limit == limits[-1]:
                 own = self._noise.sigma(contrast[line, best], view.end_px[at])
                 share = fast_robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
-                                          _LEAST_NOISE)
+                                          _MIN_NOISE)
                 sigma = share * own
                 limit = np.minimum(_TUKEY * sigma, limit)
             else:

@@ -25,7 +25,7 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
 #: Longer files are not what they claim to be.
-_MOST_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 
 
 def read_init(path) -> np.ndarray:
@@ -87,7 +87,7 @@ def read_pose_file(path) -> tuple[np.ndarray, np.ndarray]:
 def _numbers(path: Path) -> np.ndarray:
     """All numbers of a text file, comments left out."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > _MAX_BYTES:
             raise InputError(f'{path}: too large for a file of a few numbers.')
         text = path.read_text(encoding='utf-8', errors='replace')
     except OSError as error:

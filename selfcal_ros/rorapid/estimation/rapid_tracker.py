@@ -30,7 +30,7 @@ from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
 #: Edgels are not known better than this, pixels.
-_LEAST_SIGMA_PX = 0.3
+_MIN_SIGMA_PX = 0.3
 
 
 class RapidTracker:
@@ -184,7 +184,7 @@ class RapidTracker:
         state = control.projection.moved(predicted, self.basis @ q)
         after = control.again(view, state)
         residual = offset - rows @ q
-        sigma = fast_robust_sigma(residual[found], _LEAST_SIGMA_PX)
+        sigma = fast_robust_sigma(residual[found], _MIN_SIGMA_PX)
         # weights are confidence, not precision: the spread is that of the weighted mean
         inverse = np.linalg.inv(H)
         covariance = sigma**2 * inverse @ ((rows * (w * w)[:, None]).T @ rows) @ inverse

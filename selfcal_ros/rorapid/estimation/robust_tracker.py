@@ -27,7 +27,7 @@ from selfcal_ros.rorapid.estimation.track_quality import (
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
-from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, LEAST_TEXTURE
+from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, MIN_TEXTURE
 from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
 from selfcal_ros.rorapid.texture.view_memory import ViewMemory
 
@@ -164,7 +164,7 @@ class RobustTracker:
         if region is not None and self._use_texture and self.texture.known:
             state, matches, agree = self._by_texture(region, predicted, prior)
         count = int(agree.sum())
-        led = count >= LEAST_TEXTURE
+        led = count >= MIN_TEXTURE
         measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
                                 led)
         if led and matches is not None and count < max(

@@ -19,13 +19,13 @@ import numpy as np
 
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import Projection
-from selfcal_ros.rorapid.texture.corner_fit import LEAST_TEXTURE
+from selfcal_ros.rorapid.texture.corner_fit import MIN_TEXTURE
 from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
 
 #: A lost object is recognised by so many agreeing corners: fewer agree on a wrong pose by chance.
 RECOGNISED_CORNERS = 10
 #: ... by this share of the corners looked for: of more corners, more agree by chance ...
-_RECOGNISED_SHARE = 0.15
+_RECOGNISED_FRACTION = 0.15
 #: ... and by this share of those that were followed: a wrong pose has the larger part against it.
 RECOGNISED_FOLLOWED = 0.6
 #: With this share of the edges found the texture may be wrong.
@@ -73,12 +73,12 @@ def track_quality(options: TrackerOptions, edges: float, matches: TextureMatches
 
     """
     looked_for = len(agree)
-    if matches is None or looked_for < 2 * LEAST_TEXTURE:
+    if matches is None or looked_for < 2 * MIN_TEXTURE:
         return float(edges), edges >= max(options.tracking_share, EDGES_SUFFICIENT)
     count, followed = int(agree.sum()), int(matches.followed.sum())
     rich = looked_for >= _RICH_TEXTURE
     by_edges = edges > _RECOGNISED_EDGES and not rich
-    if count < LEAST_TEXTURE or count < _DENIED_FOLLOWED * followed:
+    if count < MIN_TEXTURE or count < _DENIED_FOLLOWED * followed:
         if rich:
             return _EDGES_AGAINST_RICH * float(edges), False
         sufficient = edges > EDGES_SUFFICIENT
@@ -88,7 +88,7 @@ def track_quality(options: TrackerOptions, edges: float, matches: TextureMatches
     share = max(corners, 0.5 * (corners + edges), options.lost_share)
     if count < RECOGNISED_CORNERS and edges < _FEW_EDGES:
         share *= _BY_CHANCE
-    by_corners = (count >= max(RECOGNISED_CORNERS, _RECOGNISED_SHARE * looked_for)
+    by_corners = (count >= max(RECOGNISED_CORNERS, _RECOGNISED_FRACTION * looked_for)
                   and count >= RECOGNISED_FOLLOWED * followed)
     return float(share), by_edges or by_corners
 

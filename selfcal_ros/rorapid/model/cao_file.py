@@ -37,7 +37,7 @@ from selfcal_ros.values.wireframe import (Conic, Cylinder, FACE_LIMIT, LIMIT, Po
                                           WireframeModel)
 
 #: No model may consist of more files.
-MOST_FILES = 1_000
+MAX_FILES = 1_000
 #: ViSP's thresholds where ``useLod`` is on and none is given.
 DEFAULT_LINE_LENGTH_PX = 50.0
 DEFAULT_POLYGON_AREA_PX2 = 2500.0
@@ -190,9 +190,9 @@ def _read(path, rotation, translation, parts, above):
     if real in above:
         raise InputError(f'{above[-1]} loads {path}, which loads it in turn.')
     parts.files += 1
-    if parts.files > MOST_FILES:
+    if parts.files > MAX_FILES:
         raise InputError(f'{path} is one model file too many; a model may consist of at most '
-                         f'{MOST_FILES}.')
+                         f'{MAX_FILES}.')
     reader = _Reader(path)
     if not re.match(r'\s*V\d', reader.line('the version')):
         raise reader.fail('a .cao file begins with its version, V1.')

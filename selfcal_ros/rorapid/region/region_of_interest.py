@@ -24,7 +24,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 
 #: The region of interest is halved until its longer side is shorter than this, pixels.
-_MOST_ROI_PX = 320
+_MAX_ROI_PX = 320
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
         return None
     part, scale = lens.part(image, low, high), 1.0
     corner = low.astype(float)
-    while max(part.shape) * scale > _MOST_ROI_PX:
+    while max(part.shape) * scale > _MAX_ROI_PX:
         scale *= 0.5
     if scale < 1:
         step = int(round(1 / scale))

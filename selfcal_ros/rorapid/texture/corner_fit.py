@@ -24,11 +24,11 @@ from selfcal_ros.rorapid.projection.camera_models import ProjectedPoints, Projec
 _TEXTURE_SIGMA_PX, _TUKEY = 0.1, 4.5
 #: Corners beside edges: their common error is that of the pose in which they were learned, which
 #: does not average out, so that each counts for little - the more, the fewer edges there are.
-_EDGE_SHARES, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
+_EDGE_FRACTIONS, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
 #: A corner of the texture agrees with a pose within this distance, pixels.
 AGREE_PX = 2.5
 #: So many corners must agree before they lead the edges.
-LEAST_TEXTURE = 5
+MIN_TEXTURE = 5
 
 
 class CornerFit:
@@ -57,7 +57,7 @@ class CornerFit:
         """Pose from followed corners: RANSAC, then an M-estimator; and which corners agree."""
         good = np.flatnonzero(matches.followed)
         agree = np.zeros(len(matches.followed), bool)
-        if len(good) < LEAST_TEXTURE:
+        if len(good) < MIN_TEXTURE:
             return predicted, agree
         points, pixels = matches.object_points[good], matches.pixels[good]
         rows, residual = self._rows(predicted, points, pixels)
@@ -83,7 +83,7 @@ class CornerFit:
             q = np.linalg.solve(H + prior, g - prior @ back)
             state = self.projection.moved(state, self.basis @ q)
         near = self.near(state, matches, near_px)
-        return (state, near) if near.sum() >= LEAST_TEXTURE else (predicted, agree)
+        return (state, near) if near.sum() >= MIN_TEXTURE else (predicted, agree)
 
     def near(self, state, matches, near_px: float = AGREE_PX) -> np.ndarray:
         """Which of the followed corners lie where a state puts them, (N,) bool."""
@@ -123,7 +123,7 @@ class CornerFit:
                                     matches.pixels[agree])
         distance = np.sqrt((residual**2).sum(axis=0))
         sigma = fast_robust_sigma(distance / 1.5, float(np.interp(
-            edge_share, _EDGE_SHARES, _BESIDE_EDGES_PX)))
+            edge_share, _EDGE_FRACTIONS, _BESIDE_EDGES_PX)))
         w = tukey_weight(distance, _TUKEY * sigma) / sigma**2
         w *= np.minimum(2 * matches.score[agree], 1.0)
         both = rows.reshape(-1, rows.shape[2])

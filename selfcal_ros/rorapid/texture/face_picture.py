@@ -23,7 +23,7 @@ import numpy as np
 #: Texels along the longer side of a face, and the share by which its picture is wider.
 TEXELS, MARGIN = 96, 0.08
 #: Corners that agreed less often are left out; texels changed in so many pictures are renewed.
-LEAST_SCORE, _DOUBTS = 0.12, 12
+MIN_SCORE, _DOUBTS = 0.12, 12
 #: Block of the corner detector, pixels, and its answer where grey levels change by 1.5 a pixel in
 #: every direction (its scale: Sobel's 8 over 4 x block x 255, squared, summed over the block).
 _BLOCK = 5
@@ -176,7 +176,7 @@ class Face:
         rate = np.where(followed, _LEARN, _LEARN_HIDDEN)[corners < len(self.score)]
         corners, right = corners[corners < len(self.score)], agree[corners < len(self.score)]
         self.score[corners] += rate * (right - self.score[corners])
-        return bool((self.score > LEAST_SCORE).sum() >= 0.4 * len(self.score))
+        return bool((self.score > MIN_SCORE).sum() >= 0.4 * len(self.score))
 
     def matches(self, picture: np.ndarray) -> bool:
         """Whether a new picture shows the same as the old one."""

@@ -29,17 +29,17 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
-from selfcal_ros.rorapid.texture.face_picture import (Face, LEAST_SCORE, hidden_points, lay_frame,
+from selfcal_ros.rorapid.texture.face_picture import (Face, MIN_SCORE, hidden_points, lay_frame,
                                                       sample_points)
 
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
-_LEAST_COSINE, _LEAST_AREA_PX = 0.2, 250.0
+_MIN_COSINE, _MIN_AREA_PX = 0.2, 250.0
 #: Window of Lucas-Kanade, pixels.
 _WINDOW = 11
 #: A corner was followed if its surroundings (9 x 9) correlate better than this.
-_LEAST_CORRELATION = 0.6
+_MIN_CORRELATION = 0.6
 #: Share of a face that must lie inside the image to be learned.
-_LEAST_SEEN = 0.25
+_MIN_SEEN = 0.25
 #: Score of a new corner beside a face that was seen often enough.
 _UNPROVEN, _PROVEN = 0.2, 8
 #: A picture of so much more area replaces the one before.
@@ -127,9 +127,9 @@ class TextureMemory:
         if self._view is None or view @ self._view < 0.9994:
             self._view = view
             hidden = hidden_points(self._samples, centre, self._triangles)
-            self._open = (cosine > 0.5 * _LEAST_COSINE) & (
+            self._open = (cosine > 0.5 * _MIN_COSINE) & (
                 hidden.reshape(len(self._faces), -1).mean(axis=1) < 0.4)
-        self._visible = self._open & (cosine > _LEAST_COSINE)
+        self._visible = self._open & (cosine > _MIN_COSINE)
         return self._visible
 
     def _homography(self, face: Face, state: ObjectPose, region: Region) -> np.ndarray:
@@ -190,7 +190,7 @@ class TextureMemory:
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
         good = (status[:, 0] > 0) & ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
         found[~good] = 0
-        good &= _correlation(drawing, und, region.image, found) > _LEAST_CORRELATION
+        good &= _correlation(drawing, und, region.image, found) > _MIN_CORRELATION
         return TextureMatches(points, region.outside(found.astype(float)), good,
                               owner[:, 0], owner[:, 1], self._scores(owner))
 
@@ -224,7 +224,7 @@ class TextureMemory:
                 mask = cv2.warpPerspective(face.mask & face.known, H, (width, height),
                                            flags=cv2.INTER_NEAREST)
                 cv2.copyTo(drawn, mask, drawing)
-            good = np.flatnonzero(face.score > LEAST_SCORE)
+            good = np.flatnonzero(face.score > MIN_SCORE)
             at = face.texels[good] @ H[:, :2].T + H[:, 2]
             points.append(face.points[good])
             pixels.append(at[:, :2] / at[:, 2:])
@@ -278,7 +278,7 @@ class TextureMemory:
             corners = (corners[:, :2] / corners[:, 2:]).astype(np.float32)
             limit = np.array(region.image.shape[::-1])
             area = cv2.contourArea(corners)
-            if area < _LEAST_AREA_PX * region.scale**2:
+            if area < _MIN_AREA_PX * region.scale**2:
                 continue
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             picture = cv2.warpPerspective(region.image, H, size, flags=flags,
@@ -287,7 +287,7 @@ class TextureMemory:
             if (corners < -2).any() or (corners > limit + 2).any():
                 seen = cv2.warpPerspective(np.full_like(region.image, 255), H, size, flags=flags)
                 seen = cv2.compare(seen, 254, cv2.CMP_GT)    # type: ignore[call-overload]
-                if cv2.countNonZero(seen) < _LEAST_SEEN * seen.size:
+                if cv2.countNonZero(seen) < _MIN_SEEN * seen.size:
                     continue
             self._take(face, picture, area, seen)
 

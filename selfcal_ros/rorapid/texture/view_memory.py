@@ -32,13 +32,13 @@ from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
 
 #: Views are remembered when their direction differs by this much, and so many at the most.
-_NEW_VIEW_RAD, _MOST_VIEWS = 0.35, 12
+_NEW_VIEW_RAD, _MAX_VIEWS = 0.35, 12
 #: Views that are compared with one image.
 _VIEWS_A_FRAME = 3
 #: Features agree with a similarity within this share of the object's size in the image.
-_AGREE_SHARE, _LEAST_AGREEING = 0.08, 6
+_AGREE_FRACTION, _MIN_AGREEING = 0.08, 6
 #: Correlation below which a place is not worth a measurement.
-_LEAST_CORRELATION = 0.35
+_MIN_CORRELATION = 0.35
 
 
 @dataclass
@@ -90,7 +90,7 @@ class ViewMemory:
         for view in self._views:
             if view.direction @ direction > np.cos(_NEW_VIEW_RAD):
                 return
-        if len(self._views) < _MOST_VIEWS:
+        if len(self._views) < _MAX_VIEWS:
             self._views.append(self._last)
 
     def shifted(self, region: Region, state: ObjectPose) -> list[ObjectPose]:
@@ -129,7 +129,7 @@ class ViewMemory:
         score = cv2.matchTemplate(field, small, cv2.TM_CCOEFF_NORMED)
         score[~np.isfinite(score)] = -1
         _, best, _, at = cv2.minMaxLoc(score)
-        if best < _LEAST_CORRELATION:
+        if best < _MIN_CORRELATION:
             return []
         corner = region.corner + np.array(at) / scale
         expected = self.projection.project(state, self.outline).pixels
@@ -169,7 +169,7 @@ class ViewMemory:
         small = image if step == 1 else cv2.resize(image, None, fx=step, fy=step,
                                                    interpolation=cv2.INTER_AREA)
         points, descriptors = self._features.detectAndCompute(small, None)
-        if descriptors is None or len(points) < _LEAST_AGREEING:
+        if descriptors is None or len(points) < _MIN_AGREEING:
             return []
         pixels = (np.array([p.pt for p in points]) + 0.5) / step - 0.5
         self._searches += 1
@@ -198,17 +198,17 @@ class ViewMemory:
         """Return (support, state) from one view, or None."""
         if not view.described:
             self._describe(view)
-        if view.descriptors is None or len(view.pixels) < _LEAST_AGREEING:
+        if view.descriptors is None or len(view.pixels) < _MIN_AGREEING:
             return None
         pairs = self._matcher.knnMatch(view.descriptors, descriptors, k=2)
         kept = [p[0] for p in pairs if len(p) == 2 and p[0].distance < 0.85 * p[1].distance
                 and p[0].distance < 70]
-        if len(kept) < _LEAST_AGREEING:
+        if len(kept) < _MIN_AGREEING:
             return None
         old = view.pixels[[p.queryIdx for p in kept]]
         new = pixels[[p.trainIdx for p in kept]]
         size = np.ptp(self.projection.project(view.state, self.outline).pixels, axis=0).max()
-        fit = self._similarity(old, new, _AGREE_SHARE * size)
+        fit = self._similarity(old, new, _AGREE_FRACTION * size)
         if fit is None:
             return None
         support, turn, factor, old_mean, new_mean = fit
@@ -238,7 +238,7 @@ class ViewMemory:
         near = (error < limit) & usable[:, None]
         best = int(near.sum(axis=1).argmax())
         agree = near[best]
-        if agree.sum() < _LEAST_AGREEING:
+        if agree.sum() < _MIN_AGREEING:
             return None
         z, w = x[0][agree], x[1][agree]
         z, w, z_mean, w_mean = z - z.mean(), w - w.mean(), z.mean(), w.mean()

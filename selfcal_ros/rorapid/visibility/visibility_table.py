@@ -34,7 +34,7 @@ from selfcal_ros.values.wireframe import WireframeModel
 _HIDDEN, _VISIBLE, _UNSURE = 0, 1, 2
 _LARGEST = 4_000_000
 #: More work than this (points x triangles x cells) takes over 15 s.
-_MOST_WORK = 2e8
+_MAX_WORK = 2e8
 
 
 class VisibilityTable(VisibleModel):
@@ -73,7 +73,7 @@ class VisibilityTable(VisibleModel):
             raise ArgumentError('A visibility table takes 0 to 5 subdivisions.')
         self._range = float(nearest_m), float(farthest_m)
         self._directions, around, cells, reach = _view_sphere(subdivisions)
-        if len(self._points) * len(self._corners) * len(self._directions) > _MOST_WORK:
+        if len(self._points) * len(self._corners) * len(self._directions) > _MAX_WORK:
             raise ArgumentError('A visibility table of so many control points and faces would '
                                 'take too long; ask for fewer subdivisions, or use '
                                 'VisibleModel.')

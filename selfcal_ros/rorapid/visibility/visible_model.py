@@ -34,7 +34,7 @@ from selfcal_ros.values.wireframe import WireframeModel
 #: drawn on the face, not behind it.
 ON_FACE = 5e-4
 #: No model may have more control points times triangles.
-MOST_TESTS = 50_000_000
+MAX_TESTS = 50_000_000
 #: Numbers in the largest array that the test may make.
 _LARGEST = 2_000_000
 
@@ -85,11 +85,11 @@ def check_size(model: WireframeModel, control_points_per_line: int, per_conic: i
     Raises
     ------
     ArgumentError
-        If there were more than `MOST_TESTS` tests.
+        If there were more than `MAX_TESTS` tests.
 
     """
     points = control_points_per_line * len(model.lines) + per_conic * len(model.conics)
-    if points * len(model.triangles) > MOST_TESTS:
+    if points * len(model.triangles) > MAX_TESTS:
         raise ArgumentError(f'{points} control points and {len(model.triangles)} triangles are '
                             'too many to be tested; simplify the model, or use fewer points.')
 

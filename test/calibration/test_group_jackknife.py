@@ -24,9 +24,9 @@ from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, refit, with_all_points
 from selfcal_ros.calibration.estimators.model_selection import choose_model, first_fit
 from selfcal_ros.calibration.initialisation.multi_start import best_start
-from selfcal_ros.calibration.initialisation.problem import observations_of, Problem
+from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
-from selfcal_ros.calibration.uncertainty.group_jackknife import leave_out_stretches, STRETCHES
+from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
 from selfcal_ros.geometry.optimise import unknowns_of
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
 
@@ -35,8 +35,9 @@ def fit_of(name):
     """Fit a scene, distortion chosen, exactly planar."""
     sequence = HARD_SCENES[name](np.random.default_rng([0, 5]))
     graph = build_view_graph(sequence.tracks, np.random.default_rng(0))
-    problem = Problem(observations_of(graph.tracks, graph.frames), graph.pairs,
-                      sequence.tracks.image_size, CameraFacts(1.0, 0.0), graph.noise_px)
+    problem = SelfCalibrationProblem(observations_of(graph.tracks, graph.frames), graph.pairs,
+                                     sequence.tracks.image_size, CameraFacts(1.0, 0.0),
+                                     graph.noise_px)
     start, _ = best_start(problem, [])
     fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))
     fit = choose_model(problem, fit, 1.0).fit
@@ -46,7 +47,7 @@ def fit_of(name):
 def optimised_without(fit, stretch):
     """Estimate anew, with iterations, without a stretch."""
     views = len(fit.state.path)
-    of_view = np.arange(views) * STRETCHES // views
+    of_view = np.arange(views) * SEGMENTS // views
     rest, points = fit.observations.select(of_view[fit.observations.view] != stretch)
     kept, view = np.unique(rest.view, return_inverse=True)
     bundle = bundle_of(replace(rest, view=view), fit.motion, fit.bundle.priors,
@@ -60,8 +61,8 @@ def optimised_without(fit, stretch):
 @pytest.mark.parametrize('name', ['floor and wall', 'rolling shutter, a tenth of the interval'])
 def test_one_step_does_what_the_iterations_do(name):
     fit = fit_of(name)
-    shifts, covariances = leave_out_stretches(fit)
-    iterated, theirs = zip(*(optimised_without(fit, k) for k in range(STRETCHES)))
+    shifts, covariances = delete_a_group(fit)
+    iterated, theirs = zip(*(optimised_without(fit, k) for k in range(SEGMENTS)))
     sigma = np.sqrt(np.diag(fit.lens_covariance))
     free = sigma > 0
     iterated = np.array(iterated)[:, free] / sigma[free]

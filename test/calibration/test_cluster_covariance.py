@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Dependence of errors: seen where it is, not seen where it is not."""
+"""ClusterCovariance of errors: seen where it is, not seen where it is not."""
 
 import numpy as np
 
 from selfcal_ros import calibrate, CameraFacts, Tracks
-from selfcal_ros.calibration.uncertainty.cluster_covariance import stretch_excess
+from selfcal_ros.calibration.uncertainty.cluster_covariance import jackknife_excess
 from selfcal_ros.synthetic.scenes import sequence_si
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
@@ -55,8 +55,8 @@ def test_stretches_that_agree_add_nothing():
     without = np.tile(covariance * 7 / 6, (7, 1, 1))
     shifts = rng.standard_normal((7, 3)) * np.sqrt(np.diag(covariance) / 6)
 
-    assert stretch_excess(shifts, without, covariance)[0] == 1
-    ratio, more = stretch_excess(5 * shifts, without, covariance)
+    assert jackknife_excess(shifts, without, covariance)[0] == 1
+    ratio, more = jackknife_excess(5 * shifts, without, covariance)
     assert 3 < ratio < 7
     assert not more[2].any()
     assert np.linalg.eigvalsh(more).min() > -1e-9

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.estimators import model_selection as model_choice
-from selfcal_ros.calibration.uncertainty.second_order import mean_square_bend
+from selfcal_ros.calibration.uncertainty.second_order import mean_square_offset
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si
 
@@ -38,14 +38,15 @@ def test_the_mean_square_of_the_bend_is_that_of_a_simulation():
     bends = 0.5 * np.einsum('kij,ni,nj->nk', second, u, u)
     drawn = bends[:, :, None] * bends[:, None]
     spread = drawn.std(axis=0) / np.sqrt(len(u))
-    assert (np.abs(mean_square_bend(slopes) - drawn.mean(axis=0)) < 4 * spread).all()
+    assert (np.abs(mean_square_offset(slopes) - drawn.mean(axis=0)) < 4 * spread).all()
 
 
 @pytest.mark.parametrize('noise_px, bent', [(0.1, False), (1.0, True)])
 def test_only_what_is_determined_badly_bends(monkeypatch, noise_px, bent):
     tracks = sequence_si(np.random.default_rng(3), noise_px).tracks
     curved = calibrate(tracks, motion='planar', facts=FACTS)
-    monkeypatch.setattr(model_choice, 'bend_excess', lambda *_: np.zeros(COVARIANCE_SHAPE))
+    monkeypatch.setattr(model_choice, 'second_order_covariance',
+                        lambda *_: np.zeros(COVARIANCE_SHAPE))
     flat = calibrate(tracks, motion='planar', facts=FACTS)
 
     assert np.array_equal(curved.camera.parameters, flat.camera.parameters)
