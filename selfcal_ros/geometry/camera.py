@@ -105,7 +105,7 @@ class Camera:
         object.__setattr__(self, 'height', int(self.height))
 
     @classmethod
-    def from_parameters(cls, values, width: int = 0, height: int = 0) -> Camera:
+    def from_parameters(cls, values: ArrayLike, width: int = 0, height: int = 0) -> Camera:
         """Build a camera from the values of `PARAMETER_NAMES`."""
         fx, fy, cx, cy, skew, *coefficients = np.asarray(values, dtype=float).ravel()
         return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]],
@@ -159,7 +159,8 @@ class Camera:
 
     def pixels(self, xy: np.ndarray) -> np.ndarray:
         """Map undistorted normalised points of shape (..., 2) to pixels of the same shape."""
-        return self.distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
+        pixels: np.ndarray = self.distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
+        return pixels
 
     def normalised(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels (..., 2) to undistorted normalised points (..., 2), NaN where impossible."""
@@ -218,7 +219,7 @@ class CameraFacts:
     principal_point_sigma_px: float = 0.0
     distortion: str = 'auto'
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse impossible facts."""
         if self.distortion not in ('auto', *DISTORTION_MODELS):
             raise ArgumentError(f'Distortion model {self.distortion!r} is unknown; choose one of '

@@ -16,11 +16,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.projective import homogeneous
 
 
-def epipolar_residuals(F, xy_a, xy_b) -> np.ndarray:
+def epipolar_residuals(F: ArrayLike, xy_a: ArrayLike, xy_b: ArrayLike) -> np.ndarray:
     """
     Signed distances of the symmetric epipolar error (A.2).
 
@@ -44,7 +45,7 @@ def epipolar_residuals(F, xy_a, xy_b) -> np.ndarray:
                          product / np.hypot(line_a[..., 0], line_a[..., 1])], axis=-1)
 
 
-def sampson_distance(F, xy_a, xy_b) -> np.ndarray:
+def sampson_distance(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
     """
     Signed first-order distance of matches to the epipolar constraint.
 
@@ -67,4 +68,5 @@ def sampson_distance(F, xy_a, xy_b) -> np.ndarray:
     line_a = xy_b @ F[:2] + F[2]
     product = (xy_b * line_b[:, :2]).sum(axis=1) + line_b[:, 2]
     square = (line_b[:, :2] ** 2).sum(axis=1) + (line_a[:, :2] ** 2).sum(axis=1)
-    return product / np.sqrt(np.maximum(square, 1e-300))
+    distance: np.ndarray = product / np.sqrt(np.maximum(square, 1e-300))
+    return distance

@@ -21,9 +21,12 @@ F, to which each adds the derivative of F by its own few parameters.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Literal, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix,
@@ -56,22 +59,23 @@ class PairMatches:
     transform: np.ndarray
 
     @classmethod
-    def from_pixels(cls, pairs, transform=None) -> PairMatches:
+    def from_pixels(cls, pairs: Iterable[tuple[ArrayLike, ArrayLike]],
+                    transform: np.ndarray | None = None) -> PairMatches:
         """Stack [(xy_a (m, 2), xy_b (m, 2)), ...]; the counts may differ."""
-        pairs = [(np.asarray(a, float), np.asarray(b, float)) for a, b in pairs]
+        points = [(np.asarray(a, float), np.asarray(b, float)) for a, b in pairs]
         if transform is None:
-            transform = normalising_transform(np.vstack([p for pair in pairs for p in pair]))
-        counts = np.array([len(a) for a, _ in pairs])
+            transform = normalising_transform(np.vstack([p for pair in points for p in pair]))
+        counts = np.array([len(a) for a, _ in points])
         valid = np.arange(counts.max(initial=1)) < counts[:, None]
         first = np.zeros((*valid.shape, 3))
         first[..., 2] = 1
         second = first.copy()
         scale, shift = transform[0, 0], transform[:2, 2]
-        first[valid, :2] = np.concatenate([a for a, _ in pairs]) * scale + shift
-        second[valid, :2] = np.concatenate([b for _, b in pairs]) * scale + shift
+        first[valid, :2] = np.concatenate([a for a, _ in points]) * scale + shift
+        second[valid, :2] = np.concatenate([b for _, b in points]) * scale + shift
         return cls(first, second, valid.astype(float), transform)
 
-    def subset(self, rows) -> PairMatches:
+    def subset(self, rows: np.ndarray | slice) -> PairMatches:
         """Keep the pairs of the given rows."""
         return PairMatches(self.first[rows], self.second[rows], self.weight[rows],
                            self.transform)
@@ -79,12 +83,14 @@ class PairMatches:
     @property
     def counts(self) -> np.ndarray:
         """Matches per pair, shape (n,)."""
-        return (self.weight > 0).sum(axis=1)
+        counts: np.ndarray = (self.weight > 0).sum(axis=1)
+        return counts
 
-    def pixels_F(self, F) -> np.ndarray:
+    def pixels_F(self, F: np.ndarray) -> np.ndarray:
         """Carry F (n, 3, 3) to pixels, scaled to unit norm."""
         F = self.transform.T @ F @ self.transform
-        return F / np.linalg.norm(F, axis=(-2, -1), keepdims=True)
+        unit_F: np.ndarray = F / np.linalg.norm(F, axis=(-2, -1), keepdims=True)
+        return unit_F
 
 
 @dataclass(frozen=True)
@@ -120,7 +126,18 @@ class FundamentalEstimate:
         return float(np.sqrt((self.residuals ** 2).sum() / (2 * spare)))
 
 
-def pair_residuals(data: PairMatches, F, derivative: bool = False):
+@overload
+def pair_residuals(data: PairMatches, F: np.ndarray,
+                   derivative: Literal[False] = False) -> np.ndarray: ...
+
+
+@overload
+def pair_residuals(data: PairMatches, F: np.ndarray,
+                   derivative: Literal[True]) -> tuple[np.ndarray, np.ndarray]: ...
+
+
+def pair_residuals(data: PairMatches, F: np.ndarray, derivative: bool = False,
+                   ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
     """
     Residuals of every pair in pixels and, if asked, their derivative by the entries of F.
 
@@ -159,7 +176,8 @@ def pair_residuals(data: PairMatches, F, derivative: bool = False):
     return residuals, slope.reshape(*a.shape[:2], 2, 9)
 
 
-def normal_equations(data: PairMatches, F):
+def normal_equations(data: PairMatches, F: np.ndarray,
+                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Cost, gradient and Gauss-Newton matrix of every pair by the entries of F.
 
@@ -187,15 +205,19 @@ def eight_point(data: PairMatches) -> np.ndarray:
         *data.weight.shape, 9) * data.weight[..., None]
     # eigenvectors of the 9 x 9 matrix lose half of the digits; the triangular factor does not
     triangle = np.linalg.qr(rows, mode='r') if rows.shape[1] > 9 else rows
-    F = np.linalg.svd(triangle, full_matrices=True)[2][:, -1].reshape(-1, 3, 3)
-    U, s, Vt = np.linalg.svd(F)
+    full = np.linalg.svd(triangle, full_matrices=True)[2][:, -1].reshape(-1, 3, 3)
+    U, s, Vt = np.linalg.svd(full)
     s[:, 2] = 0
-    F = (U * s[:, None, :]) @ Vt
-    return F / np.linalg.norm(F, axis=(1, 2), keepdims=True)
+    F: np.ndarray = (U * s[:, None, :]) @ Vt
+    unit_F: np.ndarray = F / np.linalg.norm(F, axis=(1, 2), keepdims=True)
+    return unit_F
 
 
-def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40,
-                 tolerance: float = 1e-8):
+def refine_pairs(data: PairMatches, state: tuple[np.ndarray, ...],
+                 model: Callable[[tuple[np.ndarray, ...]], tuple[np.ndarray, np.ndarray]],
+                 step: Callable[[tuple[np.ndarray, ...], np.ndarray], tuple[np.ndarray, ...]],
+                 iterations: int = 40, tolerance: float = 1e-8,
+                 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """
     Levenberg-Marquardt on every pair independently, all pairs at once.
 
@@ -262,7 +284,7 @@ def refine_pairs(data: PairMatches, state, model, step, iterations: int = 40,
 _AXES = cross_matrix(np.eye(3))
 
 
-def _general_model(state):
+def _general_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
     U, sigma, V = state
     c, s = np.cos(sigma), np.sin(sigma)
     zero = np.zeros_like(c)
@@ -276,32 +298,35 @@ def _general_model(state):
     return F, np.swapaxes(slopes.reshape(len(F), 7, 9), 1, 2)
 
 
-def _general_step(state, change):
+def _general_step(state: tuple[np.ndarray, ...], change: np.ndarray) -> tuple[np.ndarray, ...]:
     U, sigma, V = state
     return (U @ small_rotation(change[:, :3]), sigma + change[:, 6],
             V @ small_rotation(change[:, 3:6]))
 
 
-def general_state(F):
+def general_state(F: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parameters of rank-2 matrices (n, 3, 3) for the general form."""
     U, s, Vt = np.linalg.svd(F)
     return U, np.arctan2(s[:, 1], s[:, 0]), np.swapaxes(Vt, 1, 2)
 
 
-def _translation_model(state):
+def _translation_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
     (frame,) = state
     slopes = cross_matrix(np.swapaxes(frame[:, :, 1:], 1, 2))
     return cross_matrix(frame[:, :, 0]), np.swapaxes(slopes.reshape(len(frame), 2, 9), 1, 2)
 
 
-def _translation_step(state, change):
+def _translation_step(state: tuple[np.ndarray, ...], change: np.ndarray,
+                      ) -> tuple[np.ndarray, ...]:
     (frame,) = state
     # turning about the third column moves the first along the second
     turn = np.stack([np.zeros(len(change)), -change[:, 1], change[:, 0]], axis=-1)
     return (frame @ small_rotation(turn),)
 
 
-def refine_general(data: PairMatches, F, iterations: int = 40, tolerance: float = 1e-8):
+def refine_general(data: PairMatches, F: np.ndarray, iterations: int = 40,
+                   tolerance: float = 1e-8,
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Refine F (n, 3, 3) of every pair with 7 degrees of freedom: F, cost (n,), hessian, dF."""
     state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step,
                                         iterations, tolerance)
@@ -309,7 +334,8 @@ def refine_general(data: PairMatches, F, iterations: int = 40, tolerance: float 
     return F, cost, hessian, dF
 
 
-def refine_translation(data: PairMatches, tolerance: float = 1e-8):
+def refine_translation(data: PairMatches, tolerance: float = 1e-8,
+                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Estimate F = [e]x of every pair: linear start, then refinement; as `refine_general`."""
     a, b = data.first, data.second
     moment = np.cross(a, b) * data.weight[..., None]
@@ -320,7 +346,8 @@ def refine_translation(data: PairMatches, tolerance: float = 1e-8):
     return F, cost, hessian, dF
 
 
-def describe(data: PairMatches, F, cost, dF) -> list[FundamentalEstimate]:
+def describe(data: PairMatches, F: np.ndarray, cost: np.ndarray, dF: np.ndarray,
+             ) -> list[FundamentalEstimate]:
     """Turn normalised results of n pairs into estimates in pixels."""
     # row-wise entries: vec(T^T F T) = (T^T kron T^T) vec(F)
     carry = np.kron(data.transform.T, data.transform.T)
@@ -341,7 +368,8 @@ def describe(data: PairMatches, F, cost, dF) -> list[FundamentalEstimate]:
     return estimates
 
 
-def fundamental(xy_a, xy_b, motion: str = 'general'):
+def fundamental(xy_a: ArrayLike, xy_b: ArrayLike, motion: str = 'general',
+                ) -> FundamentalEstimate | NoEstimate:
     """
     Fundamental matrix of one pair by maximum likelihood (thesis A.1, A.2).
 
@@ -357,11 +385,12 @@ def fundamental(xy_a, xy_b, motion: str = 'general'):
     FundamentalEstimate or NoEstimate
 
     """
+    a, b = np.asarray(xy_a, float), np.asarray(xy_b, float)
     needed = {'general': 8, 'translation': 3}[motion]
-    if len(xy_a) < needed:
+    if len(a) < needed:
         return NoEstimate('too_few', what=f'fundamental matrix of {motion} motion', needed=needed,
-                          items='matches', found=len(xy_a))
-    data = PairMatches.from_pixels([(xy_a, xy_b)])
+                          items='matches', found=len(a))
+    data = PairMatches.from_pixels([(a, b)])
     F, cost, _, dF = (refine_translation(data) if motion == 'translation'
                       else refine_general(data, eight_point(data)))
     return describe(data, F, cost, dF)[0]

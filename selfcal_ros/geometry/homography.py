@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform
@@ -44,7 +45,8 @@ class Homography:
     sigma_px: float
 
 
-def homography(xy_a, xy_b, iterations: int = 8, huber_sigmas: float = 2.5):
+def homography(xy_a: ArrayLike, xy_b: ArrayLike, iterations: int = 8,
+               huber_sigmas: float = 2.5) -> Homography | NoEstimate:
     """
     Homography between two images, gross errors weighed down.
 
@@ -101,7 +103,8 @@ def homography(xy_a, xy_b, iterations: int = 8, huber_sigmas: float = 2.5):
     return Homography(H.reshape(3, 3), carry @ covariance @ carry.T, float(sigma / T[0, 0]))
 
 
-def _transfer(h, x, uv):
+def _transfer(h: np.ndarray, x: np.ndarray, uv: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Transfer error, its slopes by the entries, and its spread for unit noise (m, 1)."""
     H = h.reshape(3, 3)
     y = x @ H.T

@@ -70,7 +70,7 @@ class LensCamera:
     width: int = 0
     height: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check and freeze the arrays."""
         if self.model not in LENS_MODELS:
             raise ArgumentError(f'The lens model {self.model!r:.40} is unknown; known are '
@@ -152,7 +152,8 @@ class LensCamera:
         else:
             z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
             xy = self._distort(rays[..., :2] / z)
-        return xy @ self.K[:2, :2].T + self.K[:2, 2]
+        pixels: np.ndarray = xy @ self.K[:2, :2].T + self.K[:2, 2]
+        return pixels
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
         """Return the unit rays, shape (..., 3), seen by pixels, shape (..., 2); NaN if none."""
@@ -169,22 +170,25 @@ class LensCamera:
         plumb = self.coefficients_as('plumb_bob')
         xy = self._undistort(xy) if plumb is None else Camera(np.eye(3), plumb).undistort(xy)
         rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        unit_rays: np.ndarray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return unit_rays
 
-    def _seen_radius(self, radius, z) -> np.ndarray:
+    def _seen_radius(self, radius: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Distance from the principal point, in units of the focal length, of a ray."""
         if self.model == 'fov':
             w = self.coefficients[0]
-            return np.arctan2(2 * radius * np.tan(w / 2), z) / w
+            seen: np.ndarray = np.arctan2(2 * radius * np.tan(w / 2), z) / w
+            return seen
         angle = np.arctan2(radius, z)
         angle = np.where(angle <= self._widest_angle(), angle, np.nan)
         return self._polynomial(angle)
 
-    def _polynomial(self, angle) -> np.ndarray:
+    def _polynomial(self, angle: np.ndarray) -> np.ndarray:
         """Polynomial of the angle of the equidistant model."""
         s = angle * angle
         k1, k2, k3, k4 = self.coefficients
-        return angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+        seen: np.ndarray = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+        return seen
 
     def _widest_angle(self) -> float:
         """Angle up to which the equidistant model grows, radians."""
@@ -193,7 +197,7 @@ class LensCamera:
         turns = roots.real[(abs(roots.imag) < 1e-12 * abs(roots)) & (roots.real > 0)]
         return min(np.pi, float(np.sqrt(turns.min())) if len(turns) else np.pi)
 
-    def _angle(self, radius) -> np.ndarray:
+    def _angle(self, radius: np.ndarray) -> np.ndarray:
         """Angle of a ray to the axis from the distance in the image, NaN beyond the model."""
         if self.model == 'fov':
             w = self.coefficients[0]
@@ -217,9 +221,10 @@ class LensCamera:
         s = np.sum(xy * xy, axis=-1, keepdims=True)
         radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
         cross = 2 * xy[..., :1] * xy[..., 1:]
-        return xy * radial + np.concatenate(
+        distorted: np.ndarray = xy * radial + np.concatenate(
             [p1 * cross + p2 * (s + 2 * xy[..., :1]**2),
              p1 * (s + 2 * xy[..., 1:]**2) + p2 * cross], axis=-1)
+        return distorted
 
     def _undistort(self, target: np.ndarray) -> np.ndarray:
         """Undo `_distort` by Newton's method with numerical derivatives."""

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
@@ -28,9 +29,14 @@ from selfcal_ros.geometry.optimise import ReducedSystem
 #: helps any more where it is above the second.
 _SMALL, _HOPELESS = 1e-2, 1e8
 
+_State = TypeVar('_State')
+_Shared = TypeVar('_Shared')
 
-def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, iterations: int,
-             tolerance: float, least: float = 1e-10):
+
+def minimise(state: _State, cost_of: Callable[[_State], float],
+             linearise: Callable[[_State], _Shared],
+             attempt: Callable[[_State, _Shared, float], tuple[_State | None, float]],
+             iterations: int, tolerance: float, least: float = 1e-10) -> _State:
     """
     Minimise a cost by Levenberg-Marquardt.
 
@@ -56,7 +62,8 @@ def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, i
     state
 
     """
-    cost, linearisation = cost_of(state), None
+    cost = cost_of(state)
+    linearisation: _Shared | None = None
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
         linearisation = linearise(state) if linearisation is None else linearisation
@@ -64,8 +71,8 @@ def minimise(state, cost_of: Callable, linearise: Callable, attempt: Callable, i
         new_cost = np.inf if moved is None else cost_of(moved)
         decrease = cost - new_cost
         if abs(decrease) < tolerance and damping < _SMALL:
-            return moved if decrease > 0 else state
-        if decrease > 0:
+            return moved if moved is not None and decrease > 0 else state
+        if moved is not None and decrease > 0:
             # trust the model as far as it held (Nielsen 1999)
             gain = min(decrease / max(expected, 1e-300), 1.0)
             damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), least)

@@ -73,9 +73,11 @@ class PointBlocks:
 
     def sum_over_views(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, k) of each view: (V, k)."""
-        return self._view_sum @ values
+        total: np.ndarray = self._view_sum @ values
+        return total
 
-    def _products(self, jac_point: np.ndarray, jac_shared: np.ndarray):
+    def _products(self, jac_point: np.ndarray, jac_shared: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray]:
         """Sum Jᵀ J (P, p, p) and Jᵀ S (P, p, g) over points that many observations see."""
         p, g = jac_point.shape[2], jac_shared.shape[2]
         H, cross = np.empty((self.point_count, p, p)), np.empty((self.point_count, p, g))
@@ -85,7 +87,8 @@ class PointBlocks:
             np.matmul(J.T, jac_shared[first:first + length].reshape(-1, g), out=cross[k])
         return H, cross
 
-    def reduce(self, jac_shared, jac_view, jac_point, residual, damping=0.0) -> ReducedSystem:
+    def reduce(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
+               residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
         """
         Eliminate the points from the normal equations.
 
@@ -174,7 +177,7 @@ class Elimination:
     """
 
     inverse_root: np.ndarray
-    factors: list
+    factors: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
     size: int
 
     def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
@@ -227,7 +230,7 @@ class ReducedSystem:
     jac_rest: np.ndarray
     jac_point: np.ndarray
     _inverse_root: np.ndarray
-    _factors: list
+    _factors: list[tuple[np.ndarray, np.ndarray, slice]]
     _shared: int
     gradient: np.ndarray = field(default_factory=lambda: np.empty(0))
     half_b: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
@@ -266,7 +269,8 @@ class ReducedSystem:
         for members, M, own in self._factors:
             local = np.concatenate([step[:self._shared], step[own]])
             half[members] += (M @ local).reshape(len(members), -1)
-        return -np.einsum('pji,pj->pi', self._inverse_root, half)
+        steps: np.ndarray = -np.einsum('pji,pj->pi', self._inverse_root, half)
+        return steps
 
     def influence(self, rows: np.ndarray) -> np.ndarray:
         """
@@ -297,7 +301,8 @@ class ReducedSystem:
         own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
         half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
         effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
-        return -effect
+        influence: np.ndarray = -effect
+        return influence
 
     def elimination(self, selection: csr_array) -> Elimination:
         """
@@ -323,8 +328,9 @@ class ReducedSystem:
     def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
         """Change J · step of the residuals (N, m) to first order."""
         g = self._shared
-        change = (self.jac_rest[:, :, :g] @ step[:g]
-                  + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
+        change: np.ndarray = (
+            self.jac_rest[:, :, :g] @ step[:g]
+            + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
         if len(step) > g:
             per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
             change += np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
@@ -333,7 +339,8 @@ class ReducedSystem:
 
 def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:
     """Weights ψ(d) / d of Huber's loss for distances in units of sigma."""
-    return np.minimum(1.0, threshold / np.maximum(distance, 1e-300))
+    weights: np.ndarray = np.minimum(1.0, threshold / np.maximum(distance, 1e-300))
+    return weights
 
 
 def huber_loss(distance: np.ndarray, threshold: float) -> np.ndarray:

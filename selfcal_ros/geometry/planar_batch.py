@@ -30,7 +30,8 @@ from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, line
 from selfcal_ros.geometry.propagation import add_up, residual_slopes, spread
 
 
-def _batch_model(L, V, own):
+def _batch_model(L: np.ndarray, V: np.ndarray, own: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """F (n, 3, 3), its derivative by the globals (n, 9, 4) and by its own three (n, 9, 3)."""
     t, phi, delta = own.T
     ct, st = np.cos(t)[:, None, None], np.sin(t)[:, None, None]
@@ -50,17 +51,19 @@ def _batch_model(L, V, own):
             np.swapaxes(single.reshape(n, 3, 9), 1, 2))
 
 
-def fundamental_matrices(L, V, own) -> np.ndarray:
+def fundamental_matrices(L: np.ndarray, V: np.ndarray, own: np.ndarray) -> np.ndarray:
     """F (n, 3, 3) of every pair, normalised coordinates."""
     return _batch_model(L, V, own)[0]
 
 
-def _turned(frame, change):
+def _turned(frame: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Move the frame's first column by change (2,) along the other two."""
-    return frame @ small_rotation(np.array([0.0, -change[1], change[0]]))
+    turned: np.ndarray = frame @ small_rotation(np.array([0.0, -change[1], change[0]]))
+    return turned
 
 
-def _arrow(matrix, gradient, common, single):
+def _arrow(matrix: np.ndarray, gradient: np.ndarray, common: np.ndarray, single: np.ndarray,
+           ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Blocks of the normal equations: A (4, 4), B (n, 4, 3), D (n, 3, 3), and both gradients."""
     turned = np.swapaxes(common, 1, 2)
     MC, MS = matrix @ common, matrix @ single
@@ -70,7 +73,7 @@ def _arrow(matrix, gradient, common, single):
             (own @ gradient[..., None])[..., 0])
 
 
-def batch_start(state):
+def batch_start(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Common l and v of pairs that were refined separately, and the parameters of each.
 
@@ -89,7 +92,8 @@ def batch_start(state):
     return start_from(state, line, v)
 
 
-def start_from(state, line, v):
+def start_from(state: tuple[np.ndarray, ...], line: np.ndarray, v: np.ndarray,
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parameters of the batch form with given l and v (3,), from pairs refined separately."""
     t, Q, M = state
     L, V = completed_frame(line), completed_frame(v)
@@ -100,7 +104,9 @@ def start_from(state, line, v):
     return L, V, np.column_stack([t, phi, delta])
 
 
-def refine_batch(data: PairMatches, L, V, own, iterations: int = 60):
+def refine_batch(data: PairMatches, L: np.ndarray, V: np.ndarray, own: np.ndarray,
+                 iterations: int = 60,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """
     Minimise (A.2) summed over all pairs by Levenberg-Marquardt (6.6).
 
@@ -138,13 +144,16 @@ def refine_batch(data: PairMatches, L, V, own, iterations: int = 60):
     return L, V, own, cost, count
 
 
-def _damped(M, damping):
+def _damped(M: np.ndarray, damping: float) -> np.ndarray:
     diagonal = np.einsum('...ii->...i', M)
     least = 1e-12 * diagonal.max(axis=-1, keepdims=True) + 1e-300
-    return M + (damping * np.maximum(diagonal, least))[..., None] * np.eye(M.shape[-1])
+    damped: np.ndarray = (
+        M + (damping * np.maximum(diagonal, least))[..., None] * np.eye(M.shape[-1]))
+    return damped
 
 
-def _solve_arrow(A, B, D, a, d, damping):
+def _solve_arrow(A: np.ndarray, B: np.ndarray, D: np.ndarray, a: np.ndarray, d: np.ndarray,
+                 damping: float) -> tuple[np.ndarray, np.ndarray]:
     D = _damped(D, damping + 1e-14)
     right = np.linalg.solve(D, np.concatenate([np.swapaxes(B, 1, 2), d[..., None]], axis=2))
     S = _damped(A, damping) - (B @ right[:, :, :4]).sum(axis=0)
@@ -152,7 +161,9 @@ def _solve_arrow(A, B, D, a, d, damping):
     return step, -right[:, :, 4] - right[:, :, :4] @ step
 
 
-def batch_influence(data: PairMatches, L, V, own, observation=None, count: int | None = None):
+def batch_influence(data: PairMatches, L: np.ndarray, V: np.ndarray, own: np.ndarray,
+                    observation: np.ndarray | None = None, count: int | None = None,
+                    ) -> tuple[np.ndarray, float]:
     """
     First-order change of the common parameters with every image coordinate.
 
@@ -201,15 +212,16 @@ def batch_influence(data: PairMatches, L, V, own, observation=None, count: int |
     return influence, float((by_point ** 2).sum() - absorbed)
 
 
-def common_frames(data: PairMatches, L, V) -> tuple[np.ndarray, np.ndarray, np.ndarray,
-                                                    np.ndarray]:
+def common_frames(data: PairMatches, L: np.ndarray, V: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Tell l and v (3,) in pixels, of unit norm, and their derivatives (3, 2) by the globals."""
     line, line_slope = unit_slope(data.transform.T, L[:, 0])
     point, point_slope = unit_slope(np.linalg.inv(data.transform), V[:, 0])
     return line, line_slope @ L[:, 1:], point, point_slope @ V[:, 1:]
 
 
-def result_in_pixels(data: PairMatches, L, V, own, cost, covariance, expected,
+def result_in_pixels(data: PairMatches, L: np.ndarray, V: np.ndarray, own: np.ndarray,
+                     cost: np.ndarray, covariance: np.ndarray, expected: float,
                      iterations: int = 0) -> PlanarPairs:
     """Carry the batch result to pixels; covariance (4, 4), expected cost as for one pixel."""
     F = _batch_model(L, V, own)[0]

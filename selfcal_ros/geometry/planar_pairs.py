@@ -24,10 +24,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.fundamental import (describe, eight_point, pair_residuals, PairMatches,
-                                              refine_general, refine_pairs)
+from selfcal_ros.geometry.fundamental import (describe, eight_point, FundamentalEstimate,
+                                              pair_residuals, PairMatches, refine_general,
+                                              refine_pairs)
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, line_pair,
                                              small_rotation, unit)
 from selfcal_ros.geometry.propagation import pair_influence, residual_slopes
@@ -67,7 +69,8 @@ class PlanarPairs:
     iterations: int = 0
 
 
-def decompose_planar(F):
+def decompose_planar(F: ArrayLike,
+                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Horizon and screw axis of planar fundamental matrices (5.12-5.15).
 
@@ -110,7 +113,7 @@ def decompose_planar(F):
 
 # ---- one pair: state (t, frame (l, z0, l x z0), frame (m, ., .)), six degrees of freedom
 
-def _planar_model(state):
+def _planar_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
     t, Q, M = state
     c, s = np.cos(t)[:, None, None], np.sin(t)[:, None, None]
     line, centre, third = np.moveaxis(Q, 2, 0)
@@ -125,13 +128,13 @@ def _planar_model(state):
     return c * skew + s * pair, np.swapaxes(slopes.reshape(len(t), 6, 9), 1, 2)
 
 
-def _planar_step(state, change):
+def _planar_step(state: tuple[np.ndarray, ...], change: np.ndarray) -> tuple[np.ndarray, ...]:
     t, Q, M = state
     turn = np.stack([np.zeros(len(t)), -change[:, 5], change[:, 4]], axis=-1)
     return t + change[:, 0], Q @ small_rotation(change[:, 1:4]), M @ small_rotation(turn)
 
 
-def _planar_state(F):
+def _planar_state(F: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     line, axis, centre, angle, real = decompose_planar(F)
     Q = np.stack([line, centre, np.cross(line, centre)], axis=2)
     states = []
@@ -143,18 +146,19 @@ def _planar_state(F):
     return (t, Q, states[0][2]), real
 
 
-def fundamental_matrices(state) -> np.ndarray:
+def fundamental_matrices(state: tuple[np.ndarray, ...]) -> np.ndarray:
     """F (n, 3, 3) of every pair, normalised coordinates."""
     return _planar_model(state)[0]
 
 
-def refine_planar(data: PairMatches, F):
+def refine_planar(data: PairMatches, F: np.ndarray,
+                  ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """Refine F (n, 3, 3) of every pair in planar form: state, cost, hessian (n, 6, 6)."""
     state, _ = _planar_state(F)
     return refine_pairs(data, state, _planar_model, _planar_step)
 
 
-def planar_fundamental(xy_a, xy_b):
+def planar_fundamental(xy_a: ArrayLike, xy_b: ArrayLike) -> FundamentalEstimate | NoEstimate:
     """
     Fundamental matrix of one pair under planar motion, with 6 degrees of freedom (A.1).
 
@@ -167,10 +171,11 @@ def planar_fundamental(xy_a, xy_b):
     fundamental.FundamentalEstimate or NoEstimate
 
     """
-    if len(xy_a) < 8:
+    a, b = np.asarray(xy_a, float), np.asarray(xy_b, float)
+    if len(a) < 8:
         return NoEstimate('too_few', what='planar fundamental matrix', needed=8, items='matches',
-                          found=len(xy_a))
-    data = PairMatches.from_pixels([(xy_a, xy_b)])
+                          found=len(a))
+    data = PairMatches.from_pixels([(a, b)])
     state, cost, _ = refine_planar(data, refine_general(data, eight_point(data))[0])
     F, dF = _planar_model(state)
     return describe(data, F, cost, dF)[0]
@@ -206,7 +211,7 @@ class PairLines:
                      for moved in (self.horizon_influence, self.axis_influence))
 
 
-def pair_lines(data: PairMatches, state, cost) -> PairLines:
+def pair_lines(data: PairMatches, state: tuple[np.ndarray, ...], cost: np.ndarray) -> PairLines:
     """Tell l and m of refined pairs (`refine_planar`), and how they move with the matches."""
     _, Q, M = state
     F, dF = _planar_model(state)

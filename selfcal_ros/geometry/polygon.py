@@ -33,7 +33,8 @@ def newell_normal(points: np.ndarray) -> np.ndarray:
 
     """
     points = points - points[0]
-    return 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    area: np.ndarray = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    return area
 
 
 def plane_coordinates(points: np.ndarray) -> np.ndarray:
@@ -42,7 +43,8 @@ def plane_coordinates(points: np.ndarray) -> np.ndarray:
     normal = normal / np.linalg.norm(normal)
     across = np.cross(np.eye(3)[np.argmin(np.abs(normal))], normal)
     across /= np.linalg.norm(across)
-    return (points - points[0]) @ np.column_stack([across, np.cross(normal, across)])
+    xy: np.ndarray = (points - points[0]) @ np.column_stack([across, np.cross(normal, across)])
+    return xy
 
 
 def cut_into_triangles(points: np.ndarray) -> np.ndarray | None:
@@ -79,10 +81,11 @@ def cut_into_triangles(points: np.ndarray) -> np.ndarray | None:
     # a polygon that crosses itself is not covered by its ears
     if abs(areas.sum() - area / span**2) > 1e-6 or areas.min() < -1e-9:
         return None
-    return triangles[whole]
+    covered: np.ndarray = triangles[whole]
+    return covered
 
 
-def _best_ear(xy, left):
+def _best_ear(xy: np.ndarray, left: list[int]) -> int | None:
     """Index in `left` of the ear with the largest smallest angle, None where there is none."""
     corner = xy[left]
     before, after = np.roll(corner, 1, axis=0), np.roll(corner, -1, axis=0)
@@ -104,10 +107,12 @@ def _best_ear(xy, left):
     return best
 
 
-def _same(points, point):
-    return np.abs(points - point).max(axis=1) < 1e-12
+def _same(points: np.ndarray, point: np.ndarray) -> np.ndarray:
+    same: np.ndarray = np.abs(points - point).max(axis=1) < 1e-12
+    return same
 
 
-def _cross(a, b):
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Third component of the cross product of plane vectors (..., 2)."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    third: np.ndarray = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return third

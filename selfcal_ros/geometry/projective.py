@@ -16,35 +16,38 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
 
 
-def homogeneous(xy) -> np.ndarray:
+def homogeneous(xy: ArrayLike) -> np.ndarray:
     """Append 1 to points (..., n); returns (..., n + 1)."""
     xy = np.asarray(xy)
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
-def euclidean(x) -> np.ndarray:
+def euclidean(x: ArrayLike) -> np.ndarray:
     """Divide homogeneous points (..., n + 1) by their last entry; infinite where it is 0."""
     x = np.asarray(x)
     with np.errstate(divide='ignore', invalid='ignore'):
-        return x[..., :-1] / x[..., -1:]
+        xy: np.ndarray = x[..., :-1] / x[..., -1:]
+    return xy
 
 
-def unit(x) -> np.ndarray:
+def unit(x: ArrayLike) -> np.ndarray:
     """Scale vectors (..., n) to unit norm."""
     x = np.asarray(x)
-    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+    scaled: np.ndarray = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return scaled
 
 
-def transform_points(H, xy) -> np.ndarray:
+def transform_points(H: ArrayLike, xy: ArrayLike) -> np.ndarray:
     """Map points (..., 2) by a homography (3, 3)."""
     return euclidean(homogeneous(xy) @ np.asarray(H).T)
 
 
-def cross_matrix(a) -> np.ndarray:
+def cross_matrix(a: ArrayLike) -> np.ndarray:
     """Matrix [a]x of the cross product, (..., 3) to (..., 3, 3)."""
     x, y, z = np.moveaxis(np.asarray(a), -1, 0)
     zero = np.zeros_like(x)
@@ -58,10 +61,11 @@ def tangent_basis(points: np.ndarray) -> np.ndarray:
     u = points.copy()
     u[:, 3] += sign
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
+    basis: np.ndarray = np.eye(4)[None, :, :3] - 2 * u[:, :, None] * u[:, None, :3]
+    return basis
 
 
-def normalising_transform(xy) -> np.ndarray:
+def normalising_transform(xy: ArrayLike) -> np.ndarray:
     """
     Similarity that brings points to centroid 0 and mean distance sqrt 2 (Hartley).
 
@@ -82,7 +86,7 @@ def normalising_transform(xy) -> np.ndarray:
     return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
 
 
-def completed_frame(a) -> np.ndarray:
+def completed_frame(a: ArrayLike) -> np.ndarray:
     """Rotation (..., 3, 3) whose first column is the unit vector a (..., 3)."""
     a = np.asarray(a, float)
     helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
@@ -90,13 +94,13 @@ def completed_frame(a) -> np.ndarray:
     return np.stack([a, second, np.cross(a, second)], axis=-1)
 
 
-def small_rotation(w) -> np.ndarray:
+def small_rotation(w: ArrayLike) -> np.ndarray:
     """Orthogonal matrix equal to I + [w]x to first order (Cayley), (..., 3) to (..., 3, 3)."""
     half = cross_matrix(np.asarray(w, float) / 2)
     return np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
 
 
-def rq(M) -> tuple[np.ndarray, np.ndarray]:
+def rq(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Decompose M = U Q with U upper triangular with positive diagonal and Q orthogonal.
 
@@ -118,18 +122,19 @@ def rq(M) -> tuple[np.ndarray, np.ndarray]:
     return U * sign, sign[:, None] * Q
 
 
-def line_pair(a, b) -> np.ndarray:
+def line_pair(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Degenerate conic a b^T + b a^T of two lines (..., 3)."""
     a, b = np.asarray(a), np.asarray(b)
-    return a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]
+    conic: np.ndarray = a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]
+    return conic
 
 
-def pole(conic, line) -> np.ndarray:
+def pole(conic: ArrayLike, line: ArrayLike) -> np.ndarray:
     """Pole of a line (3,) with respect to a regular point conic (3, 3)."""
     return np.linalg.solve(np.asarray(conic), np.asarray(line))
 
 
-def canonical_transform(line, point) -> np.ndarray:
+def canonical_transform(line: ArrayLike, point: ArrayLike) -> np.ndarray:
     """
     Homography that carries the horizon and the vanishing point to (0, 1, 0) both (5.30).
 
@@ -147,13 +152,16 @@ def canonical_transform(line, point) -> np.ndarray:
         and sends v to the point at infinity of the y axis.
 
     """
-    l1, l2, l3 = np.asarray(line, float) / np.hypot(line[0], line[1])
+    line = np.asarray(line, float)
+    l1, l2, l3 = line / np.hypot(line[0], line[1])
     first = np.array([[l2, -l1, 0], [l1, l2, l3], [0, 0, 1]])
     a, b, c = first @ np.asarray(point, float)
-    return np.array([[1, -a / b, 0], [0, 1, 0], [0, -c / b, 1]]) @ first
+    second: np.ndarray = np.array([[1, -a / b, 0], [0, 1, 0], [0, -c / b, 1]])
+    transform: np.ndarray = second @ first
+    return transform
 
 
-def canonical_slopes(line, point) -> np.ndarray:
+def canonical_slopes(line: ArrayLike, point: ArrayLike) -> np.ndarray:
     """
     Derivative of `canonical_transform`.
 
@@ -183,11 +191,12 @@ def canonical_slopes(line, point) -> np.ndarray:
     d_second = np.zeros((3, 3, 6))
     d_second[0, 1] = (a / b * moved[1] - moved[0]) / b
     d_second[2, 1] = (c / b * moved[1] - moved[2]) / b
-    return (np.einsum('ijk,jl->ilk', d_second, first)
-            + np.einsum('ij,jlk->ilk', second, d_first))
+    slopes: np.ndarray = (np.einsum('ijk,jl->ilk', d_second, first)
+                          + np.einsum('ij,jlk->ilk', second, d_first))
+    return slopes
 
 
-def unit_slope(carry, x) -> tuple[np.ndarray, np.ndarray]:
+def unit_slope(carry: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Map x (n,) by a matrix and scale to unit norm: the vector, and its derivative (n, n)."""
     x = np.asarray(carry) @ x
     norm = np.linalg.norm(x)
@@ -195,7 +204,7 @@ def unit_slope(carry, x) -> tuple[np.ndarray, np.ndarray]:
     return x, (np.eye(len(x)) - np.outer(x, x)) @ carry / norm
 
 
-def unit_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
+def unit_covariance(x: ArrayLike, covariance: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Scale a homogeneous vector to unit norm together with its covariance.
 
@@ -210,13 +219,14 @@ def unit_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
         The covariance is singular along x.
 
     """
+    x = np.asarray(x, float)
     norm = np.linalg.norm(x)
-    x = np.asarray(x, float) / norm
-    jacobian = (np.eye(len(x)) - np.outer(x, x)) / norm
-    return x, jacobian @ covariance @ jacobian.T
+    scaled: np.ndarray = x / norm
+    jacobian = (np.eye(len(scaled)) - np.outer(scaled, scaled)) / norm
+    return scaled, jacobian @ covariance @ jacobian.T
 
 
-def euclidean_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
+def euclidean_covariance(x: ArrayLike, covariance: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Divide a homogeneous vector by its last entry together with its covariance.
 
@@ -236,7 +246,8 @@ def euclidean_covariance(x, covariance) -> tuple[np.ndarray, np.ndarray]:
     return x[:2] / x[2], jacobian @ covariance @ jacobian.T
 
 
-def weighted_mean(vectors, covariances) -> tuple[np.ndarray, np.ndarray]:
+def weighted_mean(vectors: np.ndarray, covariances: np.ndarray,
+                  ) -> tuple[np.ndarray, np.ndarray]:
     """
     Covariance-weighted mean of homogeneous vectors that should be equal (6.4, 6.5).
 
@@ -267,13 +278,14 @@ def weighted_mean(vectors, covariances) -> tuple[np.ndarray, np.ndarray]:
     return mean, frame[:, 1:] @ covariance @ frame[:, 1:].T
 
 
-def iac_from_calibration(K) -> np.ndarray:
+def iac_from_calibration(K: ArrayLike) -> np.ndarray:
     """Image of the absolute conic, (K K^T)^-1, shape (3, 3)."""
-    inverse = np.linalg.inv(K)
-    return inverse.T @ inverse
+    inverse = np.linalg.inv(np.asarray(K))
+    omega: np.ndarray = inverse.T @ inverse
+    return omega
 
 
-def calibration_from_iac(omega):
+def calibration_from_iac(omega: ArrayLike) -> np.ndarray | NoEstimate:
     """
     Calibration matrix of an image of the absolute conic, by Cholesky's method.
 
@@ -288,19 +300,20 @@ def calibration_from_iac(omega):
         K, upper triangular with K[2, 2] = 1; no K where omega is not definite.
 
     """
-    omega = np.asarray(omega, float)
-    if not np.isfinite(omega).all():
+    conic: np.ndarray = np.asarray(omega, float)
+    if not np.isfinite(conic).all():
         return NoEstimate('conic_not_finite')
-    omega = (omega + omega.T) / 2
-    if omega[0, 0] < 0:
-        omega = -omega
+    conic = (conic + conic.T) / 2
+    if conic[0, 0] < 0:
+        conic = -conic
     # pixels and units differ by orders of magnitude: judge definiteness on a scaled matrix
-    diagonal = np.abs(np.diag(omega))
+    diagonal = np.abs(np.diag(conic))
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     try:
-        lower = np.linalg.cholesky(omega / np.outer(scale, scale))
+        lower = np.linalg.cholesky(conic / np.outer(scale, scale))
     except np.linalg.LinAlgError:
-        least = np.linalg.eigvalsh(omega / np.outer(scale, scale))[0]
+        least = np.linalg.eigvalsh(conic / np.outer(scale, scale))[0]
         return NoEstimate('conic_not_definite', least=float(least))
     K = np.linalg.inv((lower * scale[:, None]).T)
-    return np.triu(K / K[2, 2])
+    upper: np.ndarray = np.triu(K / K[2, 2])
+    return upper

@@ -23,8 +23,12 @@ cannot see, and why the thesis's spreads of v come out too large and those of l 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.fundamental import PairMatches
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,13 @@ class PairInfluence:
     covariance: np.ndarray
     expected_cost: np.ndarray
 
-    def noise_px(self, cost) -> np.ndarray:
+    def noise_px(self, cost: np.ndarray) -> np.ndarray:
         """Estimate the standard deviation of an image coordinate from each cost, (n,)."""
-        return np.sqrt(cost / np.maximum(self.expected_cost, 1e-12))
+        noise: np.ndarray = np.sqrt(cost / np.maximum(self.expected_cost, 1e-12))
+        return noise
 
 
-def residual_slopes(data, F) -> np.ndarray:
+def residual_slopes(data: PairMatches, F: np.ndarray) -> np.ndarray:
     """
     Derivative of the epipolar distances by the image points, at a minimum.
 
@@ -76,10 +81,11 @@ def residual_slopes(data, F) -> np.ndarray:
     line_a = (data.second @ F)[..., :2]
     move = np.concatenate([line_b, line_a], axis=-1) * data.weight[..., None]
     norms = np.stack([np.linalg.norm(line_b, axis=-1), np.linalg.norm(line_a, axis=-1)], axis=-1)
-    return move[..., None, :] / np.maximum(norms, 1e-300)[..., None]
+    slopes: np.ndarray = move[..., None, :] / np.maximum(norms, 1e-300)[..., None]
+    return slopes
 
 
-def pair_influence(by_point, jacobian) -> PairInfluence:
+def pair_influence(by_point: np.ndarray, jacobian: np.ndarray) -> PairInfluence:
     """
     Propagate image noise to the parameters of each pair by itself.
 
@@ -105,7 +111,7 @@ def pair_influence(by_point, jacobian) -> PairInfluence:
     return PairInfluence(influence, covariance, expected)
 
 
-def add_up(identity, moved, count: int) -> np.ndarray:
+def add_up(identity: np.ndarray, moved: np.ndarray, count: int) -> np.ndarray:
     """
     Add influences of matches that share observations.
 
@@ -128,13 +134,15 @@ def add_up(identity, moved, count: int) -> np.ndarray:
     return total.reshape(count, *moved.shape[1:])
 
 
-def spread(influence) -> np.ndarray:
+def spread(influence: np.ndarray) -> np.ndarray:
     """Covariance (k, k) per pixel^2 of noise of quantities with influences (O, 2, k)."""
     rows = influence.reshape(-1, influence.shape[-1])
-    return rows.T @ rows
+    covariance: np.ndarray = rows.T @ rows
+    return covariance
 
 
-def null_influence(rows, vector, by_point):
+def null_influence(rows: np.ndarray, vector: np.ndarray, by_point: np.ndarray,
+                   ) -> tuple[np.ndarray, float]:
     """
     Propagate noise to the right null vector of equations, as of a tensor by least squares.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.epipolar_distance import epipolar_residuals
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -48,7 +49,7 @@ class RansacEstimate:
     hypotheses: int
 
 
-def seven_point(first, second) -> np.ndarray:
+def seven_point(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """
     Rank-2 matrices through seven matches, many samples at once.
 
@@ -77,11 +78,13 @@ def seven_point(first, second) -> np.ndarray:
     roots = np.linalg.eigvals(companion)
     real = np.where(np.abs(roots.imag) < 1e-8 * (1 + np.abs(roots)), roots.real, np.nan)
     F = A[:, None] + real[..., None, None] * B[:, None]
-    return F / np.linalg.norm(F, axis=(-2, -1), keepdims=True)
+    unit_F: np.ndarray = F / np.linalg.norm(F, axis=(-2, -1), keepdims=True)
+    return unit_F
 
 
-def ransac_fundamental(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: float = 0.999,
-                       most_hypotheses: int = 2000):
+def ransac_fundamental(xy_a: ArrayLike, xy_b: ArrayLike, rng: np.random.Generator,
+                       threshold_px: float = 1.5, confidence: float = 0.999,
+                       most_hypotheses: int = 2000) -> RansacEstimate | NoEstimate:
     """
     Fundamental matrix of one pair in the presence of gross errors.
 
@@ -120,8 +123,9 @@ def ransac_fundamental(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: f
     return RansacEstimate(data.pixels_F(F)[0], best, drawn)
 
 
-def ransac_inliers(xy_a, xy_b, rng, threshold_px: float = 1.5, confidence: float = 0.999,
-                   most_hypotheses: int = 2000):
+def ransac_inliers(xy_a: ArrayLike, xy_b: ArrayLike, rng: np.random.Generator,
+                   threshold_px: float = 1.5, confidence: float = 0.999,
+                   most_hypotheses: int = 2000) -> tuple[np.ndarray, int] | NoEstimate:
     """
     Matches of one pair that agree with one fundamental matrix, without refining it.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform, rq
@@ -91,12 +92,12 @@ class CameraParts:
         return np.column_stack([self.R, -self.R @ self.centre])
 
 
-def _homogeneous_points(points) -> np.ndarray:
+def _homogeneous_points(points: ArrayLike) -> np.ndarray:
     points = np.asarray(points, float)
     return homogeneous(points) if points.shape[1] == 3 else points
 
 
-def resect_linear(points, xy):
+def resect_linear(points: ArrayLike, xy: ArrayLike) -> np.ndarray | NoEstimate:
     """
     Camera matrix by direct linear transformation (3.11), points and image normalised.
 
@@ -134,10 +135,11 @@ def resect_linear(points, xy):
         return NoEstimate('camera_matrix_open')
     P = np.linalg.solve(T, Vt[-1].reshape(3, 4)) @ whiten
     P /= np.linalg.norm(P)
-    return P * np.sign((X @ P[2]).sum() or 1.0)
+    oriented: np.ndarray = P * np.sign((X @ P[2]).sum() or 1.0)
+    return oriented
 
 
-def projection_jacobian(P, X) -> tuple[np.ndarray, np.ndarray]:
+def projection_jacobian(P: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Project homogeneous points and differentiate by the entries of P (3.9).
 
@@ -161,7 +163,8 @@ def projection_jacobian(P, X) -> tuple[np.ndarray, np.ndarray]:
     return xy, slope.reshape(len(X), 2, 12)
 
 
-def resect(points, xy, start=None, iterations: int = 30, huber_sigmas: float = np.inf):
+def resect(points: ArrayLike, xy: ArrayLike, start: ArrayLike | None = None,
+           iterations: int = 30, huber_sigmas: float = np.inf) -> Resection | NoEstimate:
     """
     Camera matrix of least reprojection error: linear start, Levenberg-Marquardt (3.9).
 
@@ -199,7 +202,7 @@ def resect(points, xy, start=None, iterations: int = 30, huber_sigmas: float = n
     Q /= np.linalg.norm(Q)
     weight = np.ones(len(X))
 
-    def residual(Q):
+    def residual(Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         image, slope = projection_jacobian(Q, Y)
         return image - uv, slope
 
@@ -244,7 +247,7 @@ def resect(points, xy, start=None, iterations: int = 30, huber_sigmas: float = n
     return Resection(P.reshape(3, 4), carry @ covariance @ carry.T, r / T[0, 0], weight)
 
 
-def decompose(P, covariance=None):
+def decompose(P: ArrayLike, covariance: ArrayLike | None = None) -> CameraParts | NoEstimate:
     """
     Split a metric camera matrix into calibration, rotation and centre, by RQ decomposition.
 

@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,7 +24,16 @@ from numpy.typing import ArrayLike
 MAD_TO_SIGMA = 1.4826
 
 
-def robust_sigma(deviations: ArrayLike, axis: int | None = None, keepdims: bool = False):
+@overload
+def robust_sigma(deviations: ArrayLike, axis: None = None) -> float: ...
+
+
+@overload
+def robust_sigma(deviations: ArrayLike, axis: int, keepdims: bool = False) -> np.ndarray: ...
+
+
+def robust_sigma(deviations: ArrayLike, axis: int | None = None, keepdims: bool = False,
+                 ) -> float | np.ndarray:
     """
     Standard deviation of normal noise with gross errors, by the median absolute deviation.
 
@@ -43,7 +54,8 @@ def robust_sigma(deviations: ArrayLike, axis: int | None = None, keepdims: bool 
     """
     size = np.abs(deviations)
     middle = np.nanmedian if np.isnan(size).any() else np.median
-    return MAD_TO_SIGMA * middle(size, axis=axis, keepdims=keepdims)
+    sigma: float | np.ndarray = MAD_TO_SIGMA * middle(size, axis=axis, keepdims=keepdims)
+    return sigma
 
 
 def fast_robust_sigma(residual: np.ndarray, least: float) -> float:
@@ -56,7 +68,8 @@ def fast_robust_sigma(residual: np.ndarray, least: float) -> float:
     return max(MAD_TO_SIGMA * float(middle), least)
 
 
-def tukey_weight(residual: np.ndarray, limit) -> np.ndarray:
+def tukey_weight(residual: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
     """Tukey's biweight, 1 at zero and 0 from the limit on."""
     ratio = np.minimum(np.abs(residual) / limit, 1.0)
-    return (1 - ratio * ratio)**2
+    weight: np.ndarray = (1 - ratio * ratio)**2
+    return weight

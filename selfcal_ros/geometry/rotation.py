@@ -47,7 +47,9 @@ def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     vector = np.asarray(vector, float)
     sine, cosine, _ = _sine_terms(np.linalg.norm(vector, axis=-1))
     skew = cross_matrix(vector)
-    return np.eye(3) + sine[..., None, None] * skew + cosine[..., None, None] * (skew @ skew)
+    matrix: np.ndarray = (np.eye(3) + sine[..., None, None] * skew
+                          + cosine[..., None, None] * (skew @ skew))
+    return matrix
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
@@ -83,7 +85,8 @@ def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(length, q[..., :1])
     factor = np.where(length > 1e-12, angle / np.maximum(length, 1e-300), 2.0)
-    return factor * q[..., 1:]
+    vector: np.ndarray = factor * q[..., 1:]
+    return vector
 
 
 def left_jacobian(vector: np.ndarray) -> np.ndarray:
@@ -102,7 +105,9 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     vector = np.asarray(vector, float)
     _, cosine, cubic = _sine_terms(np.linalg.norm(vector, axis=-1))
     skew = cross_matrix(vector)
-    return np.eye(3) + cosine[..., None, None] * skew + cubic[..., None, None] * (skew @ skew)
+    jacobian: np.ndarray = (np.eye(3) + cosine[..., None, None] * skew
+                            + cubic[..., None, None] * (skew @ skew))
+    return jacobian
 
 
 def swing_twist(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,12 +15,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.trifocal import PLANAR_ELEMENTS
 
 
-def planar_cameras(T) -> tuple[np.ndarray, np.ndarray]:
+def planar_cameras(T: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """
     Cameras that agree with a reduced tensor (B.4); the first is [I | 0].
 
@@ -51,7 +54,7 @@ def planar_cameras(T) -> tuple[np.ndarray, np.ndarray]:
     return second, third
 
 
-def planar_camera_slopes(T) -> np.ndarray:
+def planar_camera_slopes(T: ArrayLike) -> np.ndarray:
     """
     Derivative of `planar_cameras` by the elements of the tensor.
 
@@ -95,7 +98,7 @@ def planar_camera_slopes(T) -> np.ndarray:
     return slopes
 
 
-def cameras_in_pixels(cameras, H) -> list[np.ndarray]:
+def cameras_in_pixels(cameras: Iterable[ArrayLike], H: ArrayLike) -> list[np.ndarray]:
     """
     Carry canonical cameras back to pixels: P = H^-1 P^, in the frame in which view 1 is [I | 0].
 
@@ -110,6 +113,7 @@ def cameras_in_pixels(cameras, H) -> list[np.ndarray]:
     list of ndarray, shape (3, 4)
 
     """
+    H = np.asarray(H)
     back = np.linalg.inv(H)
     out = []
     for P in cameras:

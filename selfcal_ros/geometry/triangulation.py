@@ -16,11 +16,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.projective import tangent_basis
 
 
-def correct_to_epipolar_line(epipole, xy_a, xy_b) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def correct_to_epipolar_line(epipole: ArrayLike, xy_a: ArrayLike, xy_b: ArrayLike,
+                             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Move matches of two translated views onto one line through the epipole (algorithm 4.1).
 
@@ -60,7 +62,7 @@ def correct_to_epipolar_line(epipole, xy_a, xy_b) -> tuple[np.ndarray, np.ndarra
     return a - moved[:, :1] * normal, b - moved[:, 1:] * normal, moved
 
 
-def translated_points(epipole, xy_a, xy_b) -> np.ndarray:
+def translated_points(epipole: ArrayLike, xy_a: ArrayLike, xy_b: ArrayLike) -> np.ndarray:
     """
     Affine points of two translated views, P = [I | 0] and P' = [I | e] (lemma 4.1).
 
@@ -86,7 +88,7 @@ def translated_points(epipole, xy_a, xy_b) -> np.ndarray:
     return np.column_stack([a, np.ones(len(a)), inverse_depth])
 
 
-def project(cameras, points) -> np.ndarray:
+def project(cameras: ArrayLike, points: ArrayLike) -> np.ndarray:
     """
     Project homogeneous points by camera matrices, row by row.
 
@@ -101,12 +103,14 @@ def project(cameras, points) -> np.ndarray:
         Pixels; infinite or NaN on the camera's focal plane.
 
     """
-    x = np.einsum('...ij,...j->...i', cameras, points)
+    x = np.einsum('...ij,...j->...i', np.asarray(cameras), np.asarray(points))
     with np.errstate(divide='ignore', invalid='ignore'):
-        return x[..., :2] / x[..., 2:]
+        xy: np.ndarray = x[..., :2] / x[..., 2:]
+    return xy
 
 
-def triangulate(cameras, view, point, xy, iterations: int = 3) -> np.ndarray:
+def triangulate(cameras: ArrayLike, view: ArrayLike, point: ArrayLike, xy: ArrayLike,
+                iterations: int = 3) -> np.ndarray:
     """
     Intersect the rays of many points in many views: linear, then Gauss-Newton on the image.
 
@@ -161,20 +165,21 @@ def triangulate(cameras, view, point, xy, iterations: int = 3) -> np.ndarray:
     return X
 
 
-def _summed(point, count, values) -> np.ndarray:
+def _summed(point: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
     """Add rows (N, ...) of each point."""
     flat = values.reshape(len(values), -1)
     total = np.stack([np.bincount(point, column, count) for column in flat.T], axis=1)
     return total.reshape(count, *values.shape[1:])
 
 
-def _errors(P, X, point, count, uv) -> np.ndarray:
+def _errors(P: np.ndarray, X: np.ndarray, point: np.ndarray, count: int,
+            uv: np.ndarray) -> np.ndarray:
     """Sum of squared distances of each point in the image."""
     square = np.sum((project(P, X[point]) - uv)**2, axis=1)
     return np.bincount(point, np.where(np.isfinite(square), square, 1e12), count)
 
 
-def metric_points(K, affine_points) -> np.ndarray:
+def metric_points(K: ArrayLike, affine_points: ArrayLike) -> np.ndarray:
     """
     Carry affine points of a frame in which view 1 is [I | 0] to Euclidean ones (2.16).
 
@@ -191,4 +196,5 @@ def metric_points(K, affine_points) -> np.ndarray:
     """
     X = np.asarray(affine_points, float)
     with np.errstate(divide='ignore', invalid='ignore'):
-        return (X[:, :3] / X[:, 3:]) @ np.linalg.inv(K).T
+        points: np.ndarray = (X[:, :3] / X[:, 3:]) @ np.linalg.inv(np.asarray(K)).T
+    return points

@@ -19,9 +19,11 @@ T[i, j, k] is T_i^{jk}: i of the first image (covariant), j of the second, k of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import (homogeneous, normalising_transform, unit,
@@ -88,18 +90,21 @@ class ReducedTensor:
     covariance: np.ndarray
 
 
-def tensor_from_cameras(second, third) -> np.ndarray:
+def tensor_from_cameras(second: ArrayLike, third: ArrayLike) -> np.ndarray:
     """Tensor (3, 3, 3) of [I | 0] and two more cameras (3, 4) (5.19)."""
     a, b = np.asarray(second, float), np.asarray(third, float)
-    return (np.einsum('ji,k->ijk', a[:, :3], b[:, 3]) - np.einsum('j,ki->ijk', a[:, 3], b[:, :3]))
+    T: np.ndarray = (np.einsum('ji,k->ijk', a[:, :3], b[:, 3])
+                     - np.einsum('j,ki->ijk', a[:, 3], b[:, :3]))
+    return T
 
 
-def transform_tensor(T, H) -> np.ndarray:
+def transform_tensor(T: np.ndarray, H: np.ndarray) -> np.ndarray:
     """Tensor after x -> H x in all three images (B.3)."""
-    return np.einsum('jl,km,ni,nlm->ijk', H, H, np.linalg.inv(H), T, optimize=True)
+    moved: np.ndarray = np.einsum('jl,km,ni,nlm->ijk', H, H, np.linalg.inv(H), T, optimize=True)
+    return moved
 
 
-def point_equations(first, second, third) -> np.ndarray:
+def point_equations(first: ArrayLike, second: ArrayLike, third: ArrayLike) -> np.ndarray:
     """
     Four linear equations of each point triplet (5.17).
 
@@ -121,10 +126,12 @@ def point_equations(first, second, third) -> np.ndarray:
         pair[:, :, 2] = -xy
         lines.append(pair)
     left = lines[0][:, :, None, :, None] * lines[1][:, None, :, None, :]
-    return (x[:, None, :, None, None] * left.reshape(len(x), 4, 1, 3, 3))
+    equations: np.ndarray = x[:, None, :, None, None] * left.reshape(len(x), 4, 1, 3, 3)
+    return equations
 
 
-def equation_slopes(T, first, second, third) -> np.ndarray:
+def equation_slopes(T: np.ndarray, first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                    ) -> np.ndarray:
     """
     Derivative of the point equations times a tensor by the points.
 
@@ -154,7 +161,8 @@ def equation_slopes(T, first, second, third) -> np.ndarray:
     return slopes.reshape(len(x), 4, 3, 2)
 
 
-def _propagated(rows, values, T, views, spreads):
+def _propagated(rows: np.ndarray, values: np.ndarray, T: np.ndarray, views: Sequence[ArrayLike],
+                spreads: np.ndarray | None) -> tuple[np.ndarray, float, np.ndarray]:
     """Influence (3, m, 2, k) of a least squares tensor, its noise, and its covariance."""
     by_point = equation_slopes(T, *views)
     if spreads is not None:
@@ -171,7 +179,8 @@ def _propagated(rows, values, T, views, spreads):
     return influence, float(noise), covariance
 
 
-def linear_tensor(first, second, third):
+def linear_tensor(first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                  ) -> np.ndarray | NoEstimate:
     """
     General tensor of a point triplet by linear least squares.
 
@@ -190,7 +199,8 @@ def linear_tensor(first, second, third):
     return found if isinstance(found, NoEstimate) else found[0]
 
 
-def linear_tensor_estimate(first, second, third):
+def linear_tensor_estimate(first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                           ) -> tuple[np.ndarray, np.ndarray, float] | NoEstimate:
     """
     General tensor and its covariance; arguments as of `linear_tensor`.
 
@@ -223,7 +233,7 @@ def linear_tensor_estimate(first, second, third):
     return T.reshape(3, 3, 3), covariance, noise / H[0, 0]
 
 
-def transfer_point(T, first, second) -> np.ndarray:
+def transfer_point(T: ArrayLike, first: ArrayLike, second: ArrayLike) -> np.ndarray:
     """
     Predict points of the third image from the first two.
 
@@ -248,16 +258,17 @@ def transfer_point(T, first, second) -> np.ndarray:
     across = np.stack([epipolar[:, 1], -epipolar[:, 0],
                        y[:, 1] * epipolar[:, 0] - y[:, 0] * epipolar[:, 1]], axis=-1)
     z = np.einsum('mj,mjk->mk', across, slices)
-    return z[:, :2] / z[:, 2:]
+    xy: np.ndarray = z[:, :2] / z[:, 2:]
+    return xy
 
 
-def circular_cubic(T) -> np.ndarray:
+def circular_cubic(T: np.ndarray) -> np.ndarray:
     """Coefficients (..., 4) of the cubic in kappa, highest power first (5.32)."""
     a, b, c = (T[..., :, 0, 0], T[..., :, 0, 2] + T[..., :, 2, 0], T[..., :, 2, 2])
     return np.stack([c[..., 0], b[..., 0] - c[..., 2], a[..., 0] - b[..., 2], -a[..., 2]], axis=-1)
 
 
-def canonical_scaling(xy) -> np.ndarray:
+def canonical_scaling(xy: ArrayLike) -> np.ndarray:
     """
     Affine map of the canonical frame that conditions points without leaving that frame.
 
@@ -279,7 +290,8 @@ def canonical_scaling(xy) -> np.ndarray:
     return np.array([[1 / spread, 0, -centre / spread], [0, 1 / height, 0], [0, 0, 1]])
 
 
-def reduced_tensor(first, second, third, spreads=None):
+def reduced_tensor(first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                   spreads: np.ndarray | None = None) -> ReducedTensor | NoEstimate:
     """
     Tensor of planar motion in the canonical frame: twelve elements, linearly (B.4).
 
@@ -297,9 +309,10 @@ def reduced_tensor(first, second, third, spreads=None):
     ReducedTensor or NoEstimate
 
     """
-    if len(first) < 4:
+    count = len(np.asarray(first))
+    if count < 4:
         return NoEstimate('too_few', what='reduced trifocal tensor', needed=4,
-                          items='point triplets, one to spare', found=len(first))
+                          items='point triplets, one to spare', found=count)
     equations = point_equations(first, second, third)
     i, j, k = PLANAR_ELEMENTS.T
     rows = equations[..., i, j, k]
@@ -311,7 +324,8 @@ def reduced_tensor(first, second, third, spreads=None):
     return ReducedTensor(T, *_propagated(rows, Vt[-1], T, (first, second, third), spreads))
 
 
-def circular_points(first, second, third, spreads=None):
+def circular_points(first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                    spreads: np.ndarray | None = None) -> CircularEstimate | NoEstimate:
     """
     Circular points of one triplet of planar motion (5.25-5.33).
 
@@ -333,8 +347,8 @@ def circular_points(first, second, third, spreads=None):
     scale, shift = np.diag(scaling)[:2], scaling[:2, 2]
     if spreads is not None:
         spreads = scale[:, None] * spreads
-    reduced = reduced_tensor(*(np.asarray(xy) * scale + shift for xy in (first, second, third)),
-                             spreads)
+    a, b, c = (np.asarray(xy) * scale + shift for xy in (first, second, third))
+    reduced = reduced_tensor(a, b, c, spreads)
     if isinstance(reduced, NoEstimate):
         return reduced
     cubic = circular_cubic(reduced.T)
@@ -361,6 +375,6 @@ def circular_points(first, second, third, spreads=None):
                             reduced.noise)
 
 
-def circular_image(kappa, H) -> np.ndarray:
+def circular_image(kappa: complex, H: ArrayLike) -> np.ndarray:
     """Circular point i = H^-1 (-kappa, 0, 1) in pixels, complex, shape (3,), unit norm."""
     return unit(np.linalg.solve(np.asarray(H, complex), np.array([-kappa, 0, 1])))

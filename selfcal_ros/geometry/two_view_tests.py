@@ -54,7 +54,8 @@ class PairVerdicts:
     @property
     def sound(self) -> np.ndarray:
         """Pairs with parallax and rotation, shape (n,)."""
-        return self.parallax & self.rotation
+        sound: np.ndarray = self.parallax & self.rotation
+        return sound
 
 
 def homography_cost(data: PairMatches) -> np.ndarray:
@@ -74,10 +75,12 @@ def homography_cost(data: PairMatches) -> np.ndarray:
         with np.errstate(divide='ignore', invalid='ignore'):
             gap = moved[..., :2] / moved[..., 2:] - target[..., :2]
         cost += (np.where(np.isfinite(gap), gap, 1e3) ** 2 * w).sum(axis=(1, 2))
-    return cost / data.transform[0, 0] ** 2
+    in_pixels: np.ndarray = cost / data.transform[0, 0] ** 2
+    return in_pixels
 
 
-def classify_pairs(data: PairMatches, F, cost, planar_cost) -> PairVerdicts:
+def classify_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray, planar_cost: np.ndarray,
+                   ) -> PairVerdicts:
     """
     Test every pair for parallax and for rotation.
 

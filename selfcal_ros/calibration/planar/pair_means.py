@@ -88,10 +88,10 @@ def agreed_pairs(data: PairMatches, F, cost):
             old[worse[better]] = new[better]
     worse = np.flatnonzero(planar_cost < cost * (1 - 1e-6))
     if len(worse):
-        again, less, _, _ = refine_general(
+        general, less, _, _ = refine_general(
             data.subset(worse), planar_pairs.fundamental_matrices(state)[worse])
         F, cost = np.array(F), np.array(cost)
-        F[worse], cost[worse] = again, less
+        F[worse], cost[worse] = general, less
     return F, cost, state, planar_cost
 
 

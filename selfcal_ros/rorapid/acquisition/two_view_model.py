@@ -143,7 +143,7 @@ def points_from_translation(first_px, second_px, camera: Camera, baseline_m: flo
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return NoEstimate('points_outside_lens')
     found = fundamental(a, b, 'translation')
-    if not found:
+    if isinstance(found, NoEstimate):
         return found
     noise = found.noise_px
     if noise > _TOO_FAR * sigma_px:
