@@ -183,7 +183,8 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         if k == 0:
             state = bundle.refine_points(state)
         # no finer than the choice of outliers needs
-        state = bundle.optimise(state, *((12, 2e-3 * bundle.cost(state)) if k == 0 else (3, 1.0)))
+        state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
+                 if k == 0 else bundle.optimise(state, iterations=3, tolerance=1.0))
         estimate = bundle.noise_sigma(state)
         if not np.isfinite(estimate):
             break
@@ -205,7 +206,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         if settled:
             break
     bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescaled(state), 30, 0.02)
+    state = bundle.optimise(rescaled(state), iterations=30, tolerance=0.02)
     return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                      before - len(observations.view))
 
@@ -227,7 +228,7 @@ def out_of_plane(fit: RobustFit) -> tuple[float, float]:
 def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) -> RobustFit:
     """Optimise the same observations, at the same noise level, under another motion model."""
     bundle = bundle_of(fit.observations, motion, fit.bundle.priors, fit.bundle.sigma_px)
-    state = bundle.optimise(fit.state if state is None else state, 40, 0.05)
+    state = bundle.optimise(fit.state if state is None else state, iterations=40, tolerance=0.05)
     return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 
@@ -295,7 +296,7 @@ def choose_distortion(fit: RobustFit, facts: CameraFacts,
         facts = replace(facts, distortion=name)
         priors = priors_from_facts(facts)
         bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
-        state = bundle.optimise(with_fixed(fit.state, priors), 25, 0.1)
+        state = bundle.optimise(with_fixed(fit.state, priors), iterations=25, tolerance=0.1)
         trial = RobustFit(bundle, state, fit.observations, fit.outliers)
         if determined(trial, facts):
             break

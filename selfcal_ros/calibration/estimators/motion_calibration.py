@@ -174,5 +174,5 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
         return folded
     state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
     state = replace(state, path=state.path.aligned(problem.motion))
-    state = bundle.optimise(state, 15, 1.0)
+    state = bundle.optimise(state, iterations=15, tolerance=1.0)
     return with_all_points(state, problem.observations) or folded

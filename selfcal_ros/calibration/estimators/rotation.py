@@ -118,7 +118,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         if bundle.degrees_of_freedom < MIN_FREEDOM:
             return NoEstimate('too_few_observations', points=len(names), images=len(frames),
                               freedom=bundle.degrees_of_freedom, motion='rotation')
-        state = bundle.optimise(with_fixed(state, priors), 30, 0.1)
+        state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -137,7 +137,7 @@ def _richest_lens(state, observed, facts, size):
         bundle = bundle_of(observed, ROTATION, priors, 1.0)
         state = with_fixed(state, priors)
         bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
-        found = bundle.optimise(state, 30, 0.1)
+        found = bundle.optimise(state, iterations=30, tolerance=0.1)
         bundle = bundle.with_sigma(max(bundle.noise_sigma(found), MIN_NOISE_PX))
         covariance = to_parameters(bundle.covariance(found), found.lens)
         if found.lens['f'] > 0 and 'unobservable' not in parameter_status(
@@ -159,7 +159,7 @@ def _assess(state, observed, priors, facts, frames, size, conic, noise_px):
                 break
             observed, state = smaller, replace(state, points=state.points[points])
         bundle = bundle_of(observed, ROTATION, priors, sigma)
-        state = bundle.optimise(state, 30, 0.01)
+        state = bundle.optimise(state, iterations=30, tolerance=0.01)
         if near.all():
             break
     bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))

@@ -74,8 +74,8 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
             continue
         chosen = with_fixed(candidates[int(np.argmin(costs))], priors)
         # a coarse scale first: far from the optimum most residuals are large
-        state = coarse.optimise(chosen, 8, 1.0)
-        state = fine.optimise(state, 12, 1.0)
+        state = coarse.optimise(chosen, iterations=8, tolerance=1.0)
+        state = fine.optimise(state, iterations=12, tolerance=1.0)
         yield state, fine.noise_sigma(state)
 
 

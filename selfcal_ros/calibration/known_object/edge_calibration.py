@@ -323,7 +323,7 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
         rest = views.select(keep)
         part = rest.bundle(bundle.priors, bundle.sigma_px)
         own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
-        moved = part.optimise(own, 20, 1e-4)
+        moved = part.optimise(own, iterations=20, tolerance=1e-4)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved))
     return jackknife_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
@@ -344,7 +344,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
         own = replace(state, path=state.path.of_views(np.isin(frames, part.frames)))
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
-        own = bundle.optimise(own, 30, 1e-4)
+        own = bundle.optimise(own, iterations=30, tolerance=1e-4)
         focal = intrinsic_places(('f',))[0]
         variance = bundle.ideal_covariance(own)[focal, focal]
         found.append((own.lens['f'], float(np.sqrt(variance))))

@@ -251,7 +251,8 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
     for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
-        state = bundle.optimise(with_fixed(start_state(K, few.linear), priors), 25, 1e-2)
+        state = bundle.optimise(with_fixed(start_state(K, few.linear), priors), iterations=25,
+                                tolerance=1e-2)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost

@@ -162,7 +162,7 @@ def _fit(graph, observations: Observations, camera: Camera):
     state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
     if state is None or not np.isfinite(bundle.cost(state)):
         return None
-    state = bundle.optimise(state, 20, 0.05)
+    state = bundle.optimise(state, iterations=20, tolerance=0.05)
     sigma_px = bundle.noise_sigma(state)
     distance = np.linalg.norm(bundle.residuals(state), axis=1)
     fewer, points = observations.select(distance < OUTLIER_SIGMAS * sigma_px)
@@ -170,7 +170,7 @@ def _fit(graph, observations: Observations, camera: Camera):
         return None
     state = replace(state, points=state.points[points])
     bundle = bundle_of(fewer, GENERAL, fixed, sigma_px)
-    state = bundle.optimise(state, 15, 0.01)
+    state = bundle.optimise(state, iterations=15, tolerance=0.01)
     return bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX)), state, fewer
 
 

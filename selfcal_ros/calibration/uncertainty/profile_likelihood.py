@@ -130,11 +130,12 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
     for _ in range(MAX_DISPLACEMENTS):
         start = fit.bundle.moved(state, step)
         bundle = fit.bundle.with_priors({**fit.bundle.priors, name: Prior(start.lens[name], 0.0)})
-        moved = bundle.optimise(bundle.refine_points(start), 30, 0.02 * fraction)
+        moved = bundle.optimise(bundle.refine_points(start), iterations=30,
+                                tolerance=0.02 * fraction)
         # a fact with a sigma counts, also where it is about the parameter that was moved
         rise = fit.bundle.cost(moved) - before
         if rise < -BETTER_BY:
-            better = replace(fit, state=fit.bundle.optimise(moved, 50, 0.02))
+            better = replace(fit, state=fit.bundle.optimise(moved, iterations=50, tolerance=0.02))
             if better.cost < before - BETTER_BY:
                 return better
         # of one sigma: the quadratic rises with the square of the displacement
