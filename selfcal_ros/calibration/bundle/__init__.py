@@ -12,8 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The one estimator: a maximum-likelihood adjustment composed of blocks.
+The one estimator: a maximum-likelihood adjustment of a product of blocks.
 
-Every method ends here. Read `state` for the unknowns, `bundle` for the adjustment itself, and
-`robust_fit` for how outliers and the noise level are found.
+    u(observation) = lens( path[view] · point )
+
+Blocks are `lens`, `path` (with the kinds of `motion`) and `object_poses`. Unknowns have names
+(`unknowns`), facts are priors on them (`priors`). `scene_model` and `object_model` are the
+products, `bundle` adjusts either, `robust_fit` finds outliers and the noise level. Every method
+ends here (thesis 6.3 asks for it). Read `model` first, then `bundle`.
 """
