@@ -20,6 +20,7 @@ stand beside the main path on the same scenes.
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 import time
 from unittest import mock
@@ -33,6 +34,7 @@ from selfcal_ros.calibration.affine.modulus import calibrate_modulus
 from selfcal_ros.calibration.affine.repeated_structure import (calibrate_repeated,
                                                                objects_from_tracks)
 from selfcal_ros.calibration.initialisation import multi_start
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.few_view_scenes import cut_camera, equal_objects, general_views
@@ -61,8 +63,8 @@ ARRANGEMENTS = {
 }
 REPEATED_METHODS = ('--motion general', '--motion repeated', 'parallel stated', 'affine chain')
 OBJECT_CAMERA = cut_camera(1100.0, 1.0, (20.0, -10.0), (1280, 960))
-#: What must be refused: name, whether of objects, options of the scene.
-REFUSED = {
+#: Scenes that do not suffice: name, whether of objects, options of the scene.
+DEGENERATE = {
     'four views about one axis': (False, {'turns': rotation_matrix(np.radians(
         [[0, 0, 0], [0, 15, 0], [0, -12, 0], [0, 25, 0]]))}),
     'four parallel views': (False, {'turns': np.array([np.eye(3)] * 4)}),
@@ -72,6 +74,13 @@ REFUSED = {
     'two objects': (True, {'turns_deg': ((0, 0, 0), (25, 35, 10))}),
     'four small, far objects': (True, {'turns_deg': ARRANGEMENTS['4 turned'], 'farness': 30.0}),
 }
+#: Of these, the scenes that may be calibrated or refused, but never wrongly calibrated; all others
+#: must be refused. For the far objects the Cramér-Rao bound of fx is 4.5 to 5.4 % of fx, and the
+#: cameras found state 5 to 13 %. That is below `observability.FOCAL_FRACTION`, 15 %: a camera says
+#: something. The bound is 0.30 of that or more (`hard_scenes.DETERMINED`): none is required.
+EITHER = ('four small, far objects',)
+#: Beyond so many stated sigmas a result is wrong.
+MAX_SIGMAS = 3.0
 #: A camera counts as found within so many percent of the true focal length.
 FOUND_PERCENT = 5.0
 
@@ -133,19 +142,42 @@ def _timed(compute, truth: float) -> tuple[float, float, float]:
     return percent(K[0, 0], truth), sigma, spent
 
 
-def refused_run(seed: int, name: str) -> bool:
-    """Tell whether a degenerate scene is refused by its door, and by the general motion."""
-    objects, options = REFUSED[name]
+def degenerate_run(seed: int, name: str) -> tuple[str, tuple[str, ...]]:
+    """
+    Calibrate a degenerate scene by its door, and by the general motion.
+
+    Returns
+    -------
+    verdict : {'refused', 'right', 'WRONG'}
+        By all; a camera by one or more, each within `MAX_SIGMAS`; a camera beyond.
+    kinds : tuple of str
+        Of the refusals.
+
+    """
+    objects, options = DEGENERATE[name]
     rng = np.random.default_rng(seed)
     if objects:
-        tracks = equal_objects(rng, OBJECT_CAMERA, **options)
+        truth = OBJECT_CAMERA
+        tracks = equal_objects(rng, truth, **options)
         answers = [calibrate(tracks, motion=motion, facts=SQUARE)
                    for motion in ('repeated', 'general')]
     else:
-        tracks = general_views(rng, CAMERAS['usual'], **options).tracks
+        truth = CAMERAS['usual']
+        tracks = general_views(rng, truth, **options).tracks
         answers = [calibrate(tracks, motion='general', facts=NO_FACT, views=views)
                    for views in (4, None)]
-    return not any(answers)
+    deviations = [_deviation_sigmas(answer, truth) for answer in answers if answer]
+    # where objects do not suffice, `why` holds the reason that they share with images
+    kinds = tuple(answer.values.get('why', answer).kind for answer in answers if not answer)
+    return ('refused' if not deviations else
+            'right' if max(deviations) < MAX_SIGMAS else 'WRONG'), kinds
+
+
+def _deviation_sigmas(result, truth) -> float:
+    """Largest deviation of an estimated parameter from the truth, in stated sigmas."""
+    deviation = np.abs(result.camera.parameters - truth.parameters)
+    return max(deviation[k] / max(result.sigma[name], 1e-12)
+               for k, name in enumerate(PARAMETER_NAMES) if result.status[name] == 'estimated')
 
 
 def summary(results: list[dict], method: str) -> tuple:
@@ -221,10 +253,31 @@ def run(report: Report, options) -> None:
                        'fx.')
         found = _table(report, results, REPEATED_METHODS)
         _judge(report, found, ('--motion repeated', 'parallel stated'), runs)
-    report.section('What does not suffice', 'Scenes that both the door and the general motion '
-                                            'refuse.')
-    for name in REFUSED:
-        refused = sum(run_seeds(partial(refused_run, name=name), range(min(runs, 50)),
-                                options.processes))
-        report.judge(refused == min(runs, 50), f'{name}: refused in {refused} of '
-                                               f'{min(runs, 50)}')
+    _degenerate(report, min(runs, 50), options.processes)
+
+
+def _degenerate(report: Report, runs: int, processes: int) -> None:
+    """Print which scenes are refused and why; never a wrong camera, never a false reason."""
+    report.section(f'What does not suffice ({runs} scenes)',
+                   'Scenes that both the door and the general motion refuse. Where the images may '
+                   'suffice:', f'a camera within {MAX_SIGMAS:g} stated sigmas, or a refusal.')
+    rows, verdicts, false = [], {}, Counter()
+    for name in DEGENERATE:
+        results = run_seeds(partial(degenerate_run, name=name), range(runs), processes)
+        verdicts[name] = count = Counter(verdict for verdict, _ in results)
+        kinds = Counter(kind for _, kinds in results for kind in kinds)
+        # a camera and a motion do explain every scene: the true ones
+        false[name] = kinds['tracks_unexplained']
+        rows.append((name, 'either' if name in EITHER else 'refused', count['right'],
+                     count['refused'], count['WRONG'],
+                     ', '.join(f'{kind} {n}' for kind, n in kinds.most_common())))
+    report.table(('scene', 'expected', 'right', 'refused', 'wrong', 'refusals by kind'), rows)
+    report.say('')
+    for name, count in verdicts.items():
+        if name in EITHER:
+            report.judge(count['WRONG'] == 0, f'{name}: wrong in {count["WRONG"]} of {runs}')
+        else:
+            report.judge(count['refused'] == runs,
+                         f'{name}: refused in {count["refused"]} of {runs}')
+        report.judge(false[name] == 0, f'{name}: {false[name]} refusals say that no camera '
+                                       'explains the tracks, required none')
