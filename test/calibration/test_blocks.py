@@ -88,11 +88,12 @@ def test_path_by_its_axis_and_by_its_views(path, rng):
     def placed(shared, steps):
         """Points of each view's camera, turned back by the mount at hand."""
         moved = path.moved(shared, steps)
-        X = moved.turned(Y[:, :3], view) + moved.translation * Y[:, 3:]
+        turned = np.einsum('vij,vj->vi', moved.rotations(), Y[:, :3])
+        X = turned + moved.translation * Y[:, 3:]
         return X @ moved.mount.T @ path.mount
 
     none, still = np.zeros((VIEWS, len(VIEW_NAMES))), np.zeros(2)
-    turned = path.turned(Y[:, :3], view)
+    turned = np.einsum('vij,vj->vi', path.rotations(), Y[:, :3])
     axis = np.empty((VIEWS, 3, 2))
     path.by_axis(J, placed(still, none), axis)
     assert agrees(axis, difference(lambda step: placed(step, none), len(SHARED_NAMES)))

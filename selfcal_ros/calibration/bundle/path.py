@@ -149,11 +149,6 @@ class AxisPath:
 
     # ------------------------------------------------------------------ derivatives
 
-    def turned(self, vectors: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Turn world vectors (N, 3) into the frames of views (N,), before the mount."""
-        turned: np.ndarray = np.einsum('nij,nj->ni', self.rotations()[view], vectors)
-        return turned
-
     def by_axis(self, J: np.ndarray, placed: np.ndarray, out: np.ndarray) -> None:
         """
         Differentiate by `SHARED_NAMES`.
@@ -181,7 +176,7 @@ class AxisPath:
         J : ndarray, shape (N, m, 3)
             Derivatives by the points before the mount.
         turned : ndarray, shape (N, 3)
-            Of `turned`.
+            The points, turned into the views' frames but not yet moved.
         weight : ndarray, shape (N, 1)
             Last coordinate of the homogeneous points.
         view : ndarray of int, shape (N,)
