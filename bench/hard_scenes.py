@@ -23,6 +23,9 @@ from __future__ import annotations
 from collections import Counter
 from itertools import product
 
+from bench.fisher import cramer_rao_bound
+from bench.monte_carlo import run_seeds
+from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
@@ -35,10 +38,6 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES, NOISE_PX
-
-from bench.fisher import cramer_rao_bound
-from bench.monte_carlo import run_seeds
-from bench.tables import Report
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 #: Beyond so many stated sigmas a result is wrong.

@@ -15,8 +15,8 @@
 
 import ast
 from importlib.util import module_from_spec, spec_from_file_location
-import pickle
 from pathlib import Path
+import pickle
 import re
 from string import Formatter
 

@@ -15,9 +15,9 @@
 
 from __future__ import annotations
 
-import cv2
 from typing import Any
 
+import cv2
 import numpy as np
 
 from selfcal_ros.features.registration import PatchRegistration, Templates

@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
-from selfcal_ros.report.observations import ObservationTable, observations
+from selfcal_ros.report.observations import observations, ObservationTable
 from selfcal_ros.report.ply import point_colours
 from selfcal_ros.values.tracks import Tracks
 

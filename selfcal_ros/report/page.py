@@ -35,8 +35,8 @@ from selfcal_ros.calibration.structure.angular_measurement import measurement_se
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.files import atomic_write
-from selfcal_ros.report.summary import distortion, grade, matrix, px_text, quality
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
+from selfcal_ros.report.summary import distortion, grade, matrix, px_text, quality
 from selfcal_ros.values.tracks import Tracks
 
 

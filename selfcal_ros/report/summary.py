@@ -21,8 +21,8 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import PARAMETER_NAMES
-from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.phrases import with_sigma
+from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 
 #: Where a parameter is from, by its status.
 ORIGINS = {'estimated': 'images', 'held': 'fact', 'unobservable': 'unknown'}

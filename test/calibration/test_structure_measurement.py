@@ -25,7 +25,7 @@ from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, to_intrinsics,
 from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed, priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit, Observations
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.calibration.structure.structure_measurement import (corner_angle, distance_ratio,

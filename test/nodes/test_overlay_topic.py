@@ -16,9 +16,8 @@
 from msg_adapters.image import image_to_bgr
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
-from sensor_msgs.msg import Image, PointCloud2
-
 from selfcal_ros.nodes.tracker_node import FeatureTracker
+from sensor_msgs.msg import Image, PointCloud2
 from test_support import image_stream
 
 

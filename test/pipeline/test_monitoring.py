@@ -20,9 +20,8 @@ import pytest
 from selfcal_ros import calibrate
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera, CameraFacts
-from selfcal_ros.pipeline.calibration_session import (CalibrationSession, Keyframe,
-                                                      SessionSettings)
-from selfcal_ros.pipeline.monitoring import Monitoring, MAX_WAITING
+from selfcal_ros.pipeline.calibration_session import CalibrationSession, Keyframe, SessionSettings
+from selfcal_ros.pipeline.monitoring import MAX_WAITING, Monitoring
 from selfcal_ros.synthetic.special_scenes import drive
 
 SIZE = (640, 480)

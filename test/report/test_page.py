@@ -32,10 +32,10 @@ from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
+from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict, with_sigma
 from selfcal_ros.report.scene import scene_of
 from selfcal_ros.report.summary import (distortion, grade, matrix, projection_sigmas, px_text,
                                         quality)
-from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict, with_sigma
 
 #: Of a covariance of all parameters.
 COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2

@@ -29,7 +29,7 @@ from scipy.stats import chi2
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.observability import UNOBSERVABLE_FACTOR, observability_limits
+from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
 
 #: The offset is followed along what is determined worst: the directions whose sigma exceeds this
 #: fraction of what makes a parameter unobservable. It grows with the square of the way.

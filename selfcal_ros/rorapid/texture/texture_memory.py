@@ -29,7 +29,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
-from selfcal_ros.rorapid.texture.face_picture import (Face, MIN_SCORE, hidden_points, lay_frame,
+from selfcal_ros.rorapid.texture.face_picture import (Face, hidden_points, lay_frame, MIN_SCORE,
                                                       sample_points)
 
 #: A face seen flatter than this (cosine), or smaller (pixels squared), tells nothing.
