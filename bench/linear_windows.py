@@ -28,7 +28,7 @@ from bench.monitored_drive import (ideal_places, MeasuredDrive, measurement_erro
 import numpy as np
 from scipy.stats import chi2
 from selfcal_ros.calibration.bundle.information import huber_factors, HUBER_SIGMAS, Information
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS
 from selfcal_ros.calibration.monitoring.camera_change import CHANGES
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
@@ -83,7 +83,7 @@ class LinearWindow:
         self._measured = 2 * len(self.view) - 3 * len(state.points)
         camera_free = without_camera(held, free)
         self._system = camera_free.normal_equations(state, robust=False)
-        inverse, places = camera_free.inverse(self._system), intrinsic_places(free)
+        inverse, places = camera_free.inverse(self._system), state.lens.places(free)
         self._rows = inverse[places]
         self._covariance = inverse[np.ix_(places, places)]
 

@@ -28,7 +28,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
-from selfcal_ros.geometry.camera import Camera, DISTORTION_MODELS, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
@@ -142,7 +143,7 @@ def nearest_lens(truth: dict, result, tracks) -> np.ndarray:
     """
     true = Camera(truth['K'], truth['dist'], *tracks.image_size)
     free = [PARAMETER_NAMES.index(name) for name in
-            ('fx', 'cx', 'cy', *DISTORTION_MODELS[result.facts.distortion])]
+            ('fx', 'cx', 'cy', *LENS_CHOICES[result.facts.distortion][1])]
     rays = true.normalised(tracks.xy)
     seen = np.isfinite(rays).all(axis=1)
     rays, xy = np.column_stack([rays, np.ones(len(rays))])[seen], tracks.xy[seen]

@@ -69,7 +69,7 @@ def off_centre(rng, noise_px: float, **options):
     K = camera.K + np.pad(shift[:, None], ((0, 1), (2, 0)))
     moved = Tracks(tracks.frame, tracks.track, tracks.xy + shift, tracks.image_size)
     return replace(sequence, tracks=moved, true_pixels=sequence.true_pixels + shift,
-                   camera=Camera(K, camera.distortion, camera.width, camera.height))
+                   camera=Camera(K, camera.distortion, camera.width, camera.height, camera.model))
 
 
 SQUARE = {'aspect_ratio': 1.0, 'skew': 0.0}

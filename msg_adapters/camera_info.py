@@ -29,7 +29,7 @@ from msg_adapters.stamps import copy_header
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera import Camera, ROS_COEFFICIENTS, ros_distortion
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,8 @@ class ImageWindow:
         """Return the camera of the images, given that of the full sensor."""
         scale = self._scale()
         width, height = self.image_size(full.width, full.height)
-        return Camera(np.linalg.inv(scale) @ full.K, full.distortion, width, height)
+        return Camera(np.linalg.inv(scale) @ full.K, full.distortion, width, height,
+                      full.model)
 
     def full_camera(self, image: Camera, width: int = 0, height: int = 0) -> Camera:
         """
@@ -84,7 +85,8 @@ class ImageWindow:
                 raise ArgumentError('The full size of a cropped sensor must be given.')
             width = image.width * max(self.binning_x, 1)
             height = image.height * max(self.binning_y, 1)
-        return Camera(self._scale() @ image.K, image.distortion, width, height)
+        return Camera(self._scale() @ image.K, image.distortion, width, height,
+                      image.model)
 
     def _scale(self) -> np.ndarray:
         """Map image pixels to sensor pixels."""
@@ -112,12 +114,12 @@ def camera_info_message(camera: Camera | None, header: Message, types: MessageTy
     Returns
     -------
     sensor_msgs/CameraInfo
-        P = [K 0], R the identity, plumb_bob with five coefficients.
+        P = [K 0], R the identity; plumb_bob where the camera is not calibrated.
 
     Raises
     ------
     ArgumentError
-        If the camera has no size and none is given.
+        If the camera has no size and none is given, or ROS does not know its lens model.
 
     """
     if size is None:
@@ -126,6 +128,9 @@ def camera_info_message(camera: Camera | None, header: Message, types: MessageTy
     if camera is not None and not (width and height):
         raise ArgumentError('A CameraInfo needs the image size; give the camera its width and '
                             'height.')
+    if camera is not None and camera.model not in ROS_COEFFICIENTS:
+        raise ArgumentError(f'A CameraInfo cannot hold the lens model {camera.model}; '
+                            f'{", ".join(ROS_COEFFICIENTS)} are known to ROS.')
     K = np.zeros((3, 3)) if camera is None else camera.K
     rotation = np.zeros((3, 3)) if camera is None else np.eye(3)
     roi = types.RegionOfInterest(x_offset=window.x_offset, y_offset=window.y_offset,
@@ -133,7 +138,8 @@ def camera_info_message(camera: Camera | None, header: Message, types: MessageTy
                                  do_rectify=window.do_rectify)
     return types.CameraInfo(
         header=copy_header(header, types), height=height, width=width,
-        distortion_model='plumb_bob', d=np.zeros(5) if camera is None else camera.distortion,
+        distortion_model='plumb_bob' if camera is None else camera.model,
+        d=np.zeros(5) if camera is None else camera.distortion,
         k=K, r=rotation, p=np.column_stack([K, np.zeros(3)]),
         binning_x=window.binning_x, binning_y=window.binning_y, roi=roi)
 
@@ -175,7 +181,7 @@ def camera_from_info(msg: Message) -> Camera | None:
     Raises
     ------
     InputError
-        If the distortion model is not plumb_bob's, or K is no calibration matrix.
+        If ROS has no such distortion model, or K is no calibration matrix.
 
     """
     # ROS 1 wrote these fields in capitals
@@ -186,15 +192,13 @@ def camera_from_info(msg: Message) -> Camera | None:
     if K[0] == 0:
         return None
     model = str(msg.distortion_model)
-    known = model in ('plumb_bob', 'rational_polynomial') or not d.any()
-    # a rational polynomial whose denominator is 1 is a plumb bob
-    if not known or not np.isfinite(d).all() or d[5:].any():
-        raise InputError(f'The distortion model {model!r:.40} with {d.size} coefficients is not '
-                         'supported; plumb_bob with up to five coefficients is.')
-    if d.size < 4:
-        d = np.pad(d, (0, 4 - d.size))
+    if not d.any() and model not in ROS_COEFFICIENTS:
+        model, d = 'plumb_bob', d[:0]
     try:
-        return Camera(K.reshape(3, 3), d[:5], msg.width, msg.height)
+        camera = Camera(K.reshape(3, 3), ros_distortion(model, d), msg.width, msg.height, model)
+        # a rational polynomial whose denominator is 1 is a plumb bob
+        plumb = camera.distortion_as('plumb_bob')
+        return camera if plumb is None else camera.as_model('plumb_bob')
     except ArgumentError as error:
         raise InputError(f'The CameraInfo is wrong: {error}') from None
 

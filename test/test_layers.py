@@ -44,7 +44,7 @@ VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera',
 ROS_PACKAGES = {'rclpy', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'cv_bridge',
                 'diagnostic_msgs', 'visualization_msgs', 'builtin_interfaces', 'rosgraph_msgs',
                 'launch', 'launch_ros', 'ament_index_python', 'rcl_interfaces'}
-GEOMETRY_MAY_USE = {'__future__', 'dataclasses', 'math', 'typing', 'functools', 'itertools',
+GEOMETRY_MAY_USE = {'__future__', 'abc', 'dataclasses', 'math', 'typing', 'functools', 'itertools',
                     'collections', 'enum', 'numpy', 'scipy', 'selfcal_ros'}
 
 

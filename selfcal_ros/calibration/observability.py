@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera, CameraFacts, DISTORTION_MODELS, PARAMETER_NAMES
-from selfcal_ros.geometry.lenses import plumb_bob
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 
 #: A parameter counts as unobservable when its sigma exceeds these. Focal lengths, as a share of
 #: themselves: beyond 15 % a guess from the lens's data sheet is as good. Principal point, as a
@@ -44,7 +44,7 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Keys among `PARAMETER_NAMES`. An exact aspect ratio ties fy to fx; it holds neither.
+        Keys among the camera's parameters. An exact aspect ratio ties fy to fx; it holds neither.
 
     """
     held = {}
@@ -52,27 +52,28 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
         held['skew'] = f'skew = {facts.skew:g}'
     if facts.principal_point is not None and facts.principal_point_sigma_px == 0:
         held['cx'] = held['cy'] = 'principal point = ({:g}, {:g})'.format(*facts.principal_point)
-    for name in plumb_bob.COEFFICIENTS:
-        if name not in DISTORTION_MODELS.get(facts.distortion, ()):
+    model, free = LENS_CHOICES.get(facts.distortion, LENS_CHOICES['none'])
+    for name in model.coefficients:
+        if name not in free:
             held[name] = f'distortion = {facts.distortion}'
     return held
 
 
 def observability_limits(camera: Camera) -> np.ndarray:
-    """Sigma beyond which each of `PARAMETER_NAMES` counts as unobservable, shape (k,)."""
+    """Sigma beyond which each of the camera's parameters counts as unobservable, shape (k,)."""
     diagonal = float(np.hypot(camera.width, camera.height))
     fx, fy = camera.K[0, 0], camera.K[1, 1]
-    corner = diagonal / 2 / fx
+    corner, lens = diagonal / 2 / fx, camera.lens
     return np.array([
         FOCAL_FRACTION * fx, FOCAL_FRACTION * fy, PRINCIPAL_POINT_FRACTION * diagonal,
         PRINCIPAL_POINT_FRACTION * diagonal, SKEW_FRACTION * fx,
-        *(DISTORTION_FRACTION / corner**plumb_bob.CORNER_POWER[name]
-          for name in plumb_bob.COEFFICIENTS)])
+        *(DISTORTION_FRACTION / lens.corner_displacement(name, corner)
+          for name in lens.coefficients)])
 
 
 def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, str]:
     """
-    Tell 'estimated', 'held' or 'unobservable' for each of `PARAMETER_NAMES`.
+    Tell 'estimated', 'held' or 'unobservable' for each of the camera's parameters.
 
     Parameters
     ----------
@@ -89,7 +90,8 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     held = held_facts(facts)
     status = {}
-    for name, value, limit in zip(PARAMETER_NAMES, sigma, observability_limits(camera)):
+    for name, value, limit in zip(camera.parameter_names, sigma,
+                                  observability_limits(camera)):
         if name in held:
             status[name] = 'held'
         else:

@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import Elimination
 
@@ -70,7 +70,7 @@ class StructurePrecision:
     points : ndarray, shape (P, 4)
         Where it put the points, unit homogeneous coordinates.
     lens : tuple of str
-        Unknowns of the lens that were estimated (`INTRINSIC_NAMES`).
+        Unknowns of the lens that were estimated.
     covariance : ndarray, shape (k, k)
         Of the independent unknowns of lens and path, for independent noise; those of `lens` come
         first.
@@ -210,7 +210,7 @@ class Calibration:
     ----------
     camera : Camera
     covariance : ndarray, shape (k, k)
-        Of `PARAMETER_NAMES`; zero rows for held parameters.
+        Of `parameter_names`; zero rows for held parameters.
     status : dict
         Per parameter 'estimated', 'held' or 'unobservable'.
     held_by : dict
@@ -291,12 +291,12 @@ class Calibration:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of `covariance`."""
-        return PARAMETER_NAMES
+        return self.camera.parameter_names
 
     @property
     def sigma(self) -> dict[str, float]:
-        """Standard deviation of each of `PARAMETER_NAMES`, zero where held."""
-        return dict(zip(PARAMETER_NAMES, np.sqrt(np.diag(self.covariance)).tolist()))
+        """Standard deviation of each of `parameter_names`, zero where held."""
+        return dict(zip(self.parameter_names, np.sqrt(np.diag(self.covariance)).tolist()))
 
 
 @dataclass(frozen=True)

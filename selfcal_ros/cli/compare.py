@@ -86,32 +86,32 @@ def _covariance(path, stored, named: Path | None):
 def _same(a, b) -> bool:
     """Tell whether two files hold one camera, up to rounding."""
     import numpy as np
-    theirs = b.coefficients_as(a.model)
+    theirs = b.distortion_as(a.model)
     return (theirs is not None and (a.width, a.height) == (b.width, b.height)
             and np.allclose(a.K, b.K, rtol=1e-6, atol=1e-6)
-            and np.allclose(a.coefficients, theirs, rtol=1e-5, atol=1e-8))
+            and np.allclose(a.distortion, theirs, rtol=1e-5, atol=1e-8))
 
 
 def _rows(a, b, covariances) -> list[dict]:
     """Compare parameter by parameter, as far as both have the same ones."""
     import numpy as np
-    from selfcal_ros.geometry.camera import PARAMETER_NAMES
-    from selfcal_ros.geometry.lens import coefficient_names
+    from selfcal_ros.geometry.lenses.catalogue import lens_model
+    names = a.parameter_names
     variance = sum((np.diag(C) for C in covariances if C is not None),
-                   np.zeros(len(PARAMETER_NAMES)))
-    spread = dict(zip(PARAMETER_NAMES, np.sqrt(np.maximum(variance, 0)).tolist()))
+                   np.zeros(len(names)))
+    spread = dict(zip(names, np.sqrt(np.maximum(variance, 0)).tolist()))
     values = []
     for camera in (a, b):
         K = camera.K
         values.append({'fx': K[0, 0], 'fy': K[1, 1], 'cx': K[0, 2], 'cy': K[1, 2],
                        'skew': K[0, 1]})
-        plumb = camera.coefficients_as('plumb_bob')
-        both = a.coefficients_as('plumb_bob') is not None and (
-            b.coefficients_as('plumb_bob') is not None)
+        plumb = camera.distortion_as('plumb_bob')
+        both = a.distortion_as('plumb_bob') is not None and (
+            b.distortion_as('plumb_bob') is not None)
         if both or a.model == b.model:
             model = 'plumb_bob' if both else a.model
-            values[-1].update(zip(coefficient_names(model),
-                                  plumb if both else camera.coefficients))
+            values[-1].update(zip(lens_model(model).coefficients,
+                                  plumb if both else camera.distortion))
     rows = []
     for name in values[0]:
         first, second = float(values[0][name]), float(values[1][name])

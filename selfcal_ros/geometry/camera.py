@@ -23,24 +23,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.lenses import plumb_bob
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, lens_model
+from selfcal_ros.geometry.lenses.model import LensModel
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 
-#: Order of the calibration parameters in every covariance, status table and JSON file.
-PARAMETER_NAMES = ('fx', 'fy', 'cx', 'cy', 'skew', *plumb_bob.COEFFICIENTS)
-
-#: Distortion coefficients that each model leaves free, from the simplest to the richest.
-DISTORTION_MODELS = {
-    'none': (),
-    'radial1': ('k1',),
-    'radial2': ('k1', 'k2'),
-    'plumb_bob': ('k1', 'k2', 'p1', 'p2'),
-}
+#: Parameters of the calibration matrix, the first of every covariance, table and file.
+MATRIX_PARAMETERS = ('fx', 'fy', 'cx', 'cy', 'skew')
+#: All parameters of a perspective camera with a plumb-bob lens.
+PARAMETER_NAMES = (*MATRIX_PARAMETERS, *PLUMB_BOB.coefficients)
+#: Polynomial models, the poorer first: one that leaves the other's coefficients at zero is it.
+_POLYNOMIAL = ('plumb_bob', 'rational_polynomial')
+#: Lens models of ROS's CameraInfo, and how many coefficients a message or a file may have.
+ROS_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
 
 
 @dataclass(frozen=True)
 class Camera:
     """
-    A pinhole camera with plumb-bob distortion.
+    A camera with one of the lens models that files and messages know.
 
     Pixel (0, 0) is the centre of the top-left pixel; the optical frame is x right, y down,
     z forward (REP 103).
@@ -49,19 +49,24 @@ class Camera:
     ----------
     K : array_like, shape (3, 3)
         Calibration matrix in pixels, K[2, 2] = 1.
-    distortion : array_like, shape (4,) or (5,)
-        k1, k2, p1, p2[, k3], OpenCV's order, on normalised coordinates.
+    distortion : array_like, shape (k,)
+        Coefficients of the lens model in its own order, fewer are filled up with zeros:
+        k1 k2 p1 p2 k3 for 'plumb_bob' (OpenCV's order, on normalised coordinates).
     width, height : int
         Image size in pixels at full resolution; 0 when unknown.
+    model : str
+        One of `selfcal_ros.geometry.lenses.catalogue.LENS_MODELS`.
 
     Raises
     ------
     ArgumentError
-        If K is not a finite upper triangular matrix with positive focal lengths.
+        If K is not a finite upper triangular matrix with positive focal lengths, or the lens
+        model is unknown or cannot have these coefficients.
 
     References
     ----------
-    D. C. Brown (1966), Decentering distortion of lenses: the distortion.
+    D. C. Brown (1966), Decentering distortion of lenses: the distortion. J. Kannala and
+    S. Brandt (2006), A generic camera model: the fisheye.
 
     Examples
     --------
@@ -74,29 +79,33 @@ class Camera:
     """
 
     K: np.ndarray
-    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(0))
     width: int = 0
     height: int = 0
+    model: str = 'plumb_bob'
 
     if TYPE_CHECKING:
         # what may be given; the fields say what is kept
         def __init__(self, K: ArrayLike, distortion: ArrayLike = (), width: int = 0,
-                     height: int = 0) -> None: ...
+                     height: int = 0, model: str = 'plumb_bob') -> None: ...
 
     def __post_init__(self) -> None:
         """Check and freeze the arrays."""
+        lens = lens_model(self.model)
         K = np.array(self.K, dtype=float)
-        distortion = np.zeros(5)
-        given = np.array(self.distortion, dtype=float).ravel()
         if K.shape != (3, 3) or not np.isfinite(K).all():
             raise ArgumentError(f'K must be a finite 3x3 matrix, not {K.tolist()!r}.')
-        if given.size not in (0, 4, 5) or not np.isfinite(given).all():
-            raise ArgumentError('Distortion must be k1 k2 p1 p2 [k3], all finite; '
-                                f'{given.tolist()!r} is not.')
         if K[0, 0] <= 0 or K[1, 1] <= 0 or abs(K[2, 2] - 1) > 1e-9 or np.tril(K, -1).any():
             raise ArgumentError('K must be upper triangular with positive focal lengths and '
                                 f'K[2, 2] = 1; {K.tolist()!r} is not.')
+        given = np.array(self.distortion, dtype=float).ravel()
+        distortion = np.zeros(len(lens.coefficients))
+        if given.size > distortion.size or not np.isfinite(given).all():
+            raise ArgumentError(f'The distortion of the lens model {self.model} is '
+                                f'{" ".join(lens.coefficients)}, all finite; '
+                                f'{given.tolist()!r:.80} is not.')
         distortion[:given.size] = given
+        lens.check(distortion)
         K.flags.writeable = False
         distortion.flags.writeable = False
         object.__setattr__(self, 'K', K)
@@ -105,70 +114,167 @@ class Camera:
         object.__setattr__(self, 'height', int(self.height))
 
     @classmethod
-    def from_parameters(cls, values: ArrayLike, width: int = 0, height: int = 0) -> Camera:
-        """Build a camera from the values of `PARAMETER_NAMES`."""
+    def from_parameters(cls, values: ArrayLike, width: int = 0, height: int = 0,
+                        model: str = 'plumb_bob') -> Camera:
+        """Build a camera from the values of its `parameter_names`."""
         fx, fy, cx, cy, skew, *coefficients = np.asarray(values, dtype=float).ravel()
-        return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]],
-                   plumb_bob.as_opencv(np.array(coefficients)), width, height)
+        return cls([[fx, skew, cx], [0, fy, cy], [0, 0, 1]], coefficients, width, height, model)
+
+    @property
+    def lens(self) -> LensModel:
+        """The lens model."""
+        return lens_model(self.model)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters: fx fy cx cy skew, then the lens's coefficients."""
+        return (*MATRIX_PARAMETERS, *self.lens.coefficients)
 
     @property
     def parameters(self) -> np.ndarray:
-        """The values of `PARAMETER_NAMES`, shape (n,)."""
+        """The values of `parameter_names`, shape (n,)."""
         K = self.K
-        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1],
-                         *(self.distortion[plumb_bob.OPENCV_PLACE[name]]
-                           for name in plumb_bob.COEFFICIENTS)])
+        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1], *self.distortion])
 
-    def distort(self, xy: np.ndarray) -> np.ndarray:
-        """Distort normalised image points (..., 2)."""
-        x, y = np.moveaxis(np.asarray(xy, float), -1, 0)
-        return np.stack(plumb_bob.distort(self.distortion, x, y), axis=-1)
+    @property
+    def is_pinhole(self) -> bool:
+        """Tell a camera without distortion."""
+        return self.lens.is_perspective and not self.distortion.any()
 
-    def undistort(self, xy: np.ndarray, iterations: int = 20) -> np.ndarray:
+    @property
+    def pinhole(self) -> Camera:
+        """The camera of the same calibration matrix without distortion."""
+        return Camera(self.K, (), self.width, self.height)
+
+    def distortion_as(self, model: str) -> np.ndarray | None:
         """
-        Remove the distortion from normalised image points (..., 2) by Newton's method.
+        Return the coefficients of another lens model that is exactly this one.
 
-        Points outside the region where the polynomial can be inverted come back as NaN.
+        Parameters
+        ----------
+        model : str
+            One of `LENS_MODELS`.
+
+        Returns
+        -------
+        ndarray or None
+            None where the other model cannot express this lens.
+
         """
-        target = np.asarray(xy, float)
-        if not self.distortion.any():
-            return target.copy()
-        point = target.copy()
-        for _ in range(iterations):
-            residual = self.distort(point) - target
-            a, b, d = plumb_bob.by_point(self.distortion, *np.moveaxis(point, -1, 0))
-            determinant = a * d - b * b
-            with np.errstate(divide='ignore', invalid='ignore'):
-                step = np.stack([d * residual[..., 0] - b * residual[..., 1],
-                                 a * residual[..., 1] - b * residual[..., 0]],
-                                axis=-1) / determinant[..., None]
-            point = point - step
-            if not np.nanmax(np.abs(step), initial=0.0) > 1e-13:
-                break
-        bad = ~(np.abs(self.distort(point) - target).max(axis=-1) < 1e-9)
-        # beyond the fold the polynomial has another root, on the wrong branch
-        a, b, d = plumb_bob.by_point(self.distortion, *np.moveaxis(point, -1, 0))
-        bad |= ~((a * d - b * b > 0) & (a + d > 0))
-        point[bad] = np.nan
-        return point
+        if model == self.model:
+            return self.distortion
+        if self.model in _POLYNOMIAL and model in _POLYNOMIAL:
+            size = len(lens_model(model).coefficients)
+            if not self.distortion[size:].any():
+                return np.resize(np.append(self.distortion, np.zeros(size)), size)
+        return None
 
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """Project points (..., 3) of the optical frame to pixels (..., 2)."""
+    def as_model(self, model: str) -> Camera:
+        """
+        Return the same camera under another lens model.
+
+        Raises
+        ------
+        ArgumentError
+            If that model cannot express this lens exactly.
+
+        """
+        coefficients = self.distortion_as(model)
+        if coefficients is None:
+            raise ArgumentError(f'The lens model {self.model} is not supported here; {model} is.')
+        return Camera(self.K, coefficients, self.width, self.height, model)
+
+    def project(self, points: ArrayLike) -> np.ndarray:
+        """
+        Project points (..., 3) of the optical frame to pixels (..., 2).
+
+        NaN for points that the lens cannot see: behind a perspective, or beyond the widest
+        angle of a fisheye.
+        """
         points = np.asarray(points, float)
-        return self.pixels(points[..., :2] / points[..., 2:])
+        image = self.lens.image(points, self.distortion)
+        if self.lens.is_perspective:
+            seen = points[..., 2] > 0
+        else:
+            angle = np.arctan2(np.hypot(points[..., 0], points[..., 1]), points[..., 2])
+            seen = angle <= self.lens.widest_angle(self.distortion)
+        return np.where(seen[..., None], self._to_pixels(image.xy), np.nan)
 
-    def pixels(self, xy: np.ndarray) -> np.ndarray:
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
+        """Return the unit rays (..., 3) that pixels (..., 2) see, NaN where there is none."""
+        return self.lens.rays(self._from_pixels(pixels), self.distortion)
+
+    def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Map undistorted normalised points of shape (..., 2) to pixels of the same shape."""
-        pixels: np.ndarray = self.distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
+        xy = np.asarray(xy, float)
+        ahead = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        return self._to_pixels(self.lens.image(ahead, self.distortion).xy)
+
+    def normalised(self, pixels: ArrayLike) -> np.ndarray:
+        """
+        Map pixels (..., 2) to undistorted normalised points (..., 2).
+
+        NaN where that is impossible: beyond the fold of the distortion, and at 90° from the axis
+        and beyond, where a pinhole has no image.
+        """
+        if self.is_pinhole:
+            return self._from_pixels(pixels)
+        rays = self.rays(pixels)
+        z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
+        flat: np.ndarray = rays[..., :2] / z
+        return flat
+
+    def field_of_view(self) -> tuple[float, float]:
+        """Return the angles, radians, that the middle row and column span; NaN if unknown."""
+        cx, cy = self.K[0, 2], self.K[1, 2]
+        ends = self.rays([[[-0.5, cy], [self.width - 0.5, cy]],
+                          [[cx, -0.5], [cx, self.height - 0.5]]])
+        from_axis = np.arctan2(np.hypot(ends[..., 0], ends[..., 1]), ends[..., 2])
+        across, down = from_axis.sum(axis=1) if self.width and self.height else (np.nan, np.nan)
+        return float(across), float(down)
+
+    def _to_pixels(self, xy: np.ndarray) -> np.ndarray:
+        pixels: np.ndarray = xy @ self.K[:2, :2].T + self.K[:2, 2]
         return pixels
 
-    def normalised(self, pixels: np.ndarray) -> np.ndarray:
-        """Map pixels (..., 2) to undistorted normalised points (..., 2), NaN where impossible."""
-        K = self.K
-        pixels = np.asarray(pixels, float)
+    def _from_pixels(self, pixels: ArrayLike) -> np.ndarray:
+        pixels, K = np.asarray(pixels, float), self.K
         y = (pixels[..., 1] - K[1, 2]) / K[1, 1]
-        x = (pixels[..., 0] - K[0, 2] - K[0, 1] * y) / K[0, 0]
-        return self.undistort(np.stack([x, y], axis=-1))
+        return np.stack([(pixels[..., 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=-1)
+
+
+def ros_distortion(model: str, values: np.ndarray) -> np.ndarray:
+    """
+    Check the distortion of a CameraInfo or of a camera file of ROS.
+
+    Parameters
+    ----------
+    model : str
+    values : ndarray, shape (k,)
+        None at all means no distortion; zeros after the model's own are dropped.
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    ArgumentError
+        If ROS has no such model, or not with so many coefficients.
+
+    """
+    if model not in ROS_COEFFICIENTS:
+        raise ArgumentError(f'The distortion model {model!r:.40} is not supported; '
+                            f'{", ".join(ROS_COEFFICIENTS)} are.')
+    counts = ROS_COEFFICIENTS[model]
+    if model == 'rational_polynomial' and values.size < 8:
+        # a rational polynomial whose denominator is 1 is a plumb bob
+        counts = (*ROS_COEFFICIENTS['plumb_bob'], *counts)
+    kept = values[:max(counts)]
+    if values.size and kept.size not in counts and kept.any() or values[len(kept):].any():
+        raise ArgumentError(f'The distortion model {model} has {counts[-1]} coefficients, not '
+                            f'{values.size}.')
+    return kept
 
 
 @dataclass(frozen=True)
@@ -186,9 +292,12 @@ class CameraFacts:
         In pixels. None: not known.
     aspect_ratio_sigma, skew_sigma_px, principal_point_sigma_px : float
         Standard deviation of each fact; 0 means exact, and the parameter is held.
-    distortion : {'auto', 'none', 'radial1', 'radial2', 'plumb_bob'}
-        Which distortion coefficients are estimated; the others are held at zero. 'auto': the
-        richest radial model with which the images still determine the camera.
+    distortion : {'auto', 'none', 'radial1', 'radial2', 'radial3', 'plumb_bob', 'rational', \
+'equidistant'}
+        The lens model, and which of its coefficients are estimated; the others are held at
+        zero. 'auto': the family and the richest member that the images determine.
+    lens_population : bool
+        Whether what real lenses are like counts as a measurement, where the lens is estimated.
 
     Raises
     ------
@@ -218,12 +327,13 @@ class CameraFacts:
     skew_sigma_px: float = 0.0
     principal_point_sigma_px: float = 0.0
     distortion: str = 'auto'
+    lens_population: bool = True
 
     def __post_init__(self) -> None:
         """Refuse impossible facts."""
-        if self.distortion not in ('auto', *DISTORTION_MODELS):
-            raise ArgumentError(f'Distortion model {self.distortion!r} is unknown; choose one of '
-                                f'auto, {", ".join(DISTORTION_MODELS)}.')
+        if self.distortion not in ('auto', *LENS_CHOICES):
+            raise ArgumentError(f'Distortion model {self.distortion!r:.40} is unknown; choose one '
+                                f'of auto, {", ".join(LENS_CHOICES)}.')
         if self.aspect_ratio is not None and not (
                 math.isfinite(self.aspect_ratio) and 0.1 <= self.aspect_ratio <= 10):
             raise ArgumentError('The aspect ratio fy/fx must lie between 0.1 and 10, '

@@ -285,7 +285,7 @@ def _trial(frame, model, camera: Camera, pose, seed):
 def _with_focal(camera: Camera, focal_px: float) -> Camera:
     K = camera.K.copy()
     K[:2, :2] *= focal_px / K[0, 0]
-    return Camera(K, camera.distortion, camera.width, camera.height)
+    return Camera(K, camera.distortion, camera.width, camera.height, camera.model)
 
 
 def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:

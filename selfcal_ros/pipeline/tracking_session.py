@@ -138,7 +138,7 @@ class TrackingSession:
         """
         old = self._camera
         if old is not None and (old.width, old.height) == (camera.width, camera.height) and \
-                np.array_equal(old.K, camera.K) and \
+                old.model == camera.model and np.array_equal(old.K, camera.K) and \
                 np.array_equal(old.distortion, camera.distortion):
             return False
         self._take(camera, self.options)

@@ -26,27 +26,26 @@ import re
 
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.lens import LENS_MODELS, LensCamera
+from selfcal_ros.geometry.camera import Camera, ROS_COEFFICIENTS, ros_distortion
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.yaml_text import (decoded, load_yaml, matrix, number_text,
                                           positive_integer, read_bytes)
 import yaml
 
 #: Lens models that image_geometry knows.
-ROS_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
+ROS_MODELS = tuple(ROS_COEFFICIENTS)
 _NAME = re.compile(r'^[A-Za-z0-9_]+$')
 _REQUIRED = ('image_width', 'image_height', 'camera_matrix', 'distortion_coefficients',
              'rectification_matrix', 'projection_matrix')
 
 
-def camera_yaml(camera: Camera | LensCamera, name: str, comments: Iterable[str] = ()) -> str:
+def camera_yaml(camera: Camera, name: str, comments: Iterable[str] = ()) -> str:
     """
     Return the text of a camera file.
 
     Parameters
     ----------
-    camera : Camera or LensCamera
+    camera : Camera
         With its image size; its lens model must be one of `ROS_MODELS`.
     name : str
         Camera name: letters, digits and underscores.
@@ -65,9 +64,8 @@ def camera_yaml(camera: Camera | LensCamera, name: str, comments: Iterable[str] 
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('A camera file needs the image size; give the camera its width and '
                             'height.')
-    lens = LensCamera.of(camera)
-    if lens.model not in ROS_MODELS:
-        raise ArgumentError(f'A camera file of ROS cannot hold the lens model {lens.model}.')
+    if camera.model not in ROS_MODELS:
+        raise ArgumentError(f'A camera file of ROS cannot hold the lens model {camera.model}.')
     # a name such as 00123, 1e5, yes or null is no string unless it is quoted
     plain = isinstance(yaml.safe_load(name), str) and not name[0].isdigit()
     lines = ['# ' + ''.join(c if c.isprintable() else ' ' for c in line)
@@ -75,8 +73,8 @@ def camera_yaml(camera: Camera | LensCamera, name: str, comments: Iterable[str] 
     lines += [f'image_width: {camera.width}', f'image_height: {camera.height}',
               f'camera_name: {name}' if plain else f'camera_name: "{name}"']
     lines += _matrix('camera_matrix', camera.K)
-    lines += [f'distortion_model: {lens.model}']
-    lines += _matrix('distortion_coefficients', lens.coefficients[None])
+    lines += [f'distortion_model: {camera.model}']
+    lines += _matrix('distortion_coefficients', camera.distortion[None])
     lines += _matrix('rectification_matrix', np.eye(3))
     lines += _matrix('projection_matrix', np.column_stack([camera.K, np.zeros(3)]))
     lines += ['binning_x: 0', 'binning_y: 0', 'roi:', '  x_offset: 0', '  y_offset: 0',
@@ -84,7 +82,7 @@ def camera_yaml(camera: Camera | LensCamera, name: str, comments: Iterable[str] 
     return '\n'.join(lines) + '\n'
 
 
-def write_camera_yaml(path, camera: Camera | LensCamera, name: str,
+def write_camera_yaml(path, camera: Camera, name: str,
                       comments: Iterable[str] = ()) -> Path:
     """
     Write a camera file; it appears whole or not at all.
@@ -136,11 +134,7 @@ def parse_camera_yaml(text: str, source: str = 'the text') -> tuple[Camera, str]
     document = load_yaml(text, source)
     if is_kalibr(document):
         raise InputError(f'{source} is a Kalibr file, not a ROS camera file; {convert}.')
-    lens, name = camera_from_document(document, source)
-    try:
-        return lens.camera(), name
-    except ArgumentError as error:
-        raise InputError(f'{source}: {error}') from None
+    return camera_from_document(document, source)
 
 
 def is_kalibr(document: dict) -> bool:
@@ -149,7 +143,7 @@ def is_kalibr(document: dict) -> bool:
         isinstance(value, dict) and 'intrinsics' in value for value in document.values())
 
 
-def camera_from_document(document: dict, source: str) -> tuple[LensCamera, str]:
+def camera_from_document(document: dict, source: str) -> tuple[Camera, str]:
     """
     Return camera and name from the keys of a ROS camera file.
 
@@ -171,11 +165,9 @@ def camera_from_document(document: dict, source: str) -> tuple[LensCamera, str]:
     if K[0, 0] == 0:
         raise InputError(f'{source} is of a camera that is not calibrated (its focal length is '
                          'zero).')
-    if model not in ROS_MODELS or distortion[LENS_MODELS[model]:].any():
-        raise InputError(f'{source}: the distortion model {model!r:.40} with {distortion.size} '
-                         'coefficients is not supported; plumb_bob with up to five is.')
     try:
-        lens = LensCamera(K, model, distortion[:LENS_MODELS[model]], *sizes)
+        distortion = ros_distortion(model, distortion)
+        camera = Camera(K, distortion, sizes[0], sizes[1], model)
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
-    return lens, str(document.get('camera_name') or 'unknown')
+    return camera, str(document.get('camera_name') or 'unknown')

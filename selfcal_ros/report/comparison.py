@@ -28,8 +28,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
 #: Points a side of the grid on which two cameras are compared.
@@ -132,10 +132,11 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
 
     Parameters
     ----------
-    a, b : Camera or LensCamera
+    a, b : Camera
         Of one image size.
     covariance_a, covariance_b : ndarray, shape (k, k), optional
-        Of `PARAMETER_NAMES`, independent of each other; a camera without one counts as exact.
+        Of the parameters of each camera, independent of each other; a camera without one counts
+        as exact.
 
     Returns
     -------
@@ -147,7 +148,6 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
         If the sizes differ, or no ray is seen by both.
 
     """
-    a, b = LensCamera.of(a), LensCamera.of(b)
     if (a.width, a.height) != (b.width, b.height) or min(a.width, a.height) <= 0:
         raise InputError(f'The first calibration is for {a.width}x{a.height} pixels, the second '
                          f'for {b.width}x{b.height}; compare calibrations of one size.')
@@ -171,19 +171,21 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     difference[good] = apart(best.x)
     found = Comparison(pixels, difference, float(np.linalg.norm(best.x)))
     known = [np.asarray(C, float) for C in (covariance_a, covariance_b) if C is not None]
-    return _tested(found, a, np.sum(known, axis=0)) if known else found
+    if not known:
+        return found
+    if a.model != b.model:
+        raise InputError(f'The first calibration has the lens model {a.model}, the second '
+                         f'{b.model}; a covariance of one says nothing of the other. Leave the '
+                         'covariances out.')
+    return _tested(found, a, np.sum(known, axis=0))
 
 
-def _tested(found: Comparison, camera: LensCamera, covariance: np.ndarray) -> Comparison:
+def _tested(found: Comparison, camera: Camera, covariance: np.ndarray) -> Comparison:
     """Test the difference against its covariance."""
     if not np.isfinite(covariance).all():
         raise InputError('A covariance is not finite: its calibration leaves a parameter '
                          'undetermined, so that nothing can be tested against it.')
-    try:
-        pinhole = camera.camera()
-    except ArgumentError as error:
-        raise InputError(str(error)) from None
-    effect = parameter_effect(pinhole, found.pixels)
+    effect = parameter_effect(camera, found.pixels)
     good = np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1)
     values, vectors = np.linalg.eigh(covariance)
     root = effect[good] @ (vectors * np.sqrt(np.maximum(values, 0)))

@@ -124,7 +124,7 @@ def zoomed_camera(camera: Camera, tracked: TrackedFrame) -> Camera:
     """Return the camera at the focal length of an image; the aspect ratio stays."""
     K = camera.K.copy()
     K[:2, :2] *= tracked.focal_px / camera.K[0, 0]
-    return Camera(K, camera.distortion, camera.width, camera.height)
+    return Camera(K, camera.distortion, camera.width, camera.height, camera.model)
 
 
 def wireframe_segments(model, pieces: int = 24) -> np.ndarray:

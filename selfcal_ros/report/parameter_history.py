@@ -21,7 +21,6 @@ import io
 from matplotlib.figure import Figure
 import numpy as np
 
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.pipeline.many_inputs import CameraSummary
 from selfcal_ros.report.style import BLUE, GREY, ORANGE, PALE, styled
 
@@ -51,7 +50,7 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
     shown = list(results)
     places, timed = _places(camera, shown)
     joint = camera.joint.calibration
-    names = [name for name in PARAMETER_NAMES if joint.status.get(name) == 'estimated']
+    names = [name for name in joint.parameter_names if joint.status.get(name) == 'estimated']
     if {'fx', 'fy'} <= set(names) and joint.facts.aspect_ratio is not None and (
             joint.facts.aspect_ratio_sigma == 0):
         names.remove('fy')
@@ -60,7 +59,7 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
         figure = Figure(figsize=(9.2, 0.7 + 1.25 * len(names)), layout='constrained')
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for axis, name in zip(axes, names):
-            k = PARAMETER_NAMES.index(name)
+            k = joint.parameter_names.index(name)
             value = np.array([result.camera.parameters[k] for result in results.values()])
             sigma = np.array([result.sigma[name] for result in results.values()])
             middle, spread = joint.camera.parameters[k], joint.sigma[name]

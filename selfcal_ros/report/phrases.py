@@ -22,14 +22,15 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.lenses.rational_polynomial import RATIONAL_POLYNOMIAL
 
 #: What each parameter is.
 MEANING = {
     'fx': 'focal length along x, px', 'fy': 'focal length along y, px',
     'cx': 'principal point, x, px', 'cy': 'principal point, y, px', 'skew': 'skew, px',
     **{name: ('tangential' if name.startswith('p') else 'radial') + ' distortion'
-       for name in PARAMETER_NAMES[5:]}}
+       for name in RATIONAL_POLYNOMIAL.coefficients}}
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,9 @@ def verdict(result: Calibration) -> str:
 
 
 def parameter_rows(result: Calibration) -> list[Row]:
-    """Return the nine parameters, then what follows from them."""
+    """Return the parameters, then what follows from them."""
     sigma = _sigma(result)
-    values = dict(zip(PARAMETER_NAMES, result.camera.parameters.tolist()))
+    values = dict(zip(result.parameter_names, result.camera.parameters.tolist()))
     rows = []
     for name, value in values.items():
         status = result.status.get(name, 'estimated')
@@ -101,7 +102,7 @@ def _derived_rows(result: Calibration) -> list[Row]:
     """Return aspect ratio and field of view, with first-order sigmas."""
     camera, C = result.camera, np.asarray(result.covariance, float)
     fx, fy = camera.K[0, 0], camera.K[1, 1]
-    slope = np.zeros(len(PARAMETER_NAMES))
+    slope = np.zeros(len(C))
     slope[0], slope[1] = -fy / fx**2, 1 / fx
     spread = _spread(slope, C)
     facts = result.facts
@@ -139,7 +140,7 @@ def facts_lines(facts: CameraFacts) -> list[str]:
 def _sigma(result: Calibration) -> dict:
     """Return the sigmas; rounding can leave a variance of zero slightly negative."""
     variance = np.diag(np.asarray(result.covariance, float))
-    return {name: _root(value) for name, value in zip(PARAMETER_NAMES, variance)}
+    return {name: _root(value) for name, value in zip(result.parameter_names, variance)}
 
 
 def _spread(slope: np.ndarray, covariance: np.ndarray) -> float:

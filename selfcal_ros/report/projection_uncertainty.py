@@ -26,11 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
-from selfcal_ros.geometry.lenses import plumb_bob
-
-#: Steps of the numerical derivatives: pixels for K, and plain for distortion.
-_STEPS = np.array([1e-3] * 5 + [1e-6] * 4)
+from selfcal_ros.calibration.bundle.lens import Lens, Projection
+from selfcal_ros.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
     camera : Camera
         With its image size.
     covariance : ndarray, shape (k, k)
-        Of `PARAMETER_NAMES`.
+        Of the camera's parameters.
     columns : int
         Grid points along the width.
     rotate : bool
@@ -106,48 +103,23 @@ def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) ->
     Returns
     -------
     ndarray, shape (N, 2, k)
-        By `PARAMETER_NAMES`; NaN where the distortion cannot be undone.
+        By the camera's parameters; NaN where the distortion cannot be undone.
 
     """
-    xy = camera.normalised(pixels)
-    usable = np.isfinite(xy).all(axis=1)
-    J = np.full((len(xy), 2, len(PARAMETER_NAMES)), np.nan)
-    J[usable] = _parameter_jacobian(camera, xy[usable])
+    rays = camera.rays(pixels)
+    usable = np.isfinite(rays).all(axis=1)
+    seen = Projection(Lens.of(camera), rays[usable])
+    by_lens = seen.by_intrinsics()
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    # of (f, aspect) by (fx, fy)
+    by_lens[:, :, 0] -= fy / fx**2 * by_lens[:, :, 1]
+    by_lens[:, :, 1] /= fx
+    J = np.full((len(rays), 2, by_lens.shape[2]), np.nan)
+    J[usable] = by_lens
     if rotate and usable.sum() >= 3:
-        turn = _rotation_jacobian(camera, xy[usable])
+        # a small rotation w moves a ray by w x ray
+        turn = np.cross(seen.by_points(), rays[usable][:, None], axisa=2, axisb=2) * -1
         M = np.einsum('nki,nkj->ij', turn, turn)
         best = np.linalg.solve(M, np.einsum('nki,nkj->ij', turn, J[usable]))
         J[usable] -= turn @ best
-    return J
-
-
-def _parameter_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:
-    """Differentiate the pixels of normalised points by the parameters, (N, 2, k)."""
-    J = np.empty((len(xy), 2, len(PARAMETER_NAMES)))
-    for k, step in enumerate(_STEPS):
-        change = np.zeros(len(PARAMETER_NAMES))
-        change[k] = step
-        J[:, :, k] = (_with(camera, change).pixels(xy) - _with(camera, -change).pixels(xy)) \
-            / (2 * step)
-    return J
-
-
-def _with(camera: Camera, change: np.ndarray) -> Camera:
-    """Return the camera with its parameters changed, coefficients beyond them kept."""
-    fx, fy, cx, cy, skew, *coefficients = camera.parameters + change
-    distortion = camera.distortion.copy()
-    distortion[[plumb_bob.OPENCV_PLACE[name] for name in plumb_bob.COEFFICIENTS]] = coefficients
-    return Camera(np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]]), distortion)
-
-
-def _rotation_jacobian(camera: Camera, xy: np.ndarray) -> np.ndarray:
-    """Differentiate the pixels of normalised points by a small rotation, (N, 2, 3)."""
-    x, y = xy.T
-    one = np.ones_like(x)
-    by_rotation = np.array([[-x * y, one + x * x, -y], [-one - y * y, x * y, x]])
-    step = 1e-6
-    J = np.empty((len(xy), 2, 3))
-    for k in range(3):
-        change = step * by_rotation[:, k].T
-        J[:, :, k] = (camera.pixels(xy + change) - camera.pixels(xy - change)) / (2 * step)
     return J

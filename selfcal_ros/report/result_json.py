@@ -26,7 +26,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, StructureSample
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.report.files import atomic_write
 
 #: Version of what is written; the first had none.
@@ -71,7 +71,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'camera': _camera(result.camera) if result else None,
         'sigma': _sigma(result) if result else None,
         'covariance': result.covariance if result else None,
-        'parameter_names': PARAMETER_NAMES,
+        'parameter_names': result.parameter_names if result else (),
         'parameters': result.status,
         'held_by': result.held_by if result else {},
         'frames': {'count': len(result.frames), 'used': result.frames},
@@ -166,11 +166,11 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
                              kind=kind, values=values, findings=_findings(stored, ()))
     c = content['camera']
     camera = Camera(np.array([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]]),
-                    np.array(c['d']), c['width'], c['height'])
+                    np.array(c['d']), c['width'], c['height'],
+                    c.get('distortion_model', 'plumb_bob'))
     covariance = np.array([[np.nan if v is None else v for v in row]
                            for row in content['covariance']], float)
-    if covariance.shape != (len(PARAMETER_NAMES),) * 2:
-        raise ValueError(f'the covariance has the shape {covariance.shape}')
+    covariance = _complete(covariance, content.get('parameter_names'), camera)
     return Calibration(
         camera=camera, covariance=covariance, status=content['parameters'],
         held_by=content['held_by'], motion=content['motion'], facts=facts,
@@ -181,6 +181,17 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         outlier_count=content['outliers'], reconstruction=None,
         software=software,
         findings=_findings(content.get('findings', ()), content['notes']))
+
+
+def _complete(covariance: np.ndarray, names, camera: Camera) -> np.ndarray:
+    """Return the covariance of all parameters; older files know fewer, the others are held."""
+    names = camera.parameter_names[:len(covariance)] if names is None else names
+    if covariance.shape != (len(names),) * 2 or not set(names) <= set(camera.parameter_names):
+        raise ValueError(f'the covariance has the shape {covariance.shape}')
+    places = [camera.parameter_names.index(name) for name in names]
+    whole = np.zeros((len(camera.parameter_names),) * 2)
+    whole[np.ix_(places, places)] = covariance
+    return whole
 
 
 def _findings(stored, notes) -> tuple[Finding, ...]:
@@ -198,9 +209,9 @@ def _findings(stored, notes) -> tuple[Finding, ...]:
 
 
 def _camera(camera) -> dict:
-    values = dict(zip(PARAMETER_NAMES[:5], camera.parameters[:5]))
+    values = dict(zip(MATRIX_PARAMETERS, camera.parameters))
     return {'width': camera.width, 'height': camera.height, **values,
-            'distortion_model': 'plumb_bob', 'd': camera.distortion}
+            'distortion_model': camera.model, 'd': camera.distortion}
 
 
 def _sigma(result: Calibration) -> dict:
@@ -210,7 +221,7 @@ def _sigma(result: Calibration) -> dict:
         sigma = np.sqrt(np.where(variance < 0, np.nan, variance))
     # of what the data do not determine there is no spread to report
     return {name: None if result.status.get(name) == 'unobservable' else value
-            for name, value in zip(PARAMETER_NAMES, sigma)}
+            for name, value in zip(result.parameter_names, sigma)}
 
 
 def to_jsonable(value):

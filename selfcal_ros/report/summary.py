@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.report.phrases import with_sigma
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 
@@ -53,7 +52,7 @@ class Entry:
 
 
 def _entry(result: Calibration, name: str) -> Entry:
-    k = PARAMETER_NAMES.index(name)
+    k = result.parameter_names.index(name)
     status = result.status.get(name, 'estimated')
     variance = float(np.asarray(result.covariance, float)[k, k])
     sigma = float(np.sqrt(max(variance, 0))) if np.isfinite(variance) else np.inf
@@ -70,8 +69,7 @@ def matrix(result: Calibration) -> list[list[Entry]]:
 
 def distortion(result: Calibration) -> list[Entry]:
     """Return the distortion coefficients in the order of ROS."""
-    return [_entry(result, name) for name in PARAMETER_NAMES[5:]] + [
-        Entry('k3', f'{result.camera.distortion[4]:.6g}', '', 'fact')]
+    return [_entry(result, name) for name in result.camera.lens.coefficients]
 
 
 def projection_sigmas(result: Calibration) -> tuple[float, float] | None:

@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.style import (BLACK, BLUE, Drawing, image_axes, image_height_in,
                                       new_panel, SEQUENTIAL, styled, WHITE)
@@ -43,7 +42,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
     if not len(free):
         return None
     sigma = np.sqrt(variance[free])
-    names = [PARAMETER_NAMES[k] for k in free]
+    names = [result.parameter_names[k] for k in free]
     correlation = np.asarray(result.covariance)[np.ix_(free, free)] / np.outer(sigma, sigma)
     effect = _corner_effect(result)[free] * sigma
     with styled():

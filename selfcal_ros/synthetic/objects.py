@@ -20,7 +20,7 @@ the same rays as a whole image would have.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,7 +78,7 @@ class ObjectRecording(Recording):
             return self.camera
         K = self.camera.K.copy()
         K[:2, :2] *= self.focal_px[index] / K[0, 0]
-        return Camera(K, self.camera.distortion, self.camera.width, self.camera.height)
+        return replace(self.camera, K=K)
 
     def renderer(self, supersampling: int | None = None,  # type: ignore[override]
                  ) -> _WindowRenderer:
@@ -121,7 +121,7 @@ class _WindowRenderer:
         if right > left and bottom > top:
             K = camera.K.copy()
             K[:2, 2] -= left, top
-            window = Camera(K, camera.distortion, right - left, bottom - top)
+            window = Camera(K, camera.distortion, right - left, bottom - top, camera.model)
             image[top:bottom, left:right] = Renderer(
                 self._scene, window, self._samples).intensity(poses)
         return image

@@ -18,21 +18,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS, Lens, Projection
+from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES, Projection
 from selfcal_ros.calibration.bundle.motion import (GENERAL, MotionModel, NEARLY_PLANAR, PLANAR,
                                                    ROTATION)
 from selfcal_ros.calibration.bundle.object_model import KnownEdges, KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES as POSE_NAMES
 from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAMES, VIEW_NAMES
-from selfcal_ros.calibration.bundle.priors import Prior
+from selfcal_ros.calibration.bundle.priors import Prior, Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import ObjectState, SceneState
+from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Derivatives agree with differences to this fraction of the largest.
 AGREE = 1e-6
-LENS = Lens(np.r_[620.0, 1.03, 322.0, 236.0, 1.5,
-                  [-0.12, 0.05, 0.002, -0.003, 0.01, 0.002][:INTRINSICS - 5]])
+COEFFICIENTS = {
+    'plumb_bob': [-0.12, 0.05, 0.002, -0.003, 0.01],
+    'rational_polynomial': [0.3, 0.05, 0.002, -0.003, 0.01, 0.4, 0.1, 0.01],
+    'equidistant': [-0.03, 0.01, -0.01, 0.002]}
+LENSES = {name: Lens(np.r_[620.0, 1.03, 322.0, 236.0, 1.5, values], lens_model(name))
+          for name, values in COEFFICIENTS.items()}
+LENS = LENSES['plumb_bob']
 VIEWS, POINTS = 4, 12
 
 
@@ -64,21 +70,22 @@ def path(rng):
                     rng.normal(0, 0.3, (VIEWS, 3)))
 
 
-#: A change of f of one pixel, of the aspect ratio of a thousandth, ... have like effects.
-LENS_SCALE = np.array([100.0, 0.1, 100, 100, 100, *[1.0] * (INTRINSICS - 5)])
+def lens_scale(lens):
+    """A change of f of one pixel, of the aspect ratio of a thousandth, ... have like effects."""
+    return np.array([100.0, 0.1, 100, 100, 100, *[1.0] * (len(lens) - len(MATRIX_NAMES))])
 
 
-def test_lens_by_points_and_by_its_unknowns(rng):
-    X = rng.normal(size=(20, 3)) * [0.4, 0.3, 0.2] + [0, 0, 1.5]
-
-    def pixels(lens, X):
-        return Projection(lens, X[:, 0] / X[:, 2], X[:, 1] / X[:, 2])
-
-    here = pixels(LENS, X)
-    assert agrees(here.by_points(X[:, 2]), difference(lambda step: pixels(LENS, X + step).uv, 3))
+@pytest.mark.parametrize('name', LENSES)
+def test_lens_by_points_and_by_its_unknowns(name, rng):
+    lens, X = LENSES[name], rng.normal(size=(20, 3)) * [0.4, 0.3, 0.2] + [0, 0, 1.5]
+    if not lens.model.is_perspective:
+        # also at right angles to the axis, and behind
+        X[10:] -= [0, 0, 1.6]
+    here = Projection(lens, X)
+    assert agrees(here.by_points(), difference(lambda step: Projection(lens, X + step).uv, 3))
     assert agrees(here.by_intrinsics(),
-                  difference(lambda step: pixels(LENS.moved(step), X).uv, INTRINSICS,
-                             LENS_SCALE))
+                  difference(lambda step: Projection(lens.moved(step), X).uv, len(lens),
+                             lens_scale(lens)))
 
 
 def test_path_by_its_axis_and_by_its_views(path, rng):
@@ -117,7 +124,7 @@ def test_object_poses_by_their_steps(rng):
 
 @pytest.mark.parametrize('motion', [NEARLY_PLANAR, MotionModel(0.1, 0.0), MotionModel(0.0, 0.2)])
 def test_the_prior_of_the_path_by_its_unknowns(path, motion):
-    unknowns = SceneModel(motion).unknowns(VIEWS)
+    unknowns = SceneModel(motion).unknowns(VIEWS, LENS.names)
     scale = path.step_length()
 
     def cost(step):
@@ -130,7 +137,7 @@ def test_the_prior_of_the_path_by_its_unknowns(path, motion):
     assert agrees(gradient, difference(cost, len(unknowns)))
 
 
-def scene(motion, path, rng):
+def scene(motion, path, rng, lens=LENS):
     """A product of lens, path and points, with noise."""
     points = np.column_stack([rng.normal(size=(POINTS, 3)), np.ones(POINTS)])
     local = points[:, :3] * [1.5, 1.2, 0.5] + [0, 0, 6]
@@ -140,23 +147,23 @@ def scene(motion, path, rng):
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     if motion in (PLANAR,):
         path = path.flat()
-    state = SceneState(LENS, path.aligned(motion), points)
+    state = SceneState(lens, path.aligned(motion), points)
     view, point = np.tile(np.arange(VIEWS), POINTS), np.repeat(np.arange(POINTS), VIEWS)
     bundle = Bundle(SceneModel(motion), view, point, np.zeros((len(view), 2)),
-                    priors={'cx': Prior(300.0, 20.0)}, sigma_px=1.0)
+                    priors=Priors({'cx': Prior(300.0, 20.0)}, lens.model), sigma_px=1.0)
     bundle.xy = bundle.residuals(state) + rng.normal(0, 0.5, (len(view), 2))
     return bundle, state
 
 
-def known(kind, rng):
+def known(kind, rng, lens=LENS):
     """A product of lens, poses and known points or edges; edges are seen exactly."""
     X = rng.normal(size=(POINTS, 3)) * 0.3
     poses = np.concatenate([rotation_matrix(0.4 * rng.normal(size=(VIEWS, 3))),
                             (rng.normal(size=(VIEWS, 3)) * 0.1 + [0, 0, 2.5])[..., None]], axis=2)
-    state, view = ObjectState(LENS, ObjectPoses(poses)), np.repeat(np.arange(VIEWS), POINTS)
+    state, view = ObjectState(lens, ObjectPoses(poses)), np.repeat(np.arange(VIEWS), POINTS)
     points = np.tile(X, (VIEWS, 1))
-    bundle = Bundle(KnownPoints(points), view, view, np.zeros((len(view), 2)), priors={},
-                    sigma_px=1.0)
+    bundle = Bundle(KnownPoints(points), view, view, np.zeros((len(view), 2)),
+                    priors=Priors(lens=lens.model), sigma_px=1.0)
     seen = bundle.residuals(state)
     if kind == 'points':
         bundle.xy = seen + rng.normal(0, 0.5, seen.shape)
@@ -164,9 +171,10 @@ def known(kind, rng):
     tangents = np.tile(rng.normal(size=(POINTS, 3)), (VIEWS, 1))
     # edgels lie elsewhere on their edges: so near that one step along the edge finds the foot
     shift = KnownPoints(points + 1e-5 * rng.normal(size=(len(points), 1)) * tangents)
-    along = Bundle(shift, view, view, np.zeros((len(view), 2)), priors={}, sigma_px=1.0)
-    return Bundle(KnownEdges(points, tangents), view, view, along.residuals(state), priors={},
-                  sigma_px=1.0), state
+    along = Bundle(shift, view, view, np.zeros((len(view), 2)), priors=Priors(lens=lens.model),
+                   sigma_px=1.0)
+    return Bundle(KnownEdges(points, tangents), view, view, along.residuals(state),
+                  priors=Priors(lens=lens.model), sigma_px=1.0), state
 
 
 PRODUCTS = {
@@ -174,10 +182,12 @@ PRODUCTS = {
     'translation': replace(GENERAL, parallel=(0, 2, 3)), 'points': None, 'edges': None}
 
 
+@pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES)
 @pytest.mark.parametrize('name', PRODUCTS)
-def test_every_product_of_blocks_by_every_unknown(name, path, rng):
+def test_every_product_of_blocks_by_every_unknown(name, lens, path, rng):
     motion = PRODUCTS[name]
-    bundle, state = known(name, rng) if motion is None else scene(motion, path, rng)
+    bundle, state = (known(name, rng, lens) if motion is None
+                     else scene(motion, path, rng, lens))
     line, unknowns = bundle.linearise(state), bundle.unknowns
     assert line.ahead.all()
     parts = (bundle.blocks.point_count, bundle.model.eliminated)
@@ -198,7 +208,7 @@ def test_every_product_of_blocks_by_every_unknown(name, path, rng):
     free = np.zeros((analytic.shape[2],) * 2)
     free[:size, :size] = (unknowns.selection @ unknowns.selection.T).toarray()
     free[size:, size:] = np.eye(free.shape[0] - size)
-    scale = np.r_[LENS_SCALE, np.ones(free.shape[0] - INTRINSICS)]
+    scale = np.r_[lens_scale(lens), np.ones(free.shape[0] - len(lens))]
 
     assert agrees(analytic @ free, difference(lambda step: residuals(free @ step),
                                               free.shape[0], scale))
@@ -224,26 +234,27 @@ def test_the_gradient_is_that_of_the_cost(name, path, rng):
     root = bundle.weighted_equations(state)[1]
     own = np.einsum('nmk,nm->k', line.shared * root[..., None], line.residual * root)
     own += bundle.prior_terms(state)[1][bundle.unknowns.shared]
-    numeric = difference(cost, INTRINSICS, LENS_SCALE)
-    assert np.abs((own[lens] - numeric) * LENS_SCALE).max() < (
-        1e-2 if name == 'edges' else 1e-5) * np.abs(numeric * LENS_SCALE).max()
+    scale = lens_scale(LENS)
+    numeric = difference(cost, len(LENS), scale)
+    assert np.abs((own[lens] - numeric) * scale).max() < (
+        1e-2 if name == 'edges' else 1e-5) * np.abs(numeric * scale).max()
 
 
 def test_unknowns_are_found_by_name():
-    unknowns = SceneModel(PLANAR).unknowns(3)
-    assert len(unknowns) == INTRINSICS + 2 + 3 * len(VIEW_NAMES)
-    assert unknowns.places(('cx', 'axis_y')).tolist() == [2, INTRINSICS + 1]
+    unknowns, count = SceneModel(PLANAR).unknowns(3, LENS.names), len(LENS)
+    assert len(unknowns) == count + 2 + 3 * len(VIEW_NAMES)
+    assert unknowns.places(('cx', 'axis_y')).tolist() == [2, count + 1]
     heights = unknowns.of_views('height')[:, 0]
     assert not unknowns.free[heights].any() and unknowns.free[unknowns.of_views('angle')[1:]].all()
-    assert unknowns.count == INTRINSICS + 2 + 2 * 3
-    assert INTRINSIC_NAMES[:2] == ('f', 'aspect')
+    assert unknowns.count == count + 2 + 2 * 3
+    assert LENS.names[:2] == ('f', 'aspect')
     with pytest.raises(ValueError):
         unknowns.places(('no such',))
 
 
 def test_parallel_views_share_their_rotation():
-    unknowns = SceneModel(replace(GENERAL, parallel=(1, 3))).unknowns(4)
-    apart = SceneModel(GENERAL).unknowns(4)
+    unknowns = SceneModel(replace(GENERAL, parallel=(1, 3))).unknowns(4, LENS.names)
+    apart = SceneModel(GENERAL).unknowns(4, LENS.names)
     assert unknowns.count == apart.count - 3
     step = np.zeros(unknowns.count)
     step[:] = np.arange(unknowns.count)

@@ -20,7 +20,7 @@ import pytest
 
 from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
@@ -123,7 +123,7 @@ def test_it_returns_to_the_truth_from_afar():
 def test_covariance_is_that_of_many_runs():
     """Spread over seeded runs against the stated covariance: chi-square of all parameters."""
     facts = CameraFacts(aspect_ratio=1.0, distortion='none')
-    chosen = intrinsic_places(('f', 'cx', 'cy', 'skew'))
+    chosen = problem(0.2, facts=facts)[1].lens.places(('f', 'cx', 'cy', 'skew'))
     distances = []
     for seed in range(60):
         bundle, truth = problem(0.2, facts=facts, seed=seed)

@@ -21,7 +21,7 @@ import pytest
 
 from selfcal_ros import (calibrate, CameraFacts, length_ratio, Measured, NotCalibrated,
                          structure_angle)
-from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, to_intrinsics, to_parameters
+from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics, to_parameters
 from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed, priors_from_facts
@@ -31,6 +31,7 @@ from selfcal_ros.calibration.structure.angular_measurement import measurement_se
 from selfcal_ros.calibration.structure.structure_measurement import (corner_angle, distance_ratio,
                                                                      precision_of, regression)
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.report.result_json import result_to_dict
 from selfcal_ros.synthetic.scenes import sequence_si
 
@@ -146,7 +147,7 @@ def test_a_camera_known_exactly_leaves_what_holding_it_leaves():
     ends = (0, 30), (12, 45)
 
     alone = distance_ratio(precision_of(replace(fit, bundle=held)), *ends)
-    nothing = np.zeros((INTRINSICS, INTRINSICS))
+    nothing = np.zeros((len(PARAMETER_NAMES),) * 2)
     assert distance_ratio(precision_of(fit), *ends, covariance=nothing).sigma == pytest.approx(
         alone.sigma * np.sqrt(factor), rel=1e-3)
 
@@ -169,7 +170,7 @@ def test_ratios_of_lengths_scatter_as_stated():
         shape = precision_of(fit)
         found = distance_ratio(shape, *ends)
         spread.append((found.value - apart[0] / apart[1]) / found.sigma)
-        nothing = np.zeros((INTRINSICS, INTRINSICS))
+        nothing = np.zeros((len(PARAMETER_NAMES),) * 2)
         own.append(distance_ratio(shape, *ends, covariance=nothing).sigma / found.sigma)
 
     # chi-square over 60 runs: the root of its mean is 1 ± 0.09

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
-from selfcal_ros.geometry.lens import LENS_MODELS, LensCamera
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.lenses.catalogue import LENS_MODELS
 from selfcal_ros.report.camera_files.formats import (FORMATS, read_camera, read_cameras,
                                                      write_camera)
 
@@ -48,7 +48,7 @@ PLACES = [(kind, suffix) for kind, suffixes in SUFFIX.items() for suffix in suff
 def lens(name):
     """Return a camera with one of the lenses."""
     model, coefficients = LENSES[name]
-    return LensCamera(K, model, coefficients, 640, 480)
+    return Camera(K, coefficients, 640, 480, model)
 
 
 def rays():
@@ -75,7 +75,7 @@ def test_a_round_trip_is_exact_or_refused_with_what_would_do(tmp_path, kind, suf
     assert (back.width, back.height) == (640, 480)
     exact = 0 if kind != 'colmap' else 1e-13 * 320
     assert np.abs(back.K - K).max() <= exact
-    assert np.array_equal(back.coefficients_as(camera.model), camera.coefficients)
+    assert np.array_equal(back.distortion_as(camera.model), camera.distortion)
     if kind == 'ros':
         assert cameras[0].name == 'front'
     if kind == 'kalibr':
@@ -129,7 +129,7 @@ def test_we_read_what_opencv_writes(tmp_path, suffix, keys):
     storage.release()
     kind, (found,) = read_cameras(path)
     assert kind == 'opencv'
-    assert np.array_equal(found.camera.K, K) and np.array_equal(found.camera.coefficients, d[0])
+    assert np.array_equal(found.camera.K, K) and np.array_equal(found.camera.distortion, d[0])
     assert (found.camera.width, found.camera.height) == (640, 480)
 
 
@@ -234,7 +234,7 @@ def test_a_chain_of_kalibr(tmp_path):
         read_camera(path)
     first, second = (read_camera(path, name) for name in ('cam0', 'cam1'))
     assert first.camera.model == 'plumb_bob' and first.topic == '/cam0/image_raw'
-    assert first.camera.coefficients.tolist() == [-0.28, 0.07, 0.0002, 1.8e-05, 0]
+    assert first.camera.distortion.tolist() == [-0.28, 0.07, 0.0002, 1.8e-05, 0]
     assert second.camera.model == 'equidistant' and second.camera.K[1, 2] == 255.2
     # the keys of an OpenCV fisheye
     back = written(tmp_path, '', 'back.xml')
@@ -286,7 +286,7 @@ def test_wrong_files_are_refused_in_a_sentence(tmp_path, name, text, words):
 
 
 def test_skew_is_refused_where_the_program_would_drop_it(tmp_path):
-    skewed = LensCamera(K + [[0, 0.4, 0], [0, 0, 0], [0, 0, 0]], 'plumb_bob', [], 640, 480)
+    skewed = Camera(K + [[0, 0.4, 0], [0, 0, 0], [0, 0, 0]], [], 640, 480)
     for kind in ('opencv', 'kalibr', 'colmap'):
         with pytest.raises(ArgumentError, match='knows no skew, and this camera has 0.4 px'):
             write_camera(tmp_path / 'a', kind, skewed)
@@ -341,14 +341,14 @@ def test_rays_undo_the_projection(name):
 
 def test_where_a_lens_sees_nothing_there_is_nan():
     # the polynomial of the angle turns at 60 degrees
-    folded = LensCamera(K, 'equidistant', [-1 / (3 * np.radians(60)**2)], 640, 480)
+    folded = Camera(K, [-1 / (3 * np.radians(60)**2)], 640, 480, 'equidistant')
     angle = np.radians([30, 59, 61])
     there = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
     pixels = folded.project(there)
     assert np.isfinite(pixels[:2]).all() and np.isnan(pixels[2]).all()
     assert np.abs(folded.rays(pixels[:2]) - there[:2]).max() < 1e-9
     assert np.isnan(folded.rays([[320 + 520 * 3.0, 240]])).all()
-    barrel = LensCamera(K, 'rational_polynomial', [-0.4, 0, 0, 0, 0, 0.1], 640, 480)
+    barrel = Camera(K, [-0.4, 0, 0, 0, 0, 0.1], 640, 480, 'rational_polynomial')
     assert np.isnan(barrel.rays([[320 + 520 * 3.0, 240]])).all()
     assert np.isnan(lens('radtan').project([[0.1, 0.1, -1]])).all()
 
@@ -357,7 +357,7 @@ def test_impossible_lenses():
     for model, d in (('magic', []), ('fov', []), ('fov', [4]), ('equidistant', [np.nan]),
                      ('plumb_bob', [0] * 6)):
         with pytest.raises(ArgumentError):
-            LensCamera(K, model, d)
+            Camera(K, d, model=model)
     assert set(LENS_MODELS) == {'plumb_bob', 'rational_polynomial', 'equidistant', 'fov'}
     with pytest.raises(ArgumentError, match='fov is not supported'):
         lens('fov').camera()

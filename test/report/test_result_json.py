@@ -30,7 +30,7 @@ CONTRACT = {'status', 'reason', 'motion', 'camera', 'sigma', 'covariance', 'para
 
 def calibration(**changed):
     """Return a calibration whose numbers are of NumPy's types."""
-    covariance = np.diag(np.arange(1., 10) ** 2)
+    covariance = np.diag(np.arange(1., len(PARAMETER_NAMES) + 1) ** 2)
     covariance[0, 2] = covariance[2, 0] = 0.5
     fields = {
         'camera': Camera([[520, 0.1, 319], [0, 519, 239], [0, 0, 1]], [-0.1, 0.05, 0, 0, 0],

@@ -29,6 +29,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
                                                         inverse_information, winsorised_square)
+from selfcal_ros.calibration.bundle.lens import intrinsic_names
 from selfcal_ros.calibration.bundle.model import Linearisation, Model
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
@@ -55,8 +56,8 @@ class Bundle:
         point, or the view again); indices from zero, sorted by part, then view.
     xy : ndarray, shape (N, 2)
         Pixels.
-    priors : dict of str to Prior
-        Facts about unknowns of the lens; those with sigma 0 are fixed.
+    priors : Priors
+        The lens model, and facts about its unknowns; those with sigma 0 are fixed.
     sigma_px : float
         Standard deviation of an image coordinate that the priors and the loss are weighed by.
 
@@ -67,7 +68,8 @@ class Bundle:
         self.model, self.view, self.part, self.xy = model, view, part, xy
         self.priors, self.sigma_px = priors, sigma_px
         self.blocks = PointBlocks(part, view)
-        self.unknowns = _with_facts(model.unknowns(self.blocks.view_count), priors)
+        self.unknowns = _with_facts(
+            model.unknowns(self.blocks.view_count, intrinsic_names(priors.lens)), priors)
 
     # ------------------------------------------------------------------ the same with a difference
 
@@ -106,21 +108,27 @@ class Bundle:
         Return cost, gradient and the diagonal of the prior's normal equations, in 1 / sigma².
 
         The facts, and the motion's distance from the plane, are measurements like any other.
+        What a population of lenses says of several unknowns at once has no diagonal of its own.
         """
         cost, gradient, diagonal = self.model.prior_terms(state, self.unknowns)
-        for name, prior in self.priors.items():
-            if prior.is_soft:
-                place = self.unknowns.places((name,))
-                deviation = (state.lens[name] - prior.value) / prior.sigma
-                cost += 0.5 * deviation**2
-                gradient[place] += deviation / prior.sigma
-                diagonal[place] += 1 / prior.sigma**2
+        for name, prior in self.priors.soft.items():
+            place = self.unknowns.places((name,))
+            deviation = (state.lens[name] - prior.value) / prior.sigma
+            cost += 0.5 * deviation**2
+            gradient[place] += deviation / prior.sigma
+            diagonal[place] += 1 / prior.sigma**2
+        if self.priors.population is not None:
+            more, slope, _ = self.priors.population.terms(state.lens)
+            cost += more
+            gradient[self.unknowns.lens] += slope
         return cost, gradient, diagonal
 
     @property
     def degrees_of_freedom(self) -> int:
         """Measurements less unknowns; the scale of a scene is no unknown."""
-        facts = sum(prior.is_soft for prior in self.priors.values())
+        facts = len(self.priors.soft)
+        if self.priors.population is not None:
+            facts += len(self.priors.population.names)
         supposed = self.model.prior_count(self.blocks.view_count)
         unknowns = self.unknowns.count + self.model.eliminated_freedom * self.blocks.point_count
         unknowns -= self.model.has_scale_gauge
@@ -173,6 +181,10 @@ class Bundle:
         system.gradient += gradient
         system.matrix[np.diag_indices_from(system.matrix)] += diagonal
         system.diagonal += diagonal
+        if self.priors.population is not None:
+            lens, (_, _, matrix) = self.unknowns.lens, self.priors.population.terms(state.lens)
+            system.matrix[lens, lens] += matrix
+            system.diagonal[lens] += np.diag(matrix)
         gauge = self.model.gauge(state, self.unknowns)
         if gauge is not None:
             path = self.unknowns.path
@@ -300,7 +312,8 @@ class Bundle:
             absorbed = self.model.eliminated_freedom * self.blocks.point_count
             tracks = max(dimension * len(self.view) - absorbed, 1)
         influence = system.influence(inverse[self.unknowns.shared]) * pull
-        return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system)
+        return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system,
+                           self.unknowns.lens)
 
     def covariance(self, state: Any) -> np.ndarray:
         """Covariance of what remains once a block is eliminated, for independent noise, (n, n)."""
@@ -345,7 +358,5 @@ class Bundle:
 def _with_facts(unknowns: Unknowns, priors: Priors) -> Unknowns:
     """Free the unknowns of the lens but those that a fact fixes."""
     free = unknowns.free.copy()
-    free[unknowns.lens] = True
-    for name, prior in priors.items():
-        free[unknowns.places((name,))] = prior.sigma > 0
+    free[unknowns.lens] = priors.free
     return replace(unknowns, free=free)

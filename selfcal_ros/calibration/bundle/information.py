@@ -22,7 +22,6 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 from scipy.special import chdtr, chdtrc
 
-from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
@@ -50,6 +49,8 @@ class Information:
         contain what its point has absorbed.
     system : ReducedSystem
         The normal equations, by which the eliminated block follows.
+    lens : slice
+        Where the unknowns of the lens stand.
 
     """
 
@@ -58,16 +59,17 @@ class Information:
     freedom_fraction: float
     track_fraction: float
     system: ReducedSystem = field(repr=False)
+    lens: slice
 
     @property
     def lens_covariance(self) -> np.ndarray:
-        """Covariance of `INTRINSIC_NAMES`, shape (k, k)."""
-        return self.covariance[:INTRINSICS, :INTRINSICS]
+        """Covariance of the unknowns of the lens, shape (k, k)."""
+        return self.covariance[self.lens, self.lens]
 
     @property
     def lens_influence(self) -> np.ndarray:
-        """Part of every observation in the errors of `INTRINSIC_NAMES`, shape (N, k)."""
-        return self.influence[:, :INTRINSICS]
+        """Part of every observation in the errors of the lens, shape (N, k)."""
+        return self.influence[:, self.lens]
 
 
 def inverse_information(matrix: np.ndarray, selection: csr_array,

@@ -21,26 +21,27 @@ about ζ; results speak of fx and fy. `to_parameters` and `to_intrinsics` carry 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
-from selfcal_ros.geometry.lenses import plumb_bob
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.lenses.model import LensModel
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 
-#: Unknowns of the block, in the order of every covariance of the lens.
-INTRINSIC_NAMES = ('f', 'aspect', *PARAMETER_NAMES[2:])
-#: How many there are.
-INTRINSICS = len(INTRINSIC_NAMES)
-#: The calibration matrix alone.
-MATRIX_NAMES = INTRINSIC_NAMES[:5]
-_PLACE = {name: index for index, name in enumerate(INTRINSIC_NAMES)}
+#: The calibration matrix alone, the first unknowns of the block.
+MATRIX_NAMES = ('f', 'aspect', 'cx', 'cy', 'skew')
 _F, _ASPECT, _CX, _CY, _SKEW = range(5)
 
 
-def intrinsic_places(names: Iterable[str]) -> np.ndarray:
-    """Return where `names` stand among `INTRINSIC_NAMES`, shape (k,)."""
-    return np.array([_PLACE[name] for name in names], dtype=int)
+def intrinsic_names(model: LensModel) -> tuple[str, ...]:
+    """Name the unknowns of the block, in the order of every covariance of the lens."""
+    return (*MATRIX_NAMES, *model.coefficients)
+
+
+def places_among(names: tuple[str, ...], wanted: Iterable[str]) -> np.ndarray:
+    """Return where some of `names` stand, shape (k,)."""
+    return np.array([names.index(name) for name in wanted], dtype=int)
 
 
 @dataclass(frozen=True)
@@ -51,57 +52,91 @@ class Lens:
     Attributes
     ----------
     values : ndarray, shape (k,)
-        Of `INTRINSIC_NAMES`.
+        Of `names`.
+    model : LensModel
 
     """
 
     values: np.ndarray
+    model: LensModel = PLUMB_BOB
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return intrinsic_names(self.model)
+
+    def __len__(self) -> int:
+        """Count the unknowns."""
+        return len(self.values)
 
     def __getitem__(self, name: str) -> float:
         """Return the value of one unknown."""
-        return float(self.values[_PLACE[name]])
+        return float(self.values[self.names.index(name)])
 
     @classmethod
     def of(cls, camera: Camera) -> Lens:
         """Take the values of a camera."""
         fx, fy, *rest = camera.parameters
-        return cls(np.array([fx, fy / fx, *rest]))
+        return cls(np.array([fx, fy / fx, *rest]), camera.lens)
+
+    @property
+    def distortion(self) -> np.ndarray:
+        """The coefficients of the model."""
+        return self.values[len(MATRIX_NAMES):]
+
+    def places(self, names: Iterable[str]) -> np.ndarray:
+        """Return where some unknowns stand, shape (k,)."""
+        return places_among(self.names, names)
 
     def take(self, names: Iterable[str]) -> np.ndarray:
         """Return the values of some unknowns, shape (k,)."""
-        return np.take(self.values, intrinsic_places(names))
+        return np.take(self.values, self.places(names))
 
     def camera(self, width: int = 0, height: int = 0) -> Camera:
         """Return the camera."""
         f, aspect, *rest = self.values
-        return Camera.from_parameters([f, aspect * f, *rest], width, height)
+        return Camera.from_parameters([f, aspect * f, *rest], width, height, self.model.name)
 
     def with_values(self, values: dict[str, float]) -> Lens:
         """Return the lens with some values replaced."""
         changed = self.values.copy()
         for name, value in values.items():
-            changed[_PLACE[name]] = value
-        return Lens(changed)
+            changed[self.names.index(name)] = value
+        return replace(self, values=changed)
 
     def moved(self, step: np.ndarray) -> Lens:
         """Return the lens after a step (k,) of its unknowns."""
-        return Lens(self.values + step)
+        return replace(self, values=self.values + step)
 
     @property
     def is_possible(self) -> bool:
         """Tell whether such a lens can exist at all."""
         return bool(np.isfinite(self.values).all() and (self.values[:2] > 0).all())
 
+    def pixel_directions(self, xy: np.ndarray) -> np.ndarray:
+        """
+        Return about where pixels look, shape (N, 3), good enough to tell ahead from behind.
+
+        A perspective looks along its axis; elsewhere the angle is the radius, as it is of a
+        lens without distortion.
+        """
+        if self.model.is_perspective:
+            return np.broadcast_to([0.0, 0.0, 1.0], (len(xy), 3))
+        f, aspect, cx, cy = self.values[:4]
+        across = np.column_stack([(xy[:, 0] - cx) / f, (xy[:, 1] - cy) / (f * aspect)])
+        angle = np.linalg.norm(across, axis=1)
+        # sin(θ) / θ, which is one on the axis
+        return np.column_stack([across * np.sinc(angle / np.pi)[:, None], np.cos(angle)])
+
 
 class Projection:
     """
-    Pixels of normalised image points, and the derivatives that every adjustment shares.
+    Pixels of points of the camera frame, and the derivatives that every adjustment shares.
 
     Parameters
     ----------
     lens : Lens
-    x, y : ndarray, shape (N,)
-        Undistorted normalised coordinates.
+    X : ndarray, shape (N, 3)
 
     Attributes
     ----------
@@ -110,29 +145,23 @@ class Projection:
 
     """
 
-    def __init__(self, lens: Lens, x: np.ndarray, y: np.ndarray):
-        self.lens, self.x, self.y = lens, x, y
-        f, aspect, cx, cy, skew, *coefficients = lens.values
-        self._distortion = plumb_bob.as_opencv(coefficients)
-        self.xd, self.yd = plumb_bob.distort(self._distortion, x, y)
+    def __init__(self, lens: Lens, X: np.ndarray):
+        self.lens, self._image = lens, lens.model.image(X, lens.distortion)
+        f, aspect, cx, cy, skew = lens.values[:5]
+        self.xd, self.yd = self._image.xy[:, 0], self._image.xy[:, 1]
         self.uv = np.stack([f * self.xd + skew * self.yd + cx, f * aspect * self.yd + cy], axis=1)
 
-    def by_points(self, depth: np.ndarray) -> np.ndarray:
-        """Differentiate by points of the camera frame at depths (N,); shape (N, 2, 3)."""
+    def by_points(self) -> np.ndarray:
+        """Differentiate by the points; shape (N, 2, 3)."""
         f, aspect, _, _, skew = self.lens.values[:5]
-        x, y = self.x, self.y
-        dxx, cross, dyy = plumb_bob.by_point(self._distortion, x, y)
-        du_dx, du_dy = f * dxx + skew * cross, f * cross + skew * dyy
-        dv_dx, dv_dy = f * aspect * cross, f * aspect * dyy
-        J = np.empty((len(x), 2, 3))
-        J[:, 0, 0], J[:, 0, 1] = du_dx / depth, du_dy / depth
-        J[:, 1, 0], J[:, 1, 1] = dv_dx / depth, dv_dy / depth
-        J[:, 0, 2] = -(du_dx * x + du_dy * y) / depth
-        J[:, 1, 2] = -(dv_dx * x + dv_dy * y) / depth
+        J = self._image.by_ray()
+        J[:, 0] *= f
+        if skew:
+            J[:, 0] += skew * J[:, 1]
+        J[:, 1] *= f * aspect
         return J
 
-    def by_intrinsics(self, free: np.ndarray | None = None, columns: int = INTRINSICS,
-                      ) -> np.ndarray:
+    def by_intrinsics(self, free: np.ndarray | None = None, columns: int = 0) -> np.ndarray:
         """
         Differentiate by the unknowns of the lens.
 
@@ -141,7 +170,7 @@ class Projection:
         free : ndarray of bool, shape (k,) or longer, optional
             Distortion coefficients that are fixed get zero derivatives; all are free by default.
         columns : int
-            Width of the result; columns after those of the lens are zero.
+            Width of the result, if it is to be wider; columns after those of the lens are zero.
 
         Returns
         -------
@@ -149,16 +178,14 @@ class Projection:
 
         """
         f, aspect, _, _, skew = self.lens.values[:5]
-        x, y = self.x, self.y
-        J = np.zeros((len(x), 2, columns))
+        J = np.zeros((len(self.xd), 2, max(columns, len(self.lens))))
         J[:, 0, _F], J[:, 1, _F] = self.xd, aspect * self.yd
         J[:, 1, _ASPECT] = f * self.yd
         J[:, 0, _CX] = J[:, 1, _CY] = 1
         J[:, 0, _SKEW] = self.yd
-        for name in plumb_bob.COEFFICIENTS:
-            index = _PLACE[name]
+        for index, name in enumerate(self.lens.model.coefficients, len(MATRIX_NAMES)):
             if free is None or free[index]:
-                bx, by = plumb_bob.by_coefficient(name, x, y)
+                bx, by = self._image.by_coefficient(name)
                 J[:, 0, index] = f * bx + skew * by
                 J[:, 1, index] = f * aspect * by
         return J
@@ -166,28 +193,30 @@ class Projection:
 
 def to_parameters(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     """
-    Carry a covariance of `INTRINSIC_NAMES` to `PARAMETER_NAMES`.
+    Carry a covariance of `lens.names` to the parameters of the camera.
 
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
-        Its first rows belong to `INTRINSIC_NAMES`; others are left out.
+        Its first rows belong to `lens.names`; others are left out.
     lens : Lens
 
     Returns
     -------
     ndarray, shape (k, k)
+        Of `Camera.parameter_names`.
 
     """
-    J = np.eye(INTRINSICS)
+    count = len(lens)
+    J = np.eye(count)
     J[_ASPECT, _F], J[_ASPECT, _ASPECT] = lens['aspect'], lens['f']     # fy = ζ f
-    carried: np.ndarray = J @ covariance[:INTRINSICS, :INTRINSICS] @ J.T
+    carried: np.ndarray = J @ covariance[:count, :count] @ J.T
     return carried
 
 
 def to_intrinsics(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     """
-    Carry a covariance of `PARAMETER_NAMES` to `INTRINSIC_NAMES`: `to_parameters` undone.
+    Carry a covariance of the camera's parameters to `lens.names`: `to_parameters` undone.
 
     Parameters
     ----------
@@ -199,7 +228,7 @@ def to_intrinsics(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     ndarray, shape (k, k)
 
     """
-    J = np.eye(INTRINSICS)
+    J = np.eye(len(lens))
     J[_ASPECT, _F], J[_ASPECT, _ASPECT] = -lens['aspect'] / lens['f'], 1 / lens['f']
     carried: np.ndarray = J @ covariance @ J.T
     return carried

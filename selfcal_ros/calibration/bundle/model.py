@@ -27,7 +27,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.geometry.optimise import PointBlocks
 
@@ -96,7 +95,7 @@ class Model(Protocol):
     @property
     def is_bent(self) -> bool: ...
 
-    def unknowns(self, views: int) -> Unknowns:
+    def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains, facts not yet regarded."""
         ...
 
@@ -126,28 +125,3 @@ def residuals_only(residual: np.ndarray, ahead: np.ndarray) -> Linearisation:
     """Return a linearisation without derivatives."""
     empty = np.empty(0)
     return Linearisation(residual, ahead, empty, empty, empty)
-
-
-def look(lens: Lens, X: np.ndarray, ahead: np.ndarray | None = None,
-         ) -> tuple[np.ndarray, Projection]:
-    """
-    Project points of the camera frame.
-
-    Parameters
-    ----------
-    lens : Lens
-    X : ndarray, shape (N, 3)
-    ahead : ndarray of bool, shape (N,), optional
-        Points elsewhere get the least depth; by default depths of either sign count, as
-        homogeneous points have them.
-
-    Returns
-    -------
-    depth : ndarray, shape (N,)
-    Projection
-
-    """
-    depth = X[:, 2]
-    depth = (np.where(np.abs(depth) > 1e-12, depth, 1e-12) if ahead is None
-             else np.where(ahead, depth, MINIMUM_DEPTH))
-    return depth, Projection(lens, X[:, 0] / depth, X[:, 1] / depth)

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import Projection
-from selfcal_ros.calibration.bundle.model import Linearisation, look, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.lens import Lens, Projection
+from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
@@ -38,15 +38,25 @@ from selfcal_ros.geometry.optimise import PointBlocks
 MAX_SLIDE = 0.1
 
 
+def _look(lens: Lens, X: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, Projection]:
+    """Tell which points (N, 3) lie ahead, and project them; the others get the least depth."""
+    if lens.model.is_perspective:
+        ahead = X[:, 2] > MINIMUM_DEPTH
+        return ahead, Projection(lens, np.column_stack(
+            [X[:, :2], np.where(ahead, X[:, 2], MINIMUM_DEPTH)]))
+    ahead = np.einsum('ni,ni->n', X, lens.pixel_directions(xy)) > MINIMUM_DEPTH
+    return ahead, Projection(lens, X)
+
+
 class _PoseElimination:
     """What points and edges of known objects have in common."""
 
     eliminated = eliminated_freedom = len(VIEW_NAMES)
     within_tracks = has_scale_gauge = is_bent = False
 
-    def unknowns(self, views: int) -> Unknowns:
+    def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains once the poses are eliminated: the lens."""
-        return Unknowns.all_free()
+        return Unknowns.all_free(lens_names)
 
     def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> ObjectState:
@@ -86,14 +96,13 @@ class KnownPoints(_PoseElimination):
         """Project every point and differentiate; see `SceneModel.linearise`."""
         turned = state.path.turned(self.points, blocks.view)
         X = turned + state.path.translations(blocks.view)
-        ahead = X[:, 2] > MINIMUM_DEPTH
-        depth, pixels = look(state.lens, X, ahead)
+        ahead, pixels = _look(state.lens, X, xy)
         residual = pixels.uv - xy
         if not jacobians:
             return residuals_only(residual, ahead)
         return Linearisation(residual, ahead, pixels.by_intrinsics(unknowns.free),
                              np.empty((len(xy), 2, 0)),
-                             ObjectPoses.by_steps(pixels.by_points(depth), turned))
+                             ObjectPoses.by_steps(pixels.by_points(), turned))
 
 
 @dataclass(frozen=True)
@@ -164,15 +173,15 @@ class KnownEdges(_PoseElimination):
 
         def project(turned: np.ndarray) -> tuple[_Feet, np.ndarray, np.ndarray]:
             X = turned + move
-            ahead = X[:, 2] > MINIMUM_DEPTH
-            depth, pixels = look(state.lens, X, ahead)
-            by_point = pixels.by_points(depth)
+            ahead, pixels = _look(state.lens, X, xy)
+            by_point = pixels.by_points()
             run = np.einsum('nij,nj->ni', by_point, along)
             length = np.maximum(np.linalg.norm(run, axis=1), 1e-12)
             run /= length[:, None]
             normal = np.column_stack([-run[:, 1], run[:, 0]])
             slide = np.einsum('ni,ni->n', xy - pixels.uv, run) / length
-            return _Feet(turned, ahead, pixels, normal, by_point), slide, MAX_SLIDE * depth
+            reach = MAX_SLIDE * np.where(ahead, np.linalg.norm(X, axis=1), 0.0)
+            return _Feet(turned, ahead, pixels, normal, by_point), slide, reach
 
         _, slide, limit = project(turned)
         return project(turned + np.clip(slide, -limit, limit)[:, None] * along)[0]

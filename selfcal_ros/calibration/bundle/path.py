@@ -212,7 +212,7 @@ def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndar
 
 # ---------------------------------------------------------------------- the motion as constraint
 
-def path_unknowns(motion: MotionModel, views: int) -> Unknowns:
+def path_unknowns(motion: MotionModel, views: int, lens_names: tuple[str, ...]) -> Unknowns:
     """
     Lay out the unknowns of a kind of motion: what is gauge, fixed, or shared by views.
 
@@ -220,6 +220,7 @@ def path_unknowns(motion: MotionModel, views: int) -> Unknowns:
     ----------
     motion : MotionModel
     views : int
+    lens_names : tuple of str
 
     Returns
     -------
@@ -227,7 +228,7 @@ def path_unknowns(motion: MotionModel, views: int) -> Unknowns:
         Those of the lens are all free.
 
     """
-    unknowns = Unknowns.all_free(SHARED_NAMES, VIEW_NAMES, views)
+    unknowns = Unknowns.all_free(lens_names, SHARED_NAMES, VIEW_NAMES, views)
     free, axis = unknowns.free, unknowns.places(SHARED_NAMES)
     # the world frame is that of the first view
     free[unknowns.of_views('angle', *_MOVES)[0]] = False

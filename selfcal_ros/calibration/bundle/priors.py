@@ -15,13 +15,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, Lens
+import numpy as np
+
+from selfcal_ros.calibration.bundle.lens import intrinsic_names, Lens, places_among
 from selfcal_ros.calibration.bundle.state import BundleState
-from selfcal_ros.geometry.camera import CameraFacts, DISTORTION_MODELS
-from selfcal_ros.geometry.lenses import plumb_bob
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.model import LensModel
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
+
+
+#: While starts are compared: standard deviation of the coefficients among ordinary lenses.
+START_SIGMA = {'plumb_bob': {'k1': 0.2, 'k2': 0.1},
+               'rational_polynomial': {'k1': 0.2, 'k2': 0.1},
+               'equidistant': {'k1': 0.2, 'k2': 0.1}}
 
 
 @dataclass(frozen=True)
@@ -37,7 +48,102 @@ class Prior:
         return 0 < self.sigma < float('inf')
 
 
-Priors = dict[str, Prior]
+@dataclass(frozen=True)
+class Population:
+    """
+    What lenses of a kind are like: a joint Gaussian over some unknowns.
+
+    Attributes
+    ----------
+    names : tuple of str
+    mean : ndarray, shape (k,)
+    information : ndarray, shape (k, k)
+        Inverse of the covariance.
+
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    information: np.ndarray
+
+    def terms(self, lens: Lens) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return cost, gradient (n,) and matrix (n, n) over the unknowns of a lens."""
+        places = lens.places(self.names)
+        off = lens.values[places] - self.mean
+        gradient, matrix = np.zeros(len(lens)), np.zeros((len(lens), len(lens)))
+        gradient[places] = self.information @ off
+        matrix[np.ix_(places, places)] = self.information
+        return float(0.5 * off @ self.information @ off), gradient, matrix
+
+
+@dataclass(frozen=True)
+class Priors(Mapping[str, Prior]):
+    """
+    What is supposed of a lens: its model, and measurements of its unknowns.
+
+    Attributes
+    ----------
+    of : mapping of str to Prior
+        Measurements of single unknowns, by name.
+    lens : LensModel
+    population : Population, optional
+        What such lenses are like; a joint measurement of several unknowns.
+
+    """
+
+    of: Mapping[str, Prior] = field(default_factory=dict)
+    lens: LensModel = PLUMB_BOB
+    population: Population | None = None
+
+    def __getitem__(self, name: str) -> Prior:
+        """Return the measurement of an unknown."""
+        return self.of[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Name the unknowns that are measured."""
+        return iter(self.of)
+
+    def __len__(self) -> int:
+        """Count the measurements of single unknowns."""
+        return len(self.of)
+
+    def updated(self, more: Mapping[str, Prior]) -> Priors:
+        """Return these, with some measurements added or replaced."""
+        return replace(self, of={**self.of, **more})
+
+    def under(self, usual: Mapping[str, Prior]) -> Priors:
+        """Return these, with what is usual where nothing is stated."""
+        return replace(self, of={**usual, **self.of})
+
+    def without(self, names: Iterable[str]) -> Priors:
+        """Return these without the measurements of some unknowns."""
+        left = set(names)
+        return replace(self, of={name: one for name, one in self.of.items() if name not in left})
+
+    @property
+    def soft(self) -> dict[str, Prior]:
+        """The measurements that fix nothing."""
+        return {name: one for name, one in self.of.items() if one.is_soft}
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which unknowns of the lens are not fixed, in the order of the block, shape (k,)."""
+        return np.array([name not in self.of or self.of[name].sigma > 0
+                         for name in intrinsic_names(self.lens)])
+
+    def soft_information(self) -> np.ndarray:
+        """Information (k, k) about the unknowns of the lens that all this is, 1 / sigma²."""
+        names = intrinsic_names(self.lens)
+        matrix = np.zeros((len(names), len(names)))
+        for name, one in self.soft.items():
+            place = names.index(name)
+            matrix[place, place] = 1 / one.sigma**2
+        if self.population is not None:
+            places = places_among(names, self.population.names)
+            matrix[np.ix_(places, places)] += self.population.information
+        return matrix
+
+
 StateT = TypeVar('StateT', bound=BundleState)
 
 
@@ -47,7 +153,7 @@ def priors_from_facts(facts: CameraFacts) -> Priors:
 
     A distortion model that is not chosen yet ('auto') counts as 'radial2'.
     """
-    free = DISTORTION_MODELS.get(facts.distortion, DISTORTION_MODELS['radial2'])
+    model, free = LENS_CHOICES.get(facts.distortion, LENS_CHOICES['radial2'])
     priors = {}
     if facts.aspect_ratio is not None:
         priors['aspect'] = Prior(facts.aspect_ratio, facts.aspect_ratio_sigma)
@@ -56,15 +162,28 @@ def priors_from_facts(facts: CameraFacts) -> Priors:
     if facts.principal_point is not None:
         priors['cx'] = Prior(facts.principal_point[0], facts.principal_point_sigma_px)
         priors['cy'] = Prior(facts.principal_point[1], facts.principal_point_sigma_px)
-    for name in plumb_bob.COEFFICIENTS:
+    for name in model.coefficients:
         if name not in free:
             priors[name] = Prior(0.0, 0.0)
-    return priors
+    return Priors(priors, model)
+
+
+def start_lens(facts: CameraFacts) -> Priors:
+    """
+    Facts, and for starts what most lenses are like.
+
+    Decentring, and what bends the outermost image alone, wait until there is a start.
+    """
+    priors = priors_from_facts(facts)
+    waiting = {name: Prior(0.0, 0.0) for name in priors.lens.coefficients
+               if name not in START_SIGMA[priors.lens.name]}
+    usual = {name: Prior(0.0, sigma) for name, sigma in START_SIGMA[priors.lens.name].items()}
+    return priors.under(usual).updated(waiting)
 
 
 def all_fixed(lens: Lens) -> Priors:
     """Fix every unknown of a lens where it is."""
-    return {name: Prior(lens[name], 0.0) for name in INTRINSIC_NAMES}
+    return Priors({name: Prior(lens[name], 0.0) for name in lens.names}, lens.model)
 
 
 def with_fixed(state: StateT, priors: Priors) -> StateT:

@@ -126,7 +126,7 @@ class RobustFit:
 
     @property
     def lens_covariance(self) -> np.ndarray:
-        """Covariance of `INTRINSIC_NAMES` for independent noise, (k, k)."""
+        """Covariance of the unknowns of the lens for independent noise, (k, k)."""
         return self.information.lens_covariance
 
     def __getstate__(self) -> dict[str, Any]:
@@ -138,11 +138,9 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
     """Intersect the points of all observations from the views and calibration of a state."""
     blocks = PointBlocks(observations.point, observations.view)
     camera = state.camera()
-    rays = camera.normalised(observations.xy)
+    rays = camera.rays(observations.xy)
     if not np.isfinite(rays).all():
         return None
-    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
                            rays @ state.path.mount)
     points = points_from_centres(blocks, directions, state.path.centres())

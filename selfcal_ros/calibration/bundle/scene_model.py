@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.model import Linearisation, look, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.lens import Projection
+from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge)
@@ -56,9 +57,9 @@ class SceneModel:
         """Tell whether one of the unknowns only scales the world."""
         return not self.motion.fixed_centre
 
-    def unknowns(self, views: int) -> Unknowns:
+    def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains once the points are eliminated."""
-        return path_unknowns(self.motion, views)
+        return path_unknowns(self.motion, views, lens_names)
 
     def linearise(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
@@ -90,14 +91,21 @@ class SceneModel:
         placed = turned + moves * Y[:, 3:]
         X = placed @ path.mount.T
         # a homogeneous point has no sign: take the one that most of its views see ahead
-        sign = np.sign(blocks.sum_over_points(np.sign(X[:, 2])))[blocks.point]
-        ahead = X[:, 2] * np.where(sign == 0, 1, sign) > MINIMUM_DEPTH
-        depth, pixels = look(state.lens, X)
+        toward = (X[:, 2] if state.lens.model.is_perspective
+                  else np.einsum('ni,ni->n', X, state.lens.pixel_directions(xy)))
+        sign = np.sign(blocks.sum_over_points(np.sign(toward)))[blocks.point]
+        sign[sign == 0] = 1
+        ahead = toward * sign > MINIMUM_DEPTH
+        if not state.lens.model.is_perspective:
+            X = X * sign[:, None]
+        pixels = Projection(state.lens, X)
         residual = pixels.uv - xy
         if not jacobians:
             return residuals_only(residual, ahead)
 
-        J = pixels.by_points(depth) @ path.mount
+        J = pixels.by_points() @ path.mount
+        if not state.lens.model.is_perspective:
+            J *= sign[:, None, None]
         shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
         path.by_axis(J, placed, shared[:, :, unknowns.lens.stop:])
         planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()

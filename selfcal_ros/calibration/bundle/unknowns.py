@@ -22,7 +22,6 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS
 from selfcal_ros.geometry.optimise import unknowns_of
 
 #: Cost of what is supposed, and its gradient (n,) and diagonal (n,) by the unknowns.
@@ -39,8 +38,8 @@ class Unknowns:
 
     Attributes
     ----------
-    shared_names, view_names : tuple of str
-        Of the path, for all views and of each.
+    lens_names, shared_names, view_names : tuple of str
+        Of the lens, and of the path, for all views and of each.
     views : int
     free : ndarray of bool, shape (n,)
         False for what is fixed.
@@ -49,6 +48,7 @@ class Unknowns:
 
     """
 
+    lens_names: tuple[str, ...]
     shared_names: tuple[str, ...]
     view_names: tuple[str, ...]
     views: int
@@ -56,11 +56,12 @@ class Unknowns:
     moves_with: np.ndarray
 
     @classmethod
-    def all_free(cls, shared_names: tuple[str, ...] = (), view_names: tuple[str, ...] = (),
-                 views: int = 0) -> Unknowns:
+    def all_free(cls, lens_names: tuple[str, ...], shared_names: tuple[str, ...] = (),
+                 view_names: tuple[str, ...] = (), views: int = 0) -> Unknowns:
         """Lay out a lens, and a path with these unknowns."""
-        count = INTRINSICS + len(shared_names) + views * len(view_names)
-        return cls(shared_names, view_names, views, np.ones(count, bool), np.arange(count))
+        count = len(lens_names) + len(shared_names) + views * len(view_names)
+        return cls(lens_names, shared_names, view_names, views, np.ones(count, bool),
+                   np.arange(count))
 
     def __len__(self) -> int:
         """Count all, the fixed ones too."""
@@ -68,18 +69,18 @@ class Unknowns:
 
     @property
     def lens(self) -> slice:
-        """Where `INTRINSIC_NAMES` stand."""
-        return slice(0, INTRINSICS)
+        """Where the unknowns of the lens stand."""
+        return slice(0, len(self.lens_names))
 
     @property
     def shared(self) -> slice:
         """Where the unknowns stand that every observation shares."""
-        return slice(0, INTRINSICS + len(self.shared_names))
+        return slice(0, len(self.lens_names) + len(self.shared_names))
 
     @property
     def path(self) -> slice:
         """Where all unknowns of the path stand, shared and of the views."""
-        return slice(INTRINSICS, len(self.free))
+        return slice(len(self.lens_names), len(self.free))
 
     @cached_property
     def by_view(self) -> np.ndarray:
@@ -93,7 +94,7 @@ class Unknowns:
 
     def places(self, names: Iterable[str]) -> np.ndarray:
         """Where shared unknowns stand, by name, shape (k,)."""
-        every = (*INTRINSIC_NAMES, *self.shared_names)
+        every = (*self.lens_names, *self.shared_names)
         return np.array([every.index(name) for name in names], dtype=int)
 
     @property
@@ -104,7 +105,7 @@ class Unknowns:
     @property
     def free_lens_names(self) -> tuple[str, ...]:
         """Names of the free unknowns of the lens; they are the first independent ones."""
-        return tuple(INTRINSIC_NAMES[place] for place in self.free_lens)
+        return tuple(self.lens_names[place] for place in self.free_lens)
 
     @cached_property
     def members(self) -> np.ndarray:

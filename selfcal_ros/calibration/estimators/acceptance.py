@@ -36,7 +36,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMis
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 
 #: A larger fraction of outliers than this, and the rest proves nothing.
@@ -69,7 +69,7 @@ class _Optimum:
     @property
     def missing(self) -> tuple[str, ...]:
         """The parameters of K that the images leave open."""
-        return tuple(name for name in PARAMETER_NAMES[:5] if self.status[name] == 'unobservable')
+        return tuple(name for name in MATRIX_PARAMETERS if self.status[name] == 'unobservable')
 
     def motion_for(self, names: tuple[str, ...]) -> tuple[Finding, ...]:
         """Tell which motion would determine these parameters."""
@@ -132,7 +132,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     camera = state.camera(*problem.size)
     covariance = to_parameters(inner, state.lens)
     held = held_facts(facts)
-    for k, name in enumerate(PARAMETER_NAMES):
+    for k, name in enumerate(camera.parameter_names):
         if name in held:
             covariance[k] = covariance[:, k] = 0
     outliers = fit.outliers + graph.rejected
@@ -148,7 +148,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     known = identify(model.fit, problem.size,
                      tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > ADVISED_FRACTION:
-        findings += optimum.motion_for(tuple(n for n in known.weakest if n in PARAMETER_NAMES[:5]))
+        findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
     precision = precision_of(fit)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,

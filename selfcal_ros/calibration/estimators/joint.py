@@ -32,8 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, INTRINSICS,
-                                                 Lens, MATRIX_NAMES, to_intrinsics, to_parameters)
+from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES, to_intrinsics, to_parameters
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.result import Calibration
@@ -134,8 +133,9 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
            != (first.camera.width, first.camera.height) for one in calibrations):
         raise InputError('Calibrations of different image sizes or facts cannot be combined.')
     priors = priors_from_facts(first.facts)
-    names = [name for name in INTRINSIC_NAMES if name not in priors or priors[name].sigma > 0]
-    free = intrinsic_places(names)
+    lens = Lens.of(first.camera)
+    names = [name for name in lens.names if name not in priors or priors[name].sigma > 0]
+    free = lens.places(names)
     # in units in which every parameter has a size of about one
     pixels = set(MATRIX_NAMES) - {'aspect'}
     unit = np.array([first.camera.K[0, 0] if name in pixels else 1.0 for name in names])
@@ -145,6 +145,10 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
             value[place] = priors[name].value / unit[place]
             weight[place] = (unit[place] / priors[name].sigma)**2
     P = np.diag(weight)
+    if priors.population is not None:
+        places = [names.index(name) for name in priors.population.names]
+        P[np.ix_(places, places)] += priors.population.information
+        value[places] = priors.population.mean
     shares = [_share(one, free, unit, P, value) for one in calibrations]
     used = np.ones(len(shares), bool)
     while True:
@@ -156,10 +160,10 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
         if scatter < NEARLY or alone or doubt[worst] * len(used) > SURE:
             break
         used[worst] = False
-    inner = np.zeros((INTRINSICS, INTRINSICS))
+    inner = np.zeros((len(lens),) * 2)
     covariance = np.linalg.inv(information) * max(scatter, 1.0)**2
     inner[np.ix_(free, free)] = covariance * np.outer(unit, unit)
-    lens = Lens.of(first.camera).with_values(dict(zip(names, x * unit)))
+    lens = lens.with_values(dict(zip(names, x * unit)))
     found = _calibration([one for one, use in zip(calibrations, used) if use],
                          lens.camera(first.camera.width, first.camera.height),
                          to_parameters(inner, lens))

@@ -41,7 +41,7 @@ from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 
@@ -91,7 +91,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     if len(graph.frames) < 3:
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
-            name: 'held' if name in held else 'unobservable' for name in PARAMETER_NAMES})
+            name: 'held' if name in held else 'unobservable' for name in MATRIX_PARAMETERS})
     plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
     if graph.parallax < PARALLAX_RATIO and plane is None:
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')

@@ -37,10 +37,9 @@ from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MA
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
-from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.values.tracks import Tracks
 
@@ -177,10 +176,10 @@ def _assess(state, observed, priors, facts, frames, size, conic, noise_px):
     covariance = to_parameters(dependence.covariance, state.lens)
     held = held_facts(facts)
     for name in held:
-        k = PARAMETER_NAMES.index(name)
+        k = camera.parameter_names.index(name)
         covariance[k] = covariance[:, k] = 0
     status = parameter_status(camera, covariance, facts)
-    missing = tuple(k for k in PARAMETER_NAMES[:5] if status[k] == 'unobservable')
+    missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
     if missing:
         refusal = NoEstimate('rotations_leave_open', missing=missing) if conic else conic
         return refusal.saying(status=status, motion='rotation', facts=facts)
@@ -212,8 +211,7 @@ def _start(K, H, observed) -> SceneState:
     camera = Camera(K)
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
     R = np.concatenate([np.eye(3)[None], U @ Vt])
-    rays = homogeneous(camera.normalised(observed.xy))
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = camera.rays(observed.xy)
     world = np.einsum('nji,nj->ni', R[observed.view], rays)
     total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)
     points = np.column_stack([total / np.linalg.norm(total, axis=1, keepdims=True),

@@ -34,7 +34,6 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 
 #: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
@@ -91,7 +90,7 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     for k, pair in enumerate(pairs):
         chosen = np.linspace(0, len(pair.xy_first) - 1, VOTERS).astype(int)
         for side, xy in enumerate((pair.xy_first, pair.xy_second)):
-            rays[side, k] = homogeneous(camera.normalised(xy[chosen]))
+            rays[side, k] = camera.rays(xy[chosen])
     turned = np.einsum('kcij,knj->kcni', candidates, rays[0])
     other = np.broadcast_to(rays[1][:, None], turned.shape)
     t = np.broadcast_to(U[:, None, None, :, 2], turned.shape)
@@ -263,8 +262,7 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
 
 def _world_rays(camera, xy, rotation) -> np.ndarray:
     """Unit rays of pixels (M, 2) in world directions, shape (M, 3)."""
-    rays = homogeneous(camera.normalised(xy))
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True) @ rotation
+    return camera.rays(xy) @ rotation
 
 
 def _step_direction(d_old, d_new, planar) -> np.ndarray:
@@ -318,10 +316,9 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
         path = AxisPath.at_origin(mount, np.unwrap(twist), swing)
     rotations = mount @ path.rotations()
     centres = chained_centres(pairs, camera, rotations, planar=exact)
-    rays = homogeneous(camera.normalised(xy))
+    rays = camera.rays(xy)
     if not np.isfinite(rays).all():
         return None
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)
     return rescaled(SceneState(Lens.of(camera), path.placed_at(centres),
                                points_from_centres(blocks, directions, centres)))

@@ -33,7 +33,6 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 from selfcal_ros.values.tracks import Tracks
 
@@ -82,10 +81,9 @@ class FlatScene:
 
         """
         K = camera.K
-        rays = homogeneous(camera.normalised(xy))
+        rays = camera.rays(xy)
         if not np.isfinite(rays).all():
             return None
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         R, t = separate(np.linalg.inv(K) @ self.homographies @ K)
         # from the first view's camera instead of the reference's
         centres = np.einsum('ij,vj->vi', R[0], _centres(R, t) - _centres(R, t)[0])

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import MotionModel, NEARLY_PLANAR
-from selfcal_ros.calibration.bundle.priors import Prior, Priors, priors_from_facts
+from selfcal_ros.calibration.bundle.priors import Prior, Priors, start_lens
 from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import (planar_start,
@@ -28,7 +28,6 @@ from selfcal_ros.calibration.initialisation.initial_structure import (planar_sta
                                                                       spanning_order)
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.geometry.camera import Camera, CameraFacts
-from selfcal_ros.geometry.lenses import plumb_bob
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.values.tracks import Tracks
@@ -102,13 +101,11 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) 
 
 def start_priors(problem: SelfCalibrationProblem) -> Priors:
     """Facts, and for the starts alone what most cameras have."""
-    priors = priors_from_facts(problem.facts)
     longer = max(problem.size)
     usual = {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
              'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
-             'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer),
-             **{name: Prior(0.0, sigma) for name, sigma in plumb_bob.USUAL_SIGMA.items()}}
-    return {**usual, **priors}
+             'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer)}
+    return start_lens(problem.facts).under(usual)
 
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:

@@ -28,7 +28,7 @@ from typing import cast
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS, Lens, to_parameters
+from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_facts, with_fixed
@@ -39,7 +39,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
                                                                     jackknife_excess,
                                                                     segment_findings)
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.version import __version__
 
@@ -194,7 +194,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     used, bundle, state, chosen, covariance, inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
-    missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
+    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
     low, high = FOCAL_FRACTIONS[0] * max(size), FOCAL_FRACTIONS[1] * max(size)
     if not missing and not low < state.lens['f'] < high:
         missing = ('fx', 'fy')
@@ -265,8 +265,8 @@ def _fit(views: EdgeViews, state: ObjectState, facts: CameraFacts,
     longer = max(views.image_size)
     held = {'cx': Prior((views.image_size[0] - 1) / 2, 0.05 * longer),
             'cy': Prior((views.image_size[1] - 1) / 2, 0.05 * longer),
-            'aspect': Prior(1.0, 0.05), **priors}
-    bundle = views.bundle(held, 1.0)
+            'aspect': Prior(1.0, 0.05)}
+    bundle = views.bundle(priors.under(held), 1.0)
     if bundle.degrees_of_freedom < 1:
         return none
     state = bundle.optimise(state, tolerance=1e-2)
@@ -302,7 +302,7 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
     wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
     ratio, more = _segments(views, bundle, state, wider)
     covariance = to_parameters(wider.covariance + more, state.lens)
-    for k, name in enumerate(PARAMETER_NAMES):
+    for k, name in enumerate(state.camera().parameter_names):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
@@ -312,7 +312,7 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
 
 def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
     """Return what leaving out a segment of images at a time tells: ratio and covariance."""
-    nothing = 1.0, np.zeros((INTRINSICS, INTRINSICS))
+    nothing = 1.0, np.zeros((len(state.lens),) * 2)
     frames = views.frames
     if len(frames) < 3 * SEGMENTS:
         return nothing
@@ -335,7 +335,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
     if len(frames) < 8:
         return None
     half = frames[len(frames) // 2]
-    priors = {name: prior for name, prior in all_fixed(state.lens).items() if name != 'f'}
+    priors = all_fixed(state.lens).without(('f',))
     found = []
     for keep in (views.frame < half, views.frame >= half):
         part = views.select(keep)
@@ -345,8 +345,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
         bundle = part.bundle(priors, 1.0)
         bundle = part.bundle(priors, bundle.noise_sigma(own))
         own = bundle.optimise(own, iterations=30, tolerance=1e-4)
-        focal = intrinsic_places(('f',))[0]
-        variance = bundle.ideal_covariance(own)[focal, focal]
+        variance = bundle.ideal_covariance(own)[0, 0]
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found
     limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),

@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
-from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, start_lens, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_start import (linear_view, LinearView,
                                                                start_state, supposed_cameras)
@@ -38,9 +38,8 @@ from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.lenses import plumb_bob
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -158,7 +157,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if not bundle.sigma_px <= limit:
         return NoEstimate('object_misfit', left_px=float(bundle.sigma_px), limit_px=limit)
     dependence, covariance, status = judgement
-    missing = tuple(name for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable')
+    missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
     if missing:
         return _unobservable(missing, used).saying(status=status)
     residuals = bundle.residuals(state)
@@ -242,11 +241,8 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     count = np.bincount(views.view)[views.view]
     few = views.select(rank * START_POINTS % count < START_POINTS)
     longer = max(size)
-    usual = plumb_bob.USUAL_SIGMA
-    priors = {**{name: Prior(0.0, sigma) for name, sigma in usual.items()},
-              'cx': Prior((size[0] - 1) / 2, 0.2 * longer),
-              'cy': Prior((size[1] - 1) / 2, 0.2 * longer), **priors_from_facts(facts),
-              **{name: Prior(0.0, 0.0) for name in plumb_bob.COEFFICIENTS if name not in usual}}
+    priors = start_lens(facts).under({'cx': Prior((size[0] - 1) / 2, 0.2 * longer),
+                                      'cy': Prior((size[1] - 1) / 2, 0.2 * longer)})
     # a pixel or two for what the linear solution and the short adjustment leave
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
@@ -299,7 +295,7 @@ def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts
     """Return how far errors are shared, the covariance, and every parameter's status."""
     dependence = cluster_robust_covariance(bundle.information(state), views.point, views.xy, size)
     covariance = to_parameters(dependence.covariance, state.lens)
-    for k, name in enumerate(PARAMETER_NAMES):
+    for k, name in enumerate(state.camera().parameter_names):
         if name in held_facts(facts):
             covariance[k] = covariance[:, k] = 0
     status = parameter_status(state.camera(*size), covariance, facts)
@@ -323,7 +319,7 @@ def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
                    sigma_px=bundle.sigma_px)
     covariance = to_parameters(exact.ideal_covariance(ideal), ideal.lens)
     status = parameter_status(ideal.camera(*size), covariance, pinhole)
-    return {name: status[name] for name in PARAMETER_NAMES[:5] if status[name] == 'unobservable'}
+    return {name: status[name] for name in MATRIX_PARAMETERS if status[name] == 'unobservable'}
 
 
 def _unobservable(missing: tuple[str, ...], views: _Views) -> NoEstimate:

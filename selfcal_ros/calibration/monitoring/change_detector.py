@@ -29,8 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, Lens,
-                                                 to_intrinsics)
+from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.monitoring.camera_change import CameraChange, CHANGES, MonitorSettings
 from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
@@ -78,7 +77,7 @@ class ChangeMonitor:
     ----------
     calibration : Calibration
     free : tuple of str
-        Those of `INTRINSIC_NAMES` that `window_score` has to differentiate by.
+        Those unknowns of the lens that `window_score` has to differentiate by.
     in_force : ndarray, shape (k,)
         These parameters of the camera in force.
     camera : Camera
@@ -97,10 +96,11 @@ class ChangeMonitor:
         self.settings, self.calibration = settings, calibration
         self.camera = calibration.camera
         covariance = _intrinsic_covariance(calibration)
-        self.free = tuple(name for name, variance in zip(INTRINSIC_NAMES, np.diag(covariance))
+        lens = Lens.of(self.camera)
+        self.free = tuple(name for name, variance in zip(lens.names, np.diag(covariance))
                           if variance > 0 or name in CHANGES)
-        places = intrinsic_places(self.free)
-        self.in_force = Lens.of(self.camera).take(self.free)
+        places = lens.places(self.free)
+        self.in_force = lens.take(self.free)
         self._changes = [self.free.index(name) for name in CHANGES]
         size = np.hypot(self.camera.width, self.camera.height)
         focal = self.camera.K[0, 0]
@@ -287,10 +287,11 @@ class ChangeMonitor:
 
 
 def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
-    """Covariance of `INTRINSIC_NAMES` from that of `PARAMETER_NAMES`, (k, k)."""
-    covariance = to_intrinsics(calibration.covariance, Lens.of(calibration.camera))
+    """Covariance of the unknowns of the lens from that of the parameters, (k, k)."""
+    lens = Lens.of(calibration.camera)
+    covariance = to_intrinsics(calibration.covariance, lens)
     # an aspect ratio that a fact fixes has no variance but that of rounding
-    aspect = INTRINSIC_NAMES.index('aspect')
+    aspect = lens.names.index('aspect')
     if covariance[aspect, aspect] < 1e-14:
         covariance[aspect] = covariance[:, aspect] = 0
     return covariance

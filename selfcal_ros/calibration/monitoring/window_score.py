@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.information import Information
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
@@ -50,7 +50,7 @@ MIN_VIEWS, MIN_POINTS = 4, 20
 @dataclass(frozen=True)
 class WindowScore:
     """
-    Information of one window about some of `INTRINSIC_NAMES`, first order.
+    Information of one window about some unknowns of the lens, first order.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
     camera : Camera
         That is supposed: the one in force, or where it is thought to be now.
     free : tuple of str
-        Those of `INTRINSIC_NAMES` that it is to tell of.
+        Those unknowns of the lens that it is to tell of.
     rng : numpy.random.Generator
         For RANSAC.
 
@@ -107,7 +107,7 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
     if isinstance(found, NoEstimate):
         return found
     graph, bundle, state, observations = found
-    places = intrinsic_places(free)
+    places = state.lens.places(free)
     told = without_camera(bundle, free).information(state)
     covariance = told.covariance[np.ix_(places, places)]
     scale = np.sqrt(np.diag(covariance))
@@ -151,8 +151,7 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
 
 def without_camera(bundle: Bundle, free: tuple[str, ...]) -> Bundle:
     """Return the same adjustment with these unknowns of the lens free."""
-    return bundle.with_priors({name: prior for name, prior in bundle.priors.items()
-                               if name not in free})
+    return bundle.with_priors(bundle.priors.without(free))
 
 
 def _fit(graph, observations: Observations, camera: Camera):

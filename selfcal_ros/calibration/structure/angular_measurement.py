@@ -23,7 +23,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import INTRINSICS, Lens, Projection
+from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated, StructureSample
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
@@ -88,8 +88,8 @@ def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, se
     Parameters
     ----------
     camera : Camera
-    covariance : ndarray, shape (9, 9)
-        Of `PARAMETER_NAMES`.
+    covariance : ndarray, shape (k, k)
+        Of the camera's parameters.
     first, second : ndarray, shape (N, 2)
         Pixels, exact.
 
@@ -110,25 +110,20 @@ def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, se
 
 
 def _directions(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit rays (N, 3) of pixels, and their derivatives (N, 3, k) by `PARAMETER_NAMES`."""
+    """Unit rays (N, 3) of pixels, and their derivatives (N, 3, k) by the camera's parameters."""
     fx, fy = camera.K[0, 0], camera.K[1, 1]
-    x, y = camera.normalised(pixels).T
-    model = Projection(Lens.of(camera), x, y)
+    rays = camera.rays(pixels)
+    model = Projection(Lens.of(camera), rays)
     by_camera = model.by_intrinsics()
     # of (f, aspect) by (fx, fy)
     by_camera[:, :, 0] -= fy / fx**2 * by_camera[:, :, 1]
     by_camera[:, :, 1] /= fx
     # the pixel stays: what the parameters move, the ray has to make good
-    seen = np.isfinite(x) & np.isfinite(y)
-    moved = np.full((len(x), 2, INTRINSICS), np.nan)
-    moved[seen] = -np.linalg.solve(model.by_points(np.ones(len(x)))[seen, :, :2],
-                                   by_camera[seen])
-    ray = np.column_stack([x, y, np.ones(len(x))])
-    length = np.linalg.norm(ray, axis=1)[:, None]
-    unit = ray / length
-    moved = np.concatenate([moved, np.zeros((len(x), 1, INTRINSICS))], axis=1)
-    change = moved / length[:, :, None]
-    return unit, change - unit[:, :, None] * np.einsum('ni,nik->nk', unit, change)[:, None]
+    seen = np.isfinite(rays).all(axis=1)
+    change = np.full((len(rays), 3, by_camera.shape[2]), np.nan)
+    # across the ray alone: the pseudo-inverse of the derivative by it
+    change[seen] = -np.linalg.pinv(model.by_points()[seen]) @ by_camera[seen]
+    return rays, change
 
 
 def fields_of_view(camera: Camera, covariance: np.ndarray) -> dict[str, Measured]:
@@ -139,7 +134,7 @@ def fields_of_view(camera: Camera, covariance: np.ndarray) -> dict[str, Measured
     ----------
     camera : Camera
         With its image size.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
 
     Returns
     -------
@@ -167,7 +162,7 @@ def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
     ----------
     camera : Camera
         With its image size.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray, shape (k, k)
 
     Returns
     -------

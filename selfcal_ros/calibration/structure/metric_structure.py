@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.upgrade import affine_upgrade, metric_upgrade
 from selfcal_ros.errors import ArgumentError
@@ -149,19 +150,12 @@ def _point_covariances(calibration, tracks, poses, points):
     both = seen & known & np.isfinite(points[point]).all(axis=1)
     view, point, xy = view[both], point[both], tracks.xy[both]
     X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
-    ahead = X[:, 2] > 0
-    view, point, xy, X = view[ahead], point[ahead], xy[ahead], X[ahead]
-    normalised = X[:, :2] / X[:, 2:]
     # a homogeneous point far beyond the image may meet the fold of the distortion
     with np.errstate(invalid='ignore', over='ignore'):
-        miss = np.linalg.norm(camera.pixels(normalised) - xy, axis=1)
+        miss = np.linalg.norm(camera.project(X) - xy, axis=1)
         near = miss < OUTLIER_SIGMAS * max(calibration.noise_sigma_px, 1e-9)
-    view, point, X, normalised = view[near], point[near], X[near], normalised[near]
-    # d pixel / d X_camera, the distortion's own slope (a few per cent) left out
-    J = np.zeros((len(X), 2, 3))
-    J[:, 0, 0] = J[:, 1, 1] = 1
-    J[:, :, 2] = -normalised
-    J = camera.K[:2, :2] @ (J / X[:, 2, None, None]) @ poses[view, :, :3]
+    view, point, X = view[near], point[near], X[near]
+    J = Projection(Lens.of(camera), X).by_points() @ poses[view, :, :3]
     information = np.zeros((len(points), 3, 3))
     np.add.at(information, point, np.swapaxes(J, 1, 2) @ J)
     views = np.bincount(point, minlength=len(points))

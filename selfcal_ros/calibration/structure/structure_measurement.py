@@ -25,7 +25,7 @@ from operator import index
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, Lens, to_intrinsics
+from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated,
                                             StructurePrecision, StructureSample)
@@ -183,7 +183,7 @@ def sample_structure(precision: StructurePrecision, tracks: np.ndarray, points: 
     points : ndarray, shape (P, 4)
         Of the result, in the same order.
     covariance : ndarray, shape (k, k)
-        Of `PARAMETER_NAMES`.
+        Of the camera's parameters.
 
     Returns
     -------
@@ -251,7 +251,7 @@ def distance_ratio(precision: StructurePrecision, first: tuple[int, int], second
     first, second : (int, int)
         Points (rows of the points) that each segment connects.
     covariance : ndarray, shape (k, k), optional
-        Of `PARAMETER_NAMES`, if it is to count in place of that for independent errors.
+        Of the camera's parameters, if it is to count in place of that for independent errors.
     points : ndarray, shape (P, 4), optional
         Where the points are thought to be, if not where the adjustment has them.
 
@@ -322,10 +322,11 @@ def _measured(precision: StructurePrecision, rows: list[int], quantity, covarian
     joint = precision.covariance
     variance = precision.noise_factor * own + carried @ joint @ carried
     if covariance is not None:
-        count, places = len(precision.lens), intrinsic_places(precision.lens)
+        lens = Lens.of(precision.camera)
+        count, places = len(precision.lens), lens.places(precision.lens)
         inner = joint[:count, :count]
         pull = regression(inner, joint[:count] @ carried)
-        stated = to_intrinsics(covariance, Lens.of(precision.camera))[np.ix_(places, places)]
+        stated = to_intrinsics(covariance, lens)[np.ix_(places, places)]
         variance += pull @ (stated - inner) @ pull
     return Measured(value, float(np.sqrt(max(variance, 0))))
 

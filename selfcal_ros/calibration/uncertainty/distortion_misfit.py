@@ -31,7 +31,6 @@ from numpy.polynomial import legendre
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
-from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
@@ -152,6 +151,9 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     assert system.gradient is not None
     system.gradient[place] += gradient / known
     system.matrix[place, place] += diagonal / known
+    if bundle.priors.population is not None:
+        inside = unknowns.lens
+        system.matrix[inside, inside] += bundle.priors.population.terms(state.lens)[2] / known
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
         system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
@@ -190,7 +192,7 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
     through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
     # rows of the joint covariance of the adjustment's unknowns and the field
-    rows = np.zeros((INTRINSICS, len(system.matrix)))
+    rows = np.zeros((len(state.lens), len(system.matrix)))
     rows[np.ix_(chosen, place)] = (E @ ((cho_solve(factor, unit).T
                                          + (through * posterior) @ (solved @ vectors).T)
                                         / scale).T).T

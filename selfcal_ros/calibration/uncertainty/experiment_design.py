@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.lens import INTRINSIC_NAMES, INTRINSICS, Lens, to_parameters
+from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
@@ -34,7 +34,6 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
 from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist, twist_matrix
 
 #: Views and points of a motion that is simulated.
@@ -74,7 +73,7 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
     size : (int, int)
         Width and height of the image.
     names : tuple of str
-        The parameters that matter, among `PARAMETER_NAMES`.
+        The parameters that matter, among `Camera.parameter_names`.
     fraction : float
         Of all observations that the fit uses.
     rng : numpy.random.Generator, optional
@@ -94,7 +93,8 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
     at_hand = _information(bundle, state) / fraction
     state = _plausible(state, bundle, size)
     limits = observability_limits(state.camera(*size))
-    place = [PARAMETER_NAMES.index(name) for name in names]
+    every = state.camera().parameter_names
+    place = [every.index(name) for name in names]
     free = bundle.unknowns.free_lens
 
     def rank(candidates, motion):
@@ -105,12 +105,12 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
                 continue
             total = at_hand + _information(*seen, with_facts=False)
             scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-            covariance = np.zeros((INTRINSICS, INTRINSICS))
+            covariance = np.zeros((len(state.lens),) * 2)
             covariance[np.ix_(free, free)] = np.linalg.pinv(
                 total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
             variance = np.diag(to_parameters(covariance, state.lens))
             sigma = np.sqrt(np.maximum(variance, 0))
-            found.append(Suggestion(name, dict(zip(PARAMETER_NAMES, sigma.tolist())),
+            found.append(Suggestion(name, dict(zip(every, sigma.tolist())),
                                     float(np.max(sigma[place] / limits[place]))))
         return sorted(found, key=lambda one: one.worst_share)
 
@@ -135,6 +135,9 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
     matrix = bundle.normal_equations(state, robust=False).matrix
     if not with_facts:
         matrix = matrix - np.diag(bundle.prior_terms(state)[2])
+        if bundle.priors.population is not None:
+            lens = bundle.unknowns.lens
+            matrix[lens, lens] -= bundle.priors.population.terms(state.lens)[2]
     free = np.flatnonzero(bundle.unknowns.free)
     matrix = matrix[np.ix_(free, free)]
     inner = len(bundle.unknowns.free_lens)
@@ -152,8 +155,9 @@ def _plausible(state: SceneState, bundle: Bundle, size: tuple[int, int]) -> Scen
     unknown = bundle.unknowns.free[bundle.unknowns.lens] & (
         np.sqrt(np.diag(covariance)) > observability_limits(camera))
     known = {'f': max(size), 'aspect': 1.0, 'cx': (size[0] - 1) / 2, 'cy': (size[1] - 1) / 2}
-    usual = np.array([known.get(name, 0.0) for name in INTRINSIC_NAMES])
-    return replace(state, lens=Lens(np.where(unknown, usual, state.lens.values)))
+    return replace(state, lens=state.lens.with_values({
+        name: known.get(name, 0.0)
+        for name, is_open in zip(state.lens.names, unknown) if is_open}))
 
 
 def _depths(fit: RobustFit) -> np.ndarray | None:
@@ -210,13 +214,16 @@ def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size, bundl
     """Set up the adjustment of simulated views of points before them, at its optimum."""
     camera = state.camera(*size)
     xy = rng.uniform((0, 0), size, (POINTS, 2))
-    rays = np.column_stack([camera.normalised(xy), np.ones(POINTS)])
+    rays = camera.rays(xy)
+    if camera.lens.is_perspective:
+        # depths are along the axis
+        rays = rays / rays[:, 2:]
     local = rays * rng.choice(depths, POINTS)[:, None]
     anchor = rng.integers(0, len(path), POINTS)
     poses = path.cam_from_world()
     points = np.einsum('pji,pj->pi', poses[anchor, :, :3], local - poses[anchor, :, 3])
     seen = np.einsum('vij,pj->pvi', poses[:, :, :3], points) + poses[:, :, 3]
-    pixels = camera.project(np.where(seen[..., 2:] > 0, seen, np.nan).reshape(-1, 3))
+    pixels = camera.project(seen.reshape(-1, 3))
     pixels = pixels.reshape(POINTS, len(path), 2)
     with np.errstate(invalid='ignore'):
         inside = ((pixels >= 0) & (pixels < size)).all(axis=2)

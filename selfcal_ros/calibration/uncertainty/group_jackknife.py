@@ -25,7 +25,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import INTRINSICS
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 
@@ -55,8 +54,8 @@ def delete_a_group(fit: RobustFit) -> tuple[np.ndarray, np.ndarray]:
     segment = (np.arange(views) * groups // views)[fit.observations.view]
     found = [_without(fit, segment != k) for k in range(groups)]
     shifts, covariances = zip(*filter(None, found)) if any(found) else ((), ())
-    return (np.array(shifts).reshape(-1, INTRINSICS),
-            np.array(covariances).reshape(-1, INTRINSICS, INTRINSICS))
+    count = len(fit.state.lens)
+    return (np.array(shifts).reshape(-1, count), np.array(covariances).reshape(-1, count, count))
 
 
 def _without(fit: RobustFit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -26,11 +26,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS, to_parameters
+from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.result import Identifiability
-from selfcal_ros.geometry.camera import PARAMETER_NAMES
 
 #: Facts that may be stated, and the unknowns of the lens that each is about.
 FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
@@ -49,7 +48,7 @@ def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple) -> Identif
     size : (int, int)
         Width and height of the image.
     estimated : tuple of str
-        The parameters, among `PARAMETER_NAMES`, that are estimated.
+        The parameters of the camera that are estimated.
 
     Returns
     -------
@@ -57,28 +56,26 @@ def identify(fit: RobustFit, size: tuple[int, int], estimated: tuple) -> Identif
 
     """
     state, internal = fit.state, fit.lens_covariance
-    soft = np.zeros(INTRINSICS)
-    for name, prior in fit.bundle.priors.items():
-        if prior.is_soft:
-            soft[intrinsic_places((name,))] = 1 / prior.sigma**2
+    soft, camera = fit.bundle.priors.soft_information(), state.camera(*size)
+    names = camera.parameter_names
     total = np.diag(to_parameters(internal, state.lens))
-    brought = np.diag(to_parameters((internal * soft) @ internal, state.lens))
-    place = [PARAMETER_NAMES.index(name) for name in estimated]
-    limits = observability_limits(state.camera(*size))
+    brought = np.diag(to_parameters(internal @ soft @ internal, state.lens))
+    place = [names.index(name) for name in estimated]
+    limits = observability_limits(camera)
     without = {}
     for fact, covariance in _without_facts(fit).items():
         alone = np.diag(to_parameters(covariance, state.lens))
         without[fact] = {
-            PARAMETER_NAMES[k]: float(np.sqrt(alone[k] / total[k]))
+            names[k]: float(np.sqrt(alone[k] / total[k]))
             if alone[k] < limits[k]**2 else np.inf for k in place}
     scaled = to_parameters(internal, state.lens) / np.outer(limits, limits)
     values, vectors = np.linalg.eigh(scaled[np.ix_(place, place)])
     weakest = np.sqrt(max(values[-1], 0)) * vectors[:, -1] * limits[place]
     heavy = np.abs(vectors[:, -1]) > MINOR * np.abs(vectors[:, -1]).max()
     return Identifiability(
-        {PARAMETER_NAMES[k]: float(1 - brought[k] / max(total[k], 1e-300)) for k in place},
+        {names[k]: float(1 - brought[k] / max(total[k], 1e-300)) for k in place},
         without,
-        {PARAMETER_NAMES[k]: float(value) for k, value, said in zip(place, weakest, heavy)
+        {names[k]: float(value) for k, value, said in zip(place, weakest, heavy)
          if said},
         float(np.sqrt(max(values[-1], 0))))
 
@@ -91,12 +88,12 @@ def _without_facts(fit: RobustFit) -> dict[str, np.ndarray]:
         return {}
     # linearised once with all of them free; those that stay add what they know
     open_ones = set().union(*stated.values())
-    none = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in open_ones})
+    none = fit.bundle.with_priors(priors.without(open_ones))
     linearisation = none.linearise(state)
     system = none.normal_equations(state, linearisation=linearisation)
     result = {}
     for fact, about in stated.items():
-        freed = fit.bundle.with_priors({k: p for k, p in priors.items() if k not in about})
+        freed = fit.bundle.with_priors(priors.without(about))
         known = freed.prior_terms(state)[2] - none.prior_terms(state)[2]
         system_with = replace(system, matrix=system.matrix + np.diag(known))
         result[fact] = freed.inverse(system_with) * freed.loss_factors(linearisation)[0]

@@ -27,8 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import (INTRINSIC_NAMES, intrinsic_places, INTRINSICS,
-                                                 to_parameters)
+from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
@@ -77,10 +76,10 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
     limits = observability_limits(fit.state.camera(*size))
     sigma = np.sqrt(np.diag(to_parameters(joint, lens)))
     place = int(np.argmax(sigma / limits))
-    weakest = INTRINSIC_NAMES[place]
+    weakest = lens.names[place]
     if weakest == 'aspect' and not unknowns.free[place]:
-        place, weakest = intrinsic_places('f')[0], 'f'
-    nothing = np.zeros((INTRINSICS, INTRINSICS))
+        place, weakest = 0, 'f'
+    nothing = np.zeros((len(lens),) * 2)
     if not PROFILED_FRACTION * limits[place] < sigma[place] < UNOBSERVABLE_FACTOR * limits[place]:
         return fit, nothing
     per_sigma = joint[place] / np.sqrt(joint[place, place])
@@ -110,7 +109,7 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
     ----------
     fit : RobustFit
     name : str
-        Of the parameter, among `INTRINSIC_NAMES`.
+        Of the parameter, among those of the lens.
     sigma : ndarray, shape (n,)
         Change of all unknowns but the points where it moves by one sigma, to first order.
     fraction : float
@@ -129,7 +128,8 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
     unknowns = fit.bundle.unknowns
     for _ in range(MAX_DISPLACEMENTS):
         start = fit.bundle.moved(state, step)
-        bundle = fit.bundle.with_priors({**fit.bundle.priors, name: Prior(start.lens[name], 0.0)})
+        bundle = fit.bundle.with_priors(
+            fit.bundle.priors.updated({name: Prior(start.lens[name], 0.0)}))
         moved = bundle.optimise(bundle.refine_points(start), iterations=30,
                                 tolerance=0.02 * fraction)
         # a fact with a sigma counts, also where it is about the parameter that was moved

@@ -27,7 +27,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from selfcal_ros.calibration.bundle.lens import intrinsic_places, INTRINSICS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
 
@@ -83,11 +82,11 @@ def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float 
         is not determined at all.
 
     """
-    bundle, nothing = fit.bundle, np.zeros((INTRINSICS, INTRINSICS))
+    bundle, nothing = fit.bundle, np.zeros((len(fit.state.lens),) * 2)
     free = bundle.unknowns.free_lens
     joint = scale * fit.covariance
     limits = observability_limits(fit.state.camera(*size))
-    limits[intrinsic_places(('aspect',))] /= fit.state.lens['f']
+    limits[fit.state.lens.places(('aspect',))] /= fit.state.lens['f']
     limits = limits[free]
     squares, vectors = np.linalg.eigh(joint[np.ix_(free, free)] / np.outer(limits, limits))
     if not (squares[0] > 0 and CURVED_FRACTION**2 < squares[-1] < UNOBSERVABLE_FACTOR**2):

@@ -14,6 +14,7 @@
 """
 Lens models, one file each: distortion, its derivatives, and what its coefficients mean.
 
-A model works on normalised image points (x, y) of the optical frame; the focal length, the
-principal point and the skew come after it and belong to the calibration matrix.
+A model maps rays of the optical frame to normalised image points (x, y); the focal length, the
+principal point and the skew come after it and belong to the calibration matrix. Read `model` for
+the interface, `catalogue` for the list.
 """

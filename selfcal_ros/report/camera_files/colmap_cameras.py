@@ -26,7 +26,7 @@ import struct
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.stored import lens_camera, StoredCamera, without_skew
 
 #: From the corner of a pixel to its centre.
@@ -146,14 +146,14 @@ def _camera(source, identity, model, size, values) -> StoredCamera:
     return StoredCamera(camera, f'camera_{identity}')
 
 
-def _entry(camera: LensCamera) -> tuple[str, list[float]]:
+def _entry(camera: Camera) -> tuple[str, list[float]]:
     """Return COLMAP's model for a camera and its parameters."""
     without_skew(camera, 'COLMAP')
-    plumb = camera.coefficients_as('plumb_bob')
+    plumb = camera.distortion_as('plumb_bob')
     if plumb is None:
         model = {'equidistant': 'OPENCV_FISHEYE', 'fov': 'FOV',
                  'rational_polynomial': 'FULL_OPENCV'}[camera.model]
-        d = camera.coefficients
+        d = camera.distortion
     elif plumb[4]:
         # COLMAP has k3 in its rational model only: k1 k2 p1 p2 k3, and nothing below
         model, d = 'FULL_OPENCV', np.append(plumb, np.zeros(3))
@@ -164,7 +164,7 @@ def _entry(camera: LensCamera) -> tuple[str, list[float]]:
     return model, [float(value) for value in (K[0, 0], K[1, 1], *centre, *d)]
 
 
-def colmap_text(camera: LensCamera, name: str = '', topic: str = '') -> str:
+def colmap_text(camera: Camera, name: str = '', topic: str = '') -> str:
     """
     Write cameras.txt with one camera, number 1.
 
@@ -180,7 +180,7 @@ def colmap_text(camera: LensCamera, name: str = '', topic: str = '') -> str:
             f'1 {model} {camera.width} {camera.height} {" ".join(map(repr, values))}\n')
 
 
-def colmap_binary(camera: LensCamera, name: str = '', topic: str = '') -> bytes:
+def colmap_binary(camera: Camera, name: str = '', topic: str = '') -> bytes:
     """
     Write cameras.bin with one camera, number 1.
 

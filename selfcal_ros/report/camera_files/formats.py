@@ -21,7 +21,7 @@ import json
 from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files import kalibr_chain
 from selfcal_ros.report.camera_files.colmap_cameras import (colmap_binary, colmap_text, is_colmap,
                                                             parse_colmap_binary,
@@ -57,7 +57,7 @@ class Format:
     """
 
     title: str
-    holds: Callable[[LensCamera], bool]
+    holds: Callable[[Camera], bool]
 
 
 FORMATS = {
@@ -158,7 +158,7 @@ def chosen(path, cameras: list[StoredCamera], which: str | None = None) -> Store
     return found[0]
 
 
-def write_camera(path, kind: str, camera: LensCamera, name: str = 'camera',
+def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
                  topic: str = '') -> Path:
     """
     Write a camera file; it appears whole or not at all.
@@ -168,7 +168,7 @@ def write_camera(path, kind: str, camera: LensCamera, name: str = 'camera',
     path : str or Path
         For OpenCV a suffix .xml makes XML, for COLMAP .bin makes cameras.bin.
     kind : {'ros', 'opencv', 'kalibr', 'colmap'}
-    camera : LensCamera
+    camera : Camera
         With its image size.
     name : str
         Name inside a file of ROS.
@@ -208,5 +208,5 @@ def _from_result(text: str, source: str) -> StoredCamera:
                          ) from None
     if not result:
         raise InputError(f'{source} holds no camera. {result}')
-    return StoredCamera(LensCamera.of(result.camera), 'camera', covariance=result.covariance,
+    return StoredCamera(result.camera, 'camera', covariance=result.covariance,
                         status=dict(result.status))

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.stored import lens_camera, StoredCamera, without_skew
 from selfcal_ros.report.yaml_text import number_text, numbers, positive_integer
 
@@ -77,13 +77,13 @@ def _camera(entry: dict, name: str, source: str) -> StoredCamera:
                         str(entry.get('rostopic', '')))
 
 
-def holds(camera: LensCamera) -> bool:
+def holds(camera: Camera) -> bool:
     """Tell whether Kalibr has the lens model: its polynomial has no k3."""
-    plumb = camera.coefficients_as('plumb_bob')
+    plumb = camera.distortion_as('plumb_bob')
     return camera.model in ('equidistant', 'fov') or plumb is not None and plumb[4] == 0
 
 
-def kalibr_text(camera: LensCamera, name: str = '', topic: str = '') -> str:
+def kalibr_text(camera: Camera, name: str = '', topic: str = '') -> str:
     """
     Write a camera as a chain of one.
 
@@ -94,9 +94,9 @@ def kalibr_text(camera: LensCamera, name: str = '', topic: str = '') -> str:
 
     """
     without_skew(camera, 'Kalibr')
-    plumb = camera.coefficients_as('plumb_bob')
+    plumb = camera.distortion_as('plumb_bob')
     model = camera.model if plumb is None else 'radtan'
-    d = camera.coefficients if plumb is None else plumb[:4]
+    d = camera.distortion if plumb is None else plumb[:4]
     K = camera.K
 
     def listed(values):

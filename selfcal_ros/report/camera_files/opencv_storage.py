@@ -27,7 +27,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.stored import lens_camera, StoredCamera, without_skew
 from selfcal_ros.report.yaml_text import load_yaml, matrix, number_text, positive_integer
 
@@ -85,7 +85,7 @@ def parse_opencv(text: str, source: str, fisheye: bool = False,
     return cameras
 
 
-def opencv_text(camera: LensCamera, name: str = '', topic: str = '', xml: bool = False) -> str:
+def opencv_text(camera: Camera, name: str = '', topic: str = '', xml: bool = False) -> str:
     """
     Write a camera as FileStorage does.
 
@@ -97,7 +97,7 @@ def opencv_text(camera: LensCamera, name: str = '', topic: str = '', xml: bool =
     """
     without_skew(camera, 'OpenCV')
     fisheye = camera.model == 'equidistant'
-    matrices = {'camera_matrix': camera.K, 'distortion_coefficients': camera.coefficients[None]}
+    matrices = {'camera_matrix': camera.K, 'distortion_coefficients': camera.distortion[None]}
     values = {'image_width': camera.width, 'image_height': camera.height,
               'fisheye_model': int(fisheye)}
     if xml:
@@ -116,7 +116,7 @@ def opencv_text(camera: LensCamera, name: str = '', topic: str = '', xml: bool =
     return '\n'.join(lines) + '\n'
 
 
-def _camera(source, K, d, size, fisheye) -> LensCamera:
+def _camera(source, K, d, size, fisheye) -> Camera:
     """Name the lens model, which OpenCV tells by the function that is called."""
     if K[0, 1]:
         raise InputError(f'{source} has a skew of {K[0, 1]:.4g} px in its camera matrix, which '

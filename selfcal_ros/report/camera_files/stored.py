@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.lens import LensCamera
+from selfcal_ros.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -30,35 +30,35 @@ class StoredCamera:
 
     Attributes
     ----------
-    camera : LensCamera
+    camera : Camera
         Pixel (0, 0) is the centre of the top-left pixel, whatever the convention of the file.
     name : str
         As the file calls it.
     topic : str
         Image topic, where the file names it.
     covariance : ndarray, shape (k, k), or None
-        Of `PARAMETER_NAMES`, where the file has it.
+        Of the camera's parameters, where the file has it.
     status : dict
         Per parameter 'estimated', 'held' or 'unobservable', where the file has it.
 
     """
 
-    camera: LensCamera
+    camera: Camera
     name: str
     topic: str = ''
     covariance: np.ndarray | None = None
     status: dict = field(default_factory=dict)
 
 
-def lens_camera(source: str, K, model: str, coefficients, size=(0, 0)) -> LensCamera:
+def lens_camera(source: str, K, model: str, coefficients, size=(0, 0)) -> Camera:
     """Build a camera; what is impossible is an InputError that starts with the source."""
     try:
-        return LensCamera(K, model, coefficients, *size)
+        return Camera(K, coefficients, size[0], size[1], model)
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
 
 
-def without_skew(camera: LensCamera, program: str) -> LensCamera:
+def without_skew(camera: Camera, program: str) -> Camera:
     """
     Return a camera for a program that knows no skew.
 

@@ -72,7 +72,7 @@ class RobustTracker:
         self._lens = Undistorter(self.projection.camera)
         self._pinhole = Projection(self._lens.pinhole, self.projection.model)
         self.texture = TextureMemory(faces, corners, self._pinhole, options.texture_points)
-        self._distorted = bool(self.projection.camera.distortion.any())
+        self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._lost_images = 0
         #: Whether much of the object is hidden by other things: then more corners are followed.

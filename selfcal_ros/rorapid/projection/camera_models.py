@@ -28,6 +28,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.lenses.model import LensImage
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Points nearer than this (metres) count as behind the camera.
@@ -112,7 +113,7 @@ class Projection:
         self.become(model)
         self._pixel = camera.K[:2, :2].copy()
         self._centre = camera.K[:2, 2].copy()
-        self._distorted = bool(camera.distortion.any())
+        self._distorted = not camera.is_pinhole
 
     def become(self, model: str) -> None:
         """Take another camera model."""
@@ -146,7 +147,7 @@ class Projection:
             else:
                 inverse = 1 / np.maximum(turned[:, 2] + state.translation[2], NEAREST_M)
             xy = (turned[:, :2] + state.translation[:2]) * inverse[:, None]
-        image = self.camera.distort(xy) if self._distorted else xy
+        image = self._lens_image(xy).xy if self._distorted else xy
         return ProjectedPoints(image @ (state.zoom * self._pixel.T) + self._centre, xy, turned,
                                inverse)
 
@@ -172,7 +173,8 @@ class Projection:
         slope = normal @ (state.zoom * self._pixel)
         x, y = seen.xy[:, 0], seen.xy[:, 1]
         if self._distorted:
-            slope = np.einsum('ci,cij->cj', slope, self._lens_slope(x, y))
+            bent = self._lens_image(seen.xy).by_ray()[:, :, :2]
+            slope = np.einsum('ci,cij->cj', slope, bent)
         out = np.empty((len(slope), self.size))
         if self.model == 'affine':
             out[:, 0:3] = slope[:, :1] * seen.turned
@@ -194,17 +196,10 @@ class Projection:
             out[:, 6] = np.einsum('ci,ci->c', normal, seen.pixels - self._centre)
         return out
 
-    def _lens_slope(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Derivative of the distortion, shape (C, 2, 2)."""
-        k1, k2, p1, p2, k3 = self.camera.distortion
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
-        out = np.empty((len(x), 2, 2))
-        out[:, 0, 0] = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-        out[:, 0, 1] = out[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        out[:, 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-        return out
+    def _lens_image(self, xy: np.ndarray) -> LensImage:
+        """Image, before the calibration matrix, of what a pinhole would see at xy (C, 2)."""
+        rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+        return self.camera.lens.image(rays, self.camera.distortion)
 
     def moved(self, state: ObjectPose, correction: np.ndarray) -> ObjectPose:
         """Apply a correction (size,) to a state."""

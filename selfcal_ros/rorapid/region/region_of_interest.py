@@ -85,7 +85,7 @@ class Undistorter:
 
     def part(self, image: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Cut rows and columns from low to high (x, y) out of the undistorted image."""
-        if not self._camera.distortion.any():
+        if self._camera.is_pinhole:
             return image[low[1]:high[1], low[0]:high[0]]
         if self._maps is None or self._maps[0].shape != image.shape:
             x, y = np.meshgrid(np.arange(image.shape[1]), np.arange(image.shape[0]))
