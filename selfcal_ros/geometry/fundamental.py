@@ -284,7 +284,8 @@ def refine_pairs(data: PairMatches, state: tuple[np.ndarray, ...],
 _AXES = cross_matrix(np.eye(3))
 
 
-def _general_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+def general_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (n, 3, 3) of the general form, and their slopes (n, 9, 7)."""
     U, sigma, V = state
     c, s = np.cos(sigma), np.sin(sigma)
     zero = np.zeros_like(c)
@@ -298,7 +299,8 @@ def _general_model(state: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarra
     return F, np.swapaxes(slopes.reshape(len(F), 7, 9), 1, 2)
 
 
-def _general_step(state: tuple[np.ndarray, ...], change: np.ndarray) -> tuple[np.ndarray, ...]:
+def general_step(state: tuple[np.ndarray, ...], change: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Move the general form by seven small changes (n, 7)."""
     U, sigma, V = state
     return (U @ small_rotation(change[:, :3]), sigma + change[:, 6],
             V @ small_rotation(change[:, 3:6]))
@@ -328,9 +330,9 @@ def refine_general(data: PairMatches, F: np.ndarray, iterations: int = 40,
                    tolerance: float = 1e-8,
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Refine F (n, 3, 3) of every pair with 7 degrees of freedom: F, cost (n,), hessian, dF."""
-    state, cost, hessian = refine_pairs(data, general_state(F), _general_model, _general_step,
+    state, cost, hessian = refine_pairs(data, general_state(F), general_model, general_step,
                                         iterations, tolerance)
-    F, dF = _general_model(state)
+    F, dF = general_model(state)
     return F, cost, hessian, dF
 
 

@@ -94,7 +94,7 @@ def test_model_slopes_are_the_numeric_ones(rng):
     frames *= np.linalg.det(frames)[:, None, None]
     angle = rng.normal(size=2)
     cases = [
-        ((frames[:2], angle, frames[2:]), fundamental._general_model, fundamental._general_step,
+        ((frames[:2], angle, frames[2:]), fundamental.general_model, fundamental.general_step,
          7),
         ((frames[:2],), fundamental._translation_model, fundamental._translation_step, 2),
         ((angle, frames[:2], frames[2:]), planar_pairs._planar_model, planar_pairs._planar_step,

@@ -1,0 +1,229 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""One lens for many pairs: the division model with which all their matches agree best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.geometry.division import DivisionModel, refine_division, residuals
+from selfcal_ros.geometry.lifted_ransac import lifted_ransac
+from selfcal_ros.geometry.robust_scale import robust_sigma
+
+#: Values of lambda to begin with, half diagonals: every second one, then next to the best.
+#: Lenses of 185 degrees whose circle fits into the height of the image have -1.7 (square image)
+#: to -4 (16:9).
+_LADDER = (0.08, 0.0, -0.06, -0.14, -0.26, -0.42, -0.65, -0.95, -1.4, -2.0, -2.8, -4.0)
+_STRAIGHT = _LADDER.index(0.0)
+#: Threshold of the first comparison, half diagonals: neighbours in the grid differ by so much.
+_COARSE = 0.006
+#: The first comparison draws so many samples a pair; so many of its best are refined.
+_SAMPLES, _FINALISTS = 300, 2
+#: Matches of a pair used at most.
+_MATCHES = 200
+#: A curved geometry leaves at most this share of the cost of straight lines.
+_CLEAR_GAIN = 0.93
+#: A coefficient is there if it is so many of its standard deviations from zero.
+_SIGNIFICANT = 5.0
+#: The last refinement keeps what lies within so many times the noise, or so much of the limit.
+_NOISES, _LEAST_LIMIT = 3.0, 0.1
+
+
+#: Matches in half diagonals (n, m, 2), twice, and which are there (n, m).
+_Data = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class SharedDivision:
+    """
+    The lens that pairs agree on.
+
+    Attributes
+    ----------
+    model : DivisionModel
+        Straight where that does as well.
+    sigma : float
+        Standard deviation of lambda, from the curvature of the cost; infinite where the pairs
+        do not determine it, as when the camera only moves along its axis. With many gross
+        errors in images of 180 degrees, where they reach the noise, it is too small by up to 3.
+    division : float
+        lambda of the best model with one coefficient, whatever was chosen; NaN where none was
+        found.
+    cost, straight_cost : float
+        Truncated squares in units of the threshold, summed over matches.
+
+    """
+
+    model: DivisionModel
+    sigma: float
+    division: float
+    cost: float
+    straight_cost: float
+
+
+def _stacked(pairs: Sequence[tuple[np.ndarray, np.ndarray]], straight: DivisionModel) -> _Data:
+    """Matches in units (n, m, 2), twice, and which are there (n, m); evenly thinned."""
+    few = [np.linspace(0, len(a) - 1, min(len(a), _MATCHES)).astype(int) for a, _ in pairs]
+    size = max(len(k) for k in few)
+    xy, there = np.zeros((2, len(pairs), size, 2)), np.zeros((len(pairs), size))
+    for n, (k, sides) in enumerate(zip(few, pairs)):
+        there[n, :len(k)] = 1
+        for side, places in enumerate(sides):
+            xy[side, n, :len(k)] = straight.units(np.asarray(places)[k])
+    return xy[0], xy[1], there
+
+
+def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: tuple[int, int],
+                    rng: np.random.Generator, threshold_px: float = 1.0,
+                    clear_gain: float = _CLEAR_GAIN) -> SharedDivision | None:
+    """
+    Find the lens with which the matches of all pairs obey epipolar geometry.
+
+    Parameters
+    ----------
+    pairs : sequence of (xy_a (m, 2), xy_b (m, 2))
+        Matches in pixels with gross errors, at least eight a pair.
+    image_size : (int, int)
+    rng : numpy.random.Generator
+    threshold_px : float
+        Where the squared distance is cut off.
+    clear_gain : float
+        A curved geometry leaves at most this share of the cost of straight lines.
+
+    Returns
+    -------
+    SharedDivision or None
+        None where no pair has an epipolar geometry.
+
+    """
+    straight = DivisionModel((), image_size)
+    pairs = [pair for pair in pairs if len(pair[0]) >= 8]
+    if not pairs:
+        return None
+    data = _stacked(pairs, straight)
+    limit = threshold_px / straight.half_diagonal_px
+    coarse = max(_COARSE, limit)
+    starts: dict[int, tuple[float, np.ndarray]] = {}
+
+    def best_step() -> int:
+        return min(starts, key=lambda step: starts[step][0])
+
+    for steps in (range(_STRAIGHT, len(_LADDER), 2), (-1, 1)):
+        for step in [best_step() + k for k in steps] if starts else list(steps):
+            if 0 <= step < len(_LADDER):
+                division = np.array([_LADDER[step]])
+                F = _sampled(data, division, coarse, rng)
+                starts[step] = _cost(data, F, division, coarse), F
+    flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
+    order = sorted(starts, key=lambda step: starts[step][0])
+    found = [_descended(data, starts[step][1], np.array([_LADDER[step]]), coarse, limit)
+             for step in order[:_FINALISTS]]
+    one = min(found, key=lambda fit: fit.cost)
+    # a pair caught by wrong matches would pull the others along
+    again = _better_of(data, one.F, _sampled(data, one.coefficients, coarse, rng),
+                       one.coefficients, coarse)
+    one = min((one, _descended(data, again, one.coefficients, coarse, limit)),
+              key=lambda fit: fit.cost)
+    best = one
+    two = _descended(data, one.F, np.append(one.coefficients, 0.0), coarse, limit)
+    # a wide lens is far from any with one coefficient
+    usual = np.array([one.coefficients[0] * 0.9, -0.2 * one.coefficients[0] ** 2])
+    other = _descended(data, one.F, usual, coarse, limit)
+    two = min((two, other), key=lambda fit: fit.cost)
+    if two.cost < one.cost and abs(two.coefficients[1]) > _SIGNIFICANT * two.sigmas[1]:
+        best = two
+    chosen = best.cost < clear_gain * flat.cost
+    chosen &= abs(one.coefficients[0]) > _SIGNIFICANT * one.sigmas[0]
+    model = DivisionModel(tuple(best.coefficients.tolist()) if chosen else (0.0,), image_size)
+    return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
+                          flat.cost)
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """A local optimum of the truncated cost."""
+
+    F: np.ndarray
+    coefficients: np.ndarray
+    sigmas: np.ndarray
+    cost: float
+
+
+def _sampled(data: _Data, coefficients: np.ndarray, limit: float,
+             rng: np.random.Generator) -> np.ndarray:
+    """F (n, 3, 3) of every pair by random samples; zero where none was found."""
+    F = np.zeros((len(data[0]), 3, 3))
+    for n, (a, b, there) in enumerate(zip(*data)):
+        count = int(there.sum())
+        found = lifted_ransac(a[:count], b[:count], coefficients, limit, rng, _SAMPLES, False)
+        if found:
+            F[n] = found[0]
+    return F
+
+
+def _better_of(data: _Data, F: np.ndarray, other: np.ndarray, coefficients: np.ndarray,
+               limit: float) -> np.ndarray:
+    """Of two F for every pair (n, 3, 3) the one that fits better."""
+    costs = [np.minimum(_distances(data, some, coefficients) / limit, 1.0).sum(axis=1)
+             for some in (F, other)]
+    better: np.ndarray = np.where((costs[1] < costs[0])[:, None, None], other, F)
+    return better
+
+
+def _distances(data: _Data, F: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Distances (n, m); infinite where there is no F, or no match."""
+    distance = np.abs(residuals(data[0], data[1], F, coefficients)[0])
+    known = (np.abs(F).sum(axis=(1, 2))[:, None] > 0) & (data[2] > 0)
+    distances: np.ndarray = np.where(known, distance, np.inf)
+    return distances
+
+
+def _cost(data: _Data, F: np.ndarray, coefficients: np.ndarray, limit: float) -> float:
+    """Sum of squares cut off at one, in units of the limit."""
+    ratio = np.minimum(_distances(data, F, coefficients) / limit, 1.0)
+    return float((ratio ** 2 * data[2]).sum())
+
+
+def _descended(data: _Data, F: np.ndarray, coefficients: np.ndarray, coarse: float,
+               limit: float, held: bool = False) -> _Descent:
+    """Refine on the inliers, from the coarse limit down to the fine one."""
+    best = None
+    for width in (coarse, float(np.sqrt(coarse * limit)), limit, limit, 0.0):
+        distance = _distances(data, F, coefficients)
+        if not width:
+            # a wrong match next to an epipole pulls hard: keep no more than the noise asks for
+            noise = robust_sigma(distance[distance < limit]) if np.any(distance < limit) else 0.0
+            width = min(limit, max(_NOISES * noise, _LEAST_LIMIT * limit))
+        near = (distance < width).astype(float)
+        enough: np.ndarray = near.sum(axis=1) >= 12
+        near[~enough] = 0
+        if not enough.any():
+            break
+        fit = refine_division(data[0][enough], data[1][enough], near[enough], F[enough],
+                              coefficients, held)
+        F = F.copy()
+        F[enough] = fit.F
+        coefficients = fit.coefficients
+        cost = _cost(data, F, coefficients, limit)
+        spare = max(near.sum() - 7 * enough.sum() - 1, 1)
+        sigmas = np.sqrt(np.diag(fit.covariance) * fit.cost / spare)
+        if best is None or cost <= best.cost or width < limit:
+            best = _Descent(F, coefficients, sigmas, cost)
+    if best is None:
+        return _Descent(F, coefficients, np.full(len(coefficients), np.inf),
+                        _cost(data, F, coefficients, limit))
+    return best
