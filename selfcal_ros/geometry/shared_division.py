@@ -122,33 +122,40 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     def best_step() -> int:
         return min(starts, key=lambda step: starts[step][0])
 
-    for steps in (range(_STRAIGHT, len(_LADDER), 2), (-1, 1)):
-        for step in [best_step() + k for k in steps] if starts else list(steps):
-            if 0 <= step < len(_LADDER):
-                division = np.array([_LADDER[step]])
-                F = _sampled(data, division, coarse, rng)
-                starts[step] = _cost(data, F, division, coarse), F
+    def start(step: int) -> None:
+        if 0 <= step < len(_LADDER):
+            division = np.array([_LADDER[step]])
+            F = _sampled(data, division, coarse, rng)
+            starts[step] = _cost(data, F, division, coarse), F
+
+    for step in range(_STRAIGHT, len(_LADDER), 2):
+        start(step)
+    middle = best_step()
+    # from straight lines refinement goes far enough
+    for step in () if middle == _STRAIGHT else (middle - 1, middle + 1):
+        start(step)
     flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
-    order = sorted(starts, key=lambda step: starts[step][0])
+    order = sorted(starts, key=lambda step: starts[step][0])[:_FINALISTS]
     found = [_descended(data, starts[step][1], np.array([_LADDER[step]]), coarse, limit)
-             for step in order[:_FINALISTS]]
+             for step in (order if middle != _STRAIGHT else (_STRAIGHT,))]
     one = min(found, key=lambda fit: fit.cost)
-    # a pair caught by wrong matches would pull the others along
-    again = _better_of(data, one.F, _sampled(data, one.coefficients, coarse, rng),
-                       one.coefficients, coarse)
-    one = min((one, _descended(data, again, one.coefficients, coarse, limit)),
-              key=lambda fit: fit.cost)
-    best = one
-    two = _descended(data, one.F, np.append(one.coefficients, 0.0), coarse, limit)
-    # a wide lens is far from any with one coefficient
-    usual = np.array([one.coefficients[0] * 0.9, -0.2 * one.coefficients[0] ** 2])
-    other = _descended(data, one.F, usual, coarse, limit)
-    two = min((two, other), key=lambda fit: fit.cost)
-    if two.cost < one.cost and abs(two.coefficients[1]) > _SIGNIFICANT * two.sigmas[1]:
-        best = two
-    chosen = best.cost < clear_gain * flat.cost
-    chosen &= abs(one.coefficients[0]) > _SIGNIFICANT * one.sigmas[0]
-    model = DivisionModel(tuple(best.coefficients.tolist()) if chosen else (0.0,), image_size)
+    best, bent = one, one.cost < clear_gain * flat.cost or middle != _STRAIGHT
+    if bent:
+        # a pair caught by wrong matches would pull the others along
+        again = _better_of(data, one.F, _sampled(data, one.coefficients, coarse, rng),
+                           one.coefficients, coarse)
+        one = min((one, _descended(data, again, one.coefficients, coarse, limit)),
+                  key=lambda fit: fit.cost)
+        # a wide lens is far from any with one coefficient
+        lam = one.coefficients[0]
+        two = min((_descended(data, one.F, np.array(second), coarse, limit)
+                   for second in ((lam, 0.0), (0.9 * lam, -0.2 * lam ** 2))),
+                  key=lambda fit: fit.cost)
+        significant = abs(two.coefficients[1]) > _SIGNIFICANT * two.sigmas[1]
+        best = two if two.cost < one.cost and significant else one
+        bent = best.cost < clear_gain * flat.cost
+        bent &= abs(one.coefficients[0]) > _SIGNIFICANT * one.sigmas[0]
+    model = DivisionModel(tuple(best.coefficients.tolist()) if bent else (0.0,), image_size)
     return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
                           flat.cost)
 
