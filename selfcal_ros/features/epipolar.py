@@ -15,49 +15,72 @@
 Epipolar verification of matches, for lenses with distortion.
 
 The epipolar lines of a distorted image are curves; a straight line misses true matches near the
-border by many pixels. One parameter is enough to bend them: the division model
-x_u = x_d / (1 + lambda r_d^2) (Fitzgibbon, CVPR 2001, eq. 6) with r in half diagonals, about the
-image centre. It serves verification alone; calibration estimates its own distortion.
+border by many pixels. One or two numbers are enough to bend them: the division model
+(`geometry/division.py`; Fitzgibbon, CVPR 2001, eq. 6), for lenses up to 185 degrees.
+It serves verification alone; calibration estimates its own distortion.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
+from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
 from selfcal_ros.geometry.fundamental import PairMatches, refine_general
+from selfcal_ros.geometry.lifted_ransac import lifted_ransac
+from selfcal_ros.geometry.shared_division import shared_division
 
-#: Values of lambda that are tried; barrel distortion is negative.
-_DIVISION_GRID = (0.0, -0.02, -0.04, -0.07, -0.1, -0.14, -0.19, -0.25, -0.33, 0.03, 0.07)
-_LARGEST_SAMPLE = 700
+#: Pairs with fewer matches have no say on the lens.
+_LEAST_MATCHES = 30
 
 
-def straighten(xy: np.ndarray, division: float, image_size: tuple[int, int]) -> np.ndarray:
+@dataclass(frozen=True)
+class EpipolarImages:
     """
-    Remove the distortion of the division model.
+    Epipolar geometry between images of one lens, straight or bent; distances in their pixels.
 
     Parameters
     ----------
-    xy : ndarray, shape (N, 2)
-        Pixels.
-    division : float
-        lambda for radii in half image diagonals.
-    image_size : (int, int)
-        Width and height in pixels.
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
-        Pixels; the image centre stays.
+    model : DivisionModel
+        Where it is straight, F is that of pixels; else that of lifted points.
 
     """
-    if division == 0:
-        return np.asarray(xy, dtype=float)
-    centre = (np.array(image_size) - 1) / 2
-    offset = np.asarray(xy, dtype=float) - centre
-    radius_square = (offset ** 2).sum(axis=1) / (centre ** 2).sum()
-    return centre + offset / (1 + division * radius_square)[:, None]
+
+    model: DivisionModel
+
+    def fit(self, xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float = 1.0,
+            seed: int = 0) -> np.ndarray | None:
+        """Fit F (3, 3) to matches (N, 2) that hold outliers; None where none was found."""
+        if self.model.straight:
+            return estimate_fundamental(xy_a, xy_b, threshold_px, seed=seed)
+        found = lifted_ransac(self.model.units(xy_a), self.model.units(xy_b),
+                              np.array(self.model.coefficients),
+                              threshold_px / self.model.half_diagonal_px,
+                              np.random.default_rng(seed))
+        return None if found is None else found[0]
+
+    def distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
+        """Signed first-order distance (N,) of matches (N, 2), pixels."""
+        if self.model.straight:
+            return sampson_distance(F, xy_a, xy_b)
+        return self.model.sampson_distance(F, xy_a, xy_b)
+
+    def curves(self, F: np.ndarray, xy_a: np.ndarray) -> np.ndarray:
+        """Epipolar curves (N, 3) in the second image of pixels (N, 2) in the first."""
+        if self.model.straight:
+            line = np.column_stack([xy_a, np.ones(len(xy_a))]) @ F.T
+            unit: np.ndarray = line / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+            return unit
+        return self.model.lifted(xy_a) @ F.T
+
+    def off_curve(self, curve: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        """Distance (N,) of pixels (N, 2) to curves (N, 3); NaN where a curve is NaN."""
+        if self.model.straight:
+            return (curve[:, :2] * xy).sum(axis=1) + curve[:, 2]
+        return self.model.curve_distance(curve, xy)
 
 
 def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float = 1.0,
@@ -115,9 +138,10 @@ def _polished(F, xy_a, xy_b, threshold_px) -> np.ndarray:
     return data.pixels_F(refined)[0]
 
 
-def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.0) -> float:
+def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.0,
+                    seed: int = 0) -> DivisionModel:
     """
-    Find the lambda with which matches obey epipolar geometry best.
+    Find the lens with which matches obey epipolar geometry best.
 
     Parameters
     ----------
@@ -126,31 +150,15 @@ def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.
     image_size : (int, int)
     threshold_px : float
         Scale of the truncated cost.
+    seed : int
+        State of the sampler.
 
     Returns
     -------
-    float
-        0 unless another value lowers the cost clearly.
+    DivisionModel
+        Straight unless another one lowers the cost clearly.
 
     """
-    pairs = [(a, b) for a, b in pairs if len(a) >= 30]
-    if not pairs:
-        return 0.0
-    pairs = [(a[::-(-len(a) // _LARGEST_SAMPLE)], b[::-(-len(b) // _LARGEST_SAMPLE)])
-             for a, b in pairs]
-
-    def cost(division):
-        total = 0.0
-        for a, b in pairs:
-            a, b = (straighten(xy, division, image_size) for xy in (a, b))
-            F = estimate_fundamental(a, b, threshold_px, 1000)
-            if F is None:
-                total += len(a)
-                continue
-            residual = sampson_distance(F, a, b) / threshold_px
-            total += np.minimum(residual ** 2, 1.0).sum()
-        return total
-
-    costs = {division: cost(division) for division in _DIVISION_GRID}
-    best = min(costs, key=lambda division: costs[division])
-    return best if costs[best] < 0.93 * costs[0.0] else 0.0
+    pairs = [(a, b) for a, b in pairs if len(a) >= _LEAST_MATCHES]
+    found = shared_division(pairs, image_size, np.random.default_rng(seed), threshold_px)
+    return found.model if found else DivisionModel((0.0,), image_size)

@@ -24,8 +24,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental,
-                                           sampson_distance, straighten)
+from selfcal_ros.features.epipolar import choose_division, EpipolarImages
 
 #: Ratio of the distances to the best and the second best descriptor (Lowe, 2004, section 7.1).
 RATIO = 0.8
@@ -95,7 +94,7 @@ class ImagePairMatches:
     a, b : ndarray of int, shape (M,)
         Rows of their features.
     F : ndarray, shape (3, 3)
-        For straightened pixels: x_second' F x_first = 0.
+        x_second' F x_first = 0, in the terms of `EpipolarImages`.
 
     """
 
@@ -219,11 +218,11 @@ def _distinctive(first: Features, second: Features, product: np.ndarray):
     return a[good], b[good]
 
 
-def _guided(first: Features, second: Features, straight_a, straight_b, candidates, F,
+def _guided(first: Features, second: Features, candidates, epipolar: EpipolarImages, F,
             band_px: float):
-    """Best candidates along epipolar lines: mutual, clear of the runner-up and of twins."""
+    """Best candidates along epipolar curves: mutual, clear of the runner-up and of twins."""
     a, b, score = candidates
-    near = np.abs(sampson_distance(F, straight_a[a], straight_b[b])) < band_px
+    near = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < band_px
     scale = np.abs(np.log2(first.size_px[a] / second.size_px[b]))
     keep = near & (scale < 1.0)
     a, b, score = a[keep], b[keep], score[keep]
@@ -248,20 +247,20 @@ def _guided(first: Features, second: Features, straight_a, straight_b, candidate
     runner_up = np.maximum(second_a[a[chosen]], second_b[b[chosen]])
     a, b, score = a[chosen], b[chosen], score[chosen]
     twin = np.maximum(
-        _twin_on_line(first, straight_a, straight_b[b], F.T, a, band_px),
-        _twin_on_line(second, straight_b, straight_a[a], F, b, band_px))
+        _twin_on_curve(first, epipolar, epipolar.curves(F.T, second.xy[b]), a, band_px),
+        _twin_on_curve(second, epipolar, epipolar.curves(F, first.xy[a]), b, band_px))
     clear = (1 - score) < GUIDED_RATIO ** 2 * (1 - np.maximum(runner_up, twin))
     clear &= twin < _SAME_SIMILARITY
     return a[clear], b[clear]
 
 
-def _twin_on_line(features: Features, straight, partner_xy, F, chosen, band_px: float):
-    """Similarity of the closest twin on the epipolar line of each chosen place's partner."""
-    line = np.full((len(features.xy), 3), np.nan)
-    line[chosen] = np.column_stack([partner_xy, np.ones(len(partner_xy))]) @ F.T
-    line /= np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+def _twin_on_curve(features: Features, epipolar: EpipolarImages, curves, chosen,
+                   band_px: float):
+    """Similarity of the closest twin on the epipolar curve of each chosen place's partner."""
+    curve = np.full((len(features.xy), 3), np.nan)
+    curve[chosen] = curves
     a, b, alike = features.twins
-    distance = (line[a, :2] * straight[b]).sum(axis=1) + line[a, 2]
+    distance = epipolar.off_curve(curve[a], features.xy[b])
     near = np.abs(distance) < 2 * band_px  # NaN, hence False, for places without a partner
     most = np.full(len(features.xy), _USUAL_SIMILARITY, np.float32)
     np.maximum.at(most, a[near], alike[near])
@@ -338,7 +337,7 @@ def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
 def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
                 seed: int = 0, progress=None) -> tuple[list[ImagePairMatches], float, int]:
     """
-    Match image pairs, first the distinctive features, then all along epipolar lines.
+    Match image pairs, first the distinctive features, then all along epipolar curves.
 
     Parameters
     ----------
@@ -358,7 +357,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
     matches : list of ImagePairMatches
         Only pairs whose geometry was found.
     division : float
-        Distortion used for the verification, see `epipolar`.
+        Distortion used for the verification: the first coefficient of the division model.
     static : int
         Largest number of matches of one pair that stayed still while others moved.
 
@@ -378,33 +377,41 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
                 progress(0.8 * len(seeds) / len(pairs))
     richest = sorted(range(len(pairs)), key=lambda k: -len(seeds[k][0]))
     richest = richest[len(richest) // 5:][:6]
-    division = choose_division([_moving(features, pairs[k], seeds[k]) for k in richest],
-                               image_size)
-    straight = [straighten(feature.xy, division, image_size) for feature in features]
+    model = choose_division([_moving(features, pairs[k], seeds[k]) for k in richest],
+                            image_size, seed=seed)
+    epipolar = EpipolarImages(model)
     matches, static = [], 0
-    for count, ((i, j), (a, b, candidates)) in enumerate(zip(pairs, seeds)):
-        use = moving_part(features[i].xy[a], features[j].xy[b])
+    for count, (pair, (a, b, candidates)) in enumerate(zip(pairs, seeds)):
+        first, second = (features[k] for k in pair)
+        use = moving_part(first.xy[a], second.xy[b])
         static = max(static, int((~use).sum()))
-        F = estimate_fundamental(straight[i][a[use]], straight[j][b[use]], 1.5, seed=seed)
-        if F is None:
-            continue
-        fits = np.abs(sampson_distance(F, straight[i][a[use]], straight[j][b[use]])) < 2.0
-        # chance puts a few matches on any F; a true one holds many more
-        if fits.sum() < max(16, 0.25 * len(fits)):
-            continue
-        a, b = _guided(features[i], features[j], straight[i], straight[j], candidates, F, 2.0)
-        use = moving_part(features[i].xy[a], features[j].xy[b])
-        refined = estimate_fundamental(straight[i][a[use]], straight[j][b[use]], 1.0, seed=seed)
-        if refined is None:
-            continue
-        good = np.abs(sampson_distance(refined, straight[i][a], straight[j][b])) < 1.5
-        a, b = a[good], b[good]
-        good = _agrees_with_neighbours(features[i].xy[a], features[j].xy[b])
-        if good.sum() >= 16:
-            matches.append(ImagePairMatches(i, j, a[good], b[good], refined))
+        found = _verified(first, second, a[use], b[use], candidates, epipolar, seed)
+        if found is not None:
+            matches.append(ImagePairMatches(*pair, *found))
         if progress:
             progress(0.8 + 0.2 * (count + 1) / len(pairs))
-    return matches, division, static
+    return matches, model.coefficients[0], static
+
+
+def _verified(first: Features, second: Features, a, b, candidates, epipolar: EpipolarImages,
+              seed: int):
+    """Places a, b that agree with one F, and F; None where no F is trustworthy."""
+    F = epipolar.fit(first.xy[a], second.xy[b], 1.5, seed)
+    if F is None:
+        return None
+    fits = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < 2.0
+    # chance puts a few matches on any F; a true one holds many more
+    if fits.sum() < max(16, 0.25 * len(fits)):
+        return None
+    a, b = _guided(first, second, candidates, epipolar, F, 2.0)
+    use = moving_part(first.xy[a], second.xy[b])
+    refined = epipolar.fit(first.xy[a[use]], second.xy[b[use]], 1.0, seed)
+    if refined is None:
+        return None
+    good = np.abs(epipolar.distance(refined, first.xy[a], second.xy[b])) < 1.5
+    a, b = a[good], b[good]
+    good = _agrees_with_neighbours(first.xy[a], second.xy[b])
+    return (a[good], b[good], refined) if good.sum() >= 16 else None
 
 
 def _moving(features, pair, seed):

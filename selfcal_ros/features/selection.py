@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.features.epipolar import (choose_division, estimate_fundamental, sampson_distance,
-                                           straighten)
+from selfcal_ros.features.epipolar import choose_division, EpipolarImages
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -148,7 +147,7 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     removed : int
         Observations removed, not counting those of tracks that became too short.
     division : float
-        Distortion used, see `epipolar`.
+        Distortion used: the first coefficient of the division model, 0 for straight lines.
 
     """
     frames, time = np.unique(tracks.frame, return_inverse=True)
@@ -165,15 +164,15 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     size = tracks.image_size
     if size is None:
         raise ArgumentError('Tracks need their image size to be verified.')
-    division = choose_division([(tracks.xy[a], tracks.xy[b]) for a, b in spread], size)
-    straight = straighten(tracks.xy, division, size)
+    model = choose_division([(tracks.xy[a], tracks.xy[b]) for a, b in spread], size, seed=seed)
+    epipolar, xy = EpipolarImages(model), tracks.xy
     tests, failures = np.zeros(len(tracks)), np.zeros(len(tracks))
     breaks = []
     for a, b in pairs:
-        F = estimate_fundamental(straight[a], straight[b], threshold_px, seed=seed)
+        F = epipolar.fit(xy[a], xy[b], threshold_px, seed)
         if F is None:
             continue
-        bad = np.abs(sampson_distance(F, straight[a], straight[b])) > threshold_px
+        bad = np.abs(epipolar.distance(F, xy[a], xy[b])) > threshold_px
         if bad.mean() > 0.5:  # this F explains nothing
             continue
         for side in (a, b):
@@ -196,7 +195,7 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
         _, track = np.unique(np.cumsum(np.maximum(new, cut)), return_inverse=True)
         track = _keep_names(tracks.track, track.ravel())
     tracks = Tracks(tracks.frame[keep], track[keep], tracks.xy[keep], size, tracks.stamps_ns)
-    return tracks.with_at_least(least_views), removed, division
+    return tracks.with_at_least(least_views), removed, model.coefficients[0]
 
 
 def _keep_names(old, new):
