@@ -160,6 +160,30 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
                           flat.cost)
 
 
+def straight_suffices(pairs: Sequence[tuple[np.ndarray, np.ndarray]], F: np.ndarray,
+                      image_size: tuple[int, int], threshold_px: float = 1.0,
+                      clear_gain: float = _CLEAR_GAIN) -> bool:
+    """
+    Tell in short whether bending the epipolar lines a little gains too little to look further.
+
+    Parameters
+    ----------
+    pairs, image_size, threshold_px, clear_gain
+        As in `shared_division`.
+    F : ndarray, shape (n, 3, 3)
+        Straight ones of the pairs, of pixels.
+
+    """
+    straight = DivisionModel((), image_size)
+    data = _stacked(pairs, straight)
+    limit = threshold_px / straight.half_diagonal_px
+    back = np.linalg.inv(straight.to_units)
+    units = back.T @ F @ back
+    flat = _cost(data, units, np.zeros(1), limit)
+    bent = _descended(data, units, np.zeros(1), max(_COARSE, limit), limit)
+    return bent.cost >= clear_gain * flat
+
+
 @dataclass(frozen=True)
 class _Descent:
     """A local optimum of the truncated cost."""

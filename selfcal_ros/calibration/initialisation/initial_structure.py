@@ -50,7 +50,8 @@ class PairGeometry:
     first, second : int
         View indices.
     F : ndarray, shape (3, 3)
-        x_secondᵀ F x_first = 0, pixels.
+        x_secondᵀ F x_first = 0, pixels; of straightened ones where the graph's lens is bent
+        (homogeneous: `to_units`⁻¹ times what `DivisionModel.lifted` gives).
     track : ndarray of int, shape (M,)
         Track identity of the inlying matches.
     xy_first, xy_second : ndarray, shape (M, 2)

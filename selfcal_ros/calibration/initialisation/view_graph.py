@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -24,12 +25,10 @@ from scipy.special import erf
 
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
-from selfcal_ros.geometry.epipolar_distance import sampson_distance
+from selfcal_ros.calibration.initialisation.pair_lens import choose_lens, PairLens, Sample
+from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
-from selfcal_ros.geometry.ransac import ransac_inliers
 from selfcal_ros.geometry.robust_scale import robust_sigma
-from selfcal_ros.geometry.two_view_tests import homography_cost
 from selfcal_ros.values.tracks import Tracks
 
 #: Every view is compared with so many successors.
@@ -47,6 +46,8 @@ RANSAC_MATCHES = 200
 #: that this cuts into it, `NOISE_SIGMAS` times the noise instead, but no more than the second.
 EPIPOLAR_THRESHOLD_PX, WIDEST_THRESHOLD_PX = 1.5, 6.0
 NOISE_SIGMAS = 4.0
+#: A pair whose matches nearly all move less shows one image twice.
+STILL_PX = 0.3
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,14 @@ class ViewGraph:
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise; near 1 the scene is one plane or the camera only rotated.
+    division : float
+        lambda of the division model that bends the epipolar lines, for radii in half diagonals
+        of the image (`geometry/division.py`); 0 where straight lines suffice. Of one
+        coefficient, also where `lens` has two.
+    division_sigma : float
+        Its standard deviation; infinite where it was not asked for.
+    lens : DivisionModel, optional
+        The model that the pairs' F and `noise_px` go by; None for straight lines.
 
     """
 
@@ -81,22 +90,9 @@ class ViewGraph:
     noise_px: float
     rejected: int
     parallax: float
-
-
-def _parallax(pairs, noise_px) -> float:
-    """Largest residual of a homography over the pairs, in units of the noise."""
-    data = PairMatches.from_pixels([(p.xy_first, p.xy_second) for p in pairs])
-    left = np.sqrt(homography_cost(data) / (4 * np.maximum(2 * data.counts - 8, 1)))
-    return float(left.max() / noise_px)
-
-
-def _refined(samples) -> np.ndarray:
-    """Fundamental matrices of all pairs' inliers at once, pixels, shape (n, 3, 3)."""
-    if not samples:
-        return np.zeros((0, 3, 3))
-    data = PairMatches.from_pixels(samples)
-    F, *_ = refine_general(data, eight_point(data))
-    return data.pixels_F(F)
+    division: float = 0.0
+    division_sigma: float = float('inf')
+    lens: DivisionModel | None = None
 
 
 def truncated_sigma(square: float, limit: float) -> float:
@@ -125,11 +121,11 @@ def truncated_sigma(square: float, limit: float) -> float:
         limit / np.interp(share, expected[::-1], t[::-1]))
 
 
-def _threshold(F, samples, threshold_px: float) -> float:
+def _threshold(lens: PairLens, F, samples, threshold_px: float) -> float:
     """Limit that cuts off gross errors but not the noise, which it would make look small."""
     square, freedom = 0.0, 0
     for one, (xy_a, xy_b) in zip(F, samples):
-        distance = sampson_distance(one, xy_a, xy_b)
+        distance = lens.distance(one, xy_a, xy_b)
         near = distance[np.abs(distance) < threshold_px]
         if len(near) > 7:
             square, freedom = square + float(near @ near), freedom + len(near) - 7
@@ -139,18 +135,18 @@ def _threshold(F, samples, threshold_px: float) -> float:
     return float(np.clip(NOISE_SIGMAS * sigma, threshold_px, WIDEST_THRESHOLD_PX))
 
 
-def _with_threshold(samples, compared) -> tuple[np.ndarray, float]:
+def _with_threshold(lens: PairLens, samples, compared) -> tuple[np.ndarray, float]:
     """Refine every pair on its inliers, with a limit that suits the noise of all pairs."""
-    F, threshold_px = _refined(samples), EPIPOLAR_THRESHOLD_PX
+    F, threshold_px = lens.refined(samples), EPIPOLAR_THRESHOLD_PX
     for _ in range(4):
-        wider = _threshold(F, compared, threshold_px)
+        wider = _threshold(lens, F, compared, threshold_px)
         if wider < 1.05 * threshold_px:
             break
         threshold_px = wider
-        near = [np.abs(sampson_distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
+        near = [np.abs(lens.distance(one, *xy)) < threshold_px for one, xy in zip(F, compared)]
         samples = [(a[k], b[k]) if k.sum() >= _least(len(k)) else old
                    for k, (a, b), old in zip(near, compared, samples)]
-        F = _refined(samples)
+        F = lens.refined(samples)
     return F, threshold_px
 
 
@@ -183,6 +179,51 @@ def _components(pairs, count: int) -> np.ndarray:
     return connected_components(links, directed=False)[1]
 
 
+class _Compared(NamedTuple):
+    """A pair of views, the points that both see, and matches of some of them."""
+
+    a: int
+    b: int
+    both: np.ndarray
+    xy: Sample
+
+
+def _without_still(compared: list[_Compared], views: int) -> list[_Compared]:
+    """Leave out pairs of equal images, which have no epipolar geometry, if all stay linked."""
+    moving = [pair for pair in compared if np.percentile(
+        np.abs(pair.xy[0] - pair.xy[1]).max(axis=1), 95) > STILL_PX]
+    before, after = (_components([(pair.a, pair.b) for pair in pairs], views)
+                     for pairs in (compared, moving))
+    return moving if np.array_equal(before, after) else compared
+
+
+def _fitted(compared: list[_Compared], image_size, rng: np.random.Generator,
+            ) -> tuple[PairLens, np.ndarray, list[_Compared], float]:
+    """Lens of all pairs, F (n, 3, 3) of those that have one, these pairs, and the limit."""
+    straight = PairLens()
+    samples, matches = _agreeing(straight, compared, rng)
+    # a stream of its own: whoever needs no lens draws as if there was none
+    lens = choose_lens([pair.xy for pair in matches], straight.refined(samples), image_size,
+                       rng.spawn(1)[0], EPIPOLAR_THRESHOLD_PX)
+    if lens.model is not None:
+        samples, matches = _agreeing(lens, compared, rng)
+        lens = lens.improved(samples, lens.refined(samples))
+    F, threshold_px = _with_threshold(lens, samples, [pair.xy for pair in matches])
+    return lens, F, matches, threshold_px
+
+
+def _agreeing(lens: PairLens, compared: list[_Compared], rng: np.random.Generator,
+              ) -> tuple[list[Sample], list[_Compared]]:
+    """Inliers of the pairs that have any, and these pairs."""
+    samples, matches = [], []
+    for pair in compared:
+        inlier = lens.inliers(*pair.xy, rng, EPIPOLAR_THRESHOLD_PX)
+        if inlier is not None:
+            samples.append((pair.xy[0][inlier], pair.xy[1][inlier]))
+            matches.append(pair)
+    return samples, matches
+
+
 def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | NoEstimate:
     """
     Estimate the epipolar geometry of pairs of views and keep the observations that fit.
@@ -205,24 +246,21 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     _, point = np.unique(tracks.track, return_inverse=True)
     view = np.searchsorted(frames, tracks.frame)
     row[view, point] = np.arange(len(tracks))
-    samples, matches, compared, tested = [], [], [], np.zeros(len(tracks), bool)
+    compared, tested = [], np.zeros(len(tracks), bool)
     for a, b in candidates:
         both = np.flatnonzero((row[a] >= 0) & (row[b] >= 0))
-        xy_a, xy_b = tracks.xy[row[a, both]], tracks.xy[row[b, both]]
         tested[row[[a, b]][:, both]] |= len(both) >= MINIMUM_MATCHES
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
-        found = ransac_inliers(xy_a[few], xy_b[few], rng, EPIPOLAR_THRESHOLD_PX)
-        if found:
-            compared.append((xy_a[few], xy_b[few]))
-            samples.append((xy_a[few[found[0]]], xy_b[few[found[0]]]))
-            matches.append((a, b, both))
-    all_F, threshold_px = _with_threshold(samples, compared)
+        compared.append(_Compared(int(a), int(b), both, (tracks.xy[row[a, both[few]]],
+                                                         tracks.xy[row[b, both[few]]])))
+    lens, all_F, matches, threshold_px = _fitted(_without_still(compared, len(frames)),
+                                                 tracks.image_size, rng)
     votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
     pairs, spreads = [], []
-    for (a, b, both), F in zip(matches, all_F):
+    for (a, b, both, _), F in zip(matches, all_F):
         rows_a, rows_b = row[a, both], row[b, both]
         xy_a, xy_b = tracks.xy[rows_a], tracks.xy[rows_b]
-        distance = sampson_distance(F, xy_a, xy_b)
+        distance = lens.distance(F, xy_a, xy_b)
         inlier = np.abs(distance) < threshold_px
         count = int(inlier.sum())
         if count < _least(len(both)):
@@ -232,7 +270,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
             votes[rows] += inlier
         spreads.append((robust_sigma(distance[inlier])
                         * np.sqrt(count / max(count - 7, 1)), count))
-        pairs.append(PairGeometry(int(a), int(b), F, both[inlier], xy_a[inlier], xy_b[inlier]))
+        pairs.append(PairGeometry(a, b, F, both[inlier], xy_a[inlier], xy_b[inlier]))
     if not pairs:
         return NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
                           least_doubtful=MINIMUM_MATCHES)
@@ -250,5 +288,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
+    left_px = lens.homography_px([(p.xy_first, p.xy_second) for p in pairs])
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
-                     _parallax(pairs, max(median, MIN_NOISE_PX)))
+                     float(left_px.max()) / max(median, MIN_NOISE_PX), lens.division, lens.sigma,
+                     lens.model)
