@@ -48,6 +48,7 @@ BENCHES = {
     'object_models': 'models of objects from two translated images, rendered and real',
     'visibility_tables': 'visibility tables of the thesis beside the direct test',
     'tracked_calibration': 'calibration from the edges of a tracked object against truth',
+    'lens_population': 'prior over real lenses against brands it has not seen',
     'speed': 'time of the estimate, of the command, and their growth',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',

@@ -1,0 +1,181 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A prior over real lenses: which coefficients lenses that somebody built have.
+
+Made from measured lenses of the gyroflow project (CC0) by `bench/lens_population.py`. Each row was
+refitted over its own image with each member, the focal length free. The natural unit is what a
+coefficient moves the image's corner, over the corner's distance, so ki is scaled by
+corner^(2i). Mean and covariance of these depend on the corner.
+
+The prior is weak on purpose. Lenses have long tails, so the covariance is broadened until 99 % of
+them lie in its 99 % ellipsoid; its 60 % ellipsoid then holds more than 75 %. The table knows
+nothing of decentring: the spread of p1 and p2 is stated, not measured. Nor has it lenses that
+were measured with the rational model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.lenses.population_table import KNOTS, TABLE
+
+#: Spread of p1 and p2. Ordinary lenses have 0.0003 to 0.001, bad ones up to 0.005.
+TANGENTIAL_SIGMA = 0.002
+#: Spread of a factor common to both polynomials of the rational model, in units of the corner;
+#: it cancels, and published calibrations have it up to 5.
+_COMMON_FACTOR = (2.0, 4.0, 4.0)
+#: The quotient may bend more than three coefficients do.
+_RATIONAL_BROADER = 3.0
+_COEFFICIENTS = {
+    'none': (),
+    'radial1': ('k1',),
+    'radial2': ('k1', 'k2'),
+    'radial3': ('k1', 'k2', 'k3'),
+    'plumb_bob': ('k1', 'k2', 'p1', 'p2', 'k3'),
+    'rational_polynomial': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
+    'equidistant': ('k1', 'k2', 'k3', 'k4'),
+}
+_OTHER_NAMES = {'rational': 'rational_polynomial'}
+#: A drawn lens grows at least by this share of its slope on the axis, up to the corner.
+_LEAST_SLOPE = 0.1
+_TRIES = 1000
+
+
+def lens_population(model: str, corner: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the Gaussian prior of a lens model's coefficients.
+
+    Parameters
+    ----------
+    model : str
+        'none', 'radial1', 'radial2', 'radial3', 'plumb_bob', 'rational' or 'equidistant'.
+    corner : float
+        Distance of the image's corner from the principal point over the focal length: half the
+        diagonal in normalised image units. Between the corners of the table everything changes
+        steadily. Below them the displacement of the corner keeps its spread, above them the
+        coefficients do.
+
+    Returns
+    -------
+    mean : ndarray, shape (k,)
+        In the model's order, as files have it: k1 k2 p1 p2 k3.
+    covariance : ndarray, shape (k, k)
+
+    Raises
+    ------
+    ArgumentError
+        If there is no prior for such a lens.
+
+    """
+    model = _OTHER_NAMES.get(model, model)
+    if model not in _COEFFICIENTS or not (np.isfinite(corner) and corner > 0):
+        raise ArgumentError(f'There is no prior over lenses {model!r:.40} whose corner is at '
+                            f'{corner!r} focal lengths; known are {", ".join(_COEFFICIENTS)}.')
+    names = _COEFFICIENTS[model]
+    radial = [k for k, name in enumerate(names) if name[0] == 'k']
+    mean, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+    tangential = [k for k, name in enumerate(names) if name[0] == 'p']
+    covariance[tangential, tangential] = TANGENTIAL_SIGMA**2
+    if radial:
+        mean[radial], covariance[np.ix_(radial, radial)] = _radial(model, corner)
+    return mean, covariance
+
+
+def _radial(model: str, corner: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and covariance of the radial coefficients."""
+    if model == 'rational_polynomial':
+        return _rational(corner)
+    table = np.array(TABLE['radial3' if model == 'plumb_bob' else model])
+    at = np.interp(np.log(corner), np.log(KNOTS), np.arange(len(KNOTS)))
+    low = min(int(at), len(KNOTS) - 2)
+    count = int(np.sqrt(2 * table.shape[1] + 2.25) - 1.5)
+    factors = np.zeros((2, count, count))
+    rows, columns = np.tril_indices(count)
+    factors[:, rows, columns] = table[low:low + 2, count:]
+    weight = np.array([low + 1 - at, at - low])
+    mean = weight @ table[low:low + 2, :count]
+    covariance = np.einsum('w,wij,wkj->ik', weight, factors, factors)
+    scale = min(corner, KNOTS[-1])**(-2.0 * np.arange(1, count + 1))
+    return mean * scale, covariance * np.outer(scale, scale)
+
+
+def _rational(corner: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Build the prior of the rational model's k1, ..., k6 on that of three coefficients.
+
+    To first order the quotient has the coefficients k1 - k4, k2 - k5, k3 - k6. They have the
+    prior of 'radial3', broadened; what is common to both polynomials is nearly free.
+    """
+    mean, difference = _radial('radial3', corner)
+    scale = min(corner, KNOTS[-1])**np.array([-2.0, -4.0, -6.0])
+    common = np.diag((scale * _COMMON_FACTOR)**2)
+    difference = _RATIONAL_BROADER**2 * difference
+    return (np.concatenate([mean, np.zeros(3)]),
+            np.block([[difference + common, common], [common, common]]))
+
+
+def draw_lens(rng: np.random.Generator, model: str, corner: float,
+              spread: float = 0.5) -> np.ndarray:
+    """
+    Draw the coefficients of a lens that sees up to the image's corner.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    model : str
+        As for `lens_population`.
+    corner : float
+        As for `lens_population`.
+    spread : float
+        Of the draws, over that of the prior; by default that of ordinary lenses.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Coefficients whose image radius grows up to the corner.
+
+    Raises
+    ------
+    ArgumentError
+        If no such lens was found, or there is no prior for it.
+
+    """
+    mean, covariance = lens_population(model, corner)
+    if not len(mean):
+        return mean
+    factor = np.linalg.cholesky(covariance)
+    for _ in range(_TRIES):
+        values: np.ndarray = mean + spread * factor @ rng.standard_normal(len(mean))
+        if _reaches(_OTHER_NAMES.get(model, model), values, corner):
+            return values
+    raise ArgumentError(f'No lens {model} reaches a corner at {corner:g} focal lengths.')
+
+
+def _reaches(model: str, values: np.ndarray, corner: float) -> bool:
+    """Tell whether the image radius grows up to the corner."""
+    radial = values[[name[0] == 'k' for name in _COEFFICIENTS[model]]]
+    # where the perspective models end, far beyond what they are used for
+    end = np.pi if model == 'equidistant' else np.tan(np.radians(80.0))
+    distance = np.linspace(0.0, end, 2000)
+    powers = distance[:, None]**(2 * np.arange(1, 4))
+    if model == 'rational_polynomial':
+        factor = (1 + powers @ radial[:3]) / (1 + powers @ radial[3:])
+    else:
+        factor = 1 + distance[:, None]**(2 * np.arange(1, len(radial) + 1)) @ radial
+    radius = distance * factor
+    slope = np.diff(radius) / np.diff(distance)
+    ends = np.append(slope < _LEAST_SLOPE, True)
+    return bool(radius[np.argmax(ends)] >= corner)
