@@ -34,7 +34,7 @@ PARAMETER_NAMES = (*MATRIX_PARAMETERS, *PLUMB_BOB.coefficients)
 #: Polynomial models, the poorer first: one that leaves the other's coefficients at zero is it.
 _POLYNOMIAL = ('plumb_bob', 'rational_polynomial')
 #: Lens models of ROS's CameraInfo, and how many coefficients a message or a file may have.
-ROS_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
+ROS_COEFFICIENTS = {'plumb_bob': (1, 2, 3, 4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ CAMERA = Camera([[520, 0.4, 328], [0, 523, 235], [0, 0, 1]], [-0.2, 0.05, 1e-3, 
 def covariance():
     """Correlated, of the size that a short drive leaves."""
     root = np.random.default_rng(3).standard_normal(COVARIANCE_SHAPE)
-    root *= np.array([2, 2, 1, 1, 0.3, 2e-3, 2e-3, 2e-4, 2e-4])[:, None] / 3
+    root *= np.array([2, 2, 1, 1, 0.3, 2e-3, 2e-3, 2e-4, 2e-4, 2e-3])[:, None] / 3
     return root @ root.T
 
 

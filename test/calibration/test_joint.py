@@ -62,7 +62,7 @@ def test_joint_estimate_covariance_and_p_values_are_true():
 
 
 def test_of_independent_parameters_it_is_the_weighted_mean():
-    C = np.diag([4.0, 4, 1, 1, 0, 0, 0, 0, 0])
+    C = np.diag([4.0, 4, 1, 1, *[0] * (len(PARAMETER_NAMES) - 4)])
     C[0, 1] = C[1, 0] = 4
     facts = replace(FACTS, distortion='none')
     a = calibration([520, 520, 320, 240, 0, 0, 0, 0, 0], C, facts)

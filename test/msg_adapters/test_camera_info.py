@@ -82,9 +82,10 @@ def test_a_camera_without_size_needs_one(types, header):
 
 
 @pytest.mark.parametrize('changed, words', [
-    ({'distortion_model': 'equidistant', 'd': [0.1, 0.1, 0.1, 0.1]}, 'equidistant'),
-    ({'distortion_model': 'rational_polynomial', 'd': [0, 0, 0, 0, 0, 0.1, 0, 0]}, 'rational'),
-    ({'d': [np.nan] * 5}, 'not supported'),
+    ({'distortion_model': 'equidistant', 'd': [0.1, 0.1, 0.1]}, 'has 4 coefficients, not 3'),
+    ({'distortion_model': 'rational_polynomial', 'd': [0.1] * 12}, 'has 8 coefficients, not 12'),
+    ({'distortion_model': 'magic', 'd': [0.1] * 4}, "'magic' is not supported"),
+    ({'d': [np.nan] * 5}, 'all finite'),
     ({'k': [-5, 0, 3, 0, 5, 3, 0, 0, 1]}, 'K must be'),
     ({'k': [np.nan] * 9}, 'finite'),
 ])
@@ -101,6 +102,24 @@ def test_short_and_padded_distortion(types, header):
         msg = types.CameraInfo(header=header, width=640, height=480, distortion_model=model, d=d,
                                k=CAMERA.K)
         assert camera_from_info(msg).distortion[:2].tolist() == (list(d) + [0, 0])[:2]
+
+
+@pytest.mark.parametrize('model, d', [
+    ('equidistant', [-0.02, 0.006, -0.004, 5e-4]),
+    ('rational_polynomial', [0.78, 0.07, 1e-3, -2e-3, 0.001, 1.11, 0.24, 0.002])])
+def test_wide_lenses_come_back(types, header, model, d):
+    camera = Camera(CAMERA.K, d, 640, 480, model)
+    msg = camera_info_message(camera, header, types)
+    assert msg.distortion_model == model and list(msg.d) == d
+    back = camera_from_info(msg)
+    assert back.model == model and back.distortion.tolist() == d
+    half = ImageWindow(2, 2).image_camera(camera)
+    assert half.model == model and ImageWindow(2, 2).full_camera(half).model == model
+
+
+def test_a_lens_that_ros_does_not_know(types, header):
+    with pytest.raises(ArgumentError, match='cannot hold the lens model fov'):
+        camera_info_message(Camera(CAMERA.K, [0.9], 640, 480, 'fov'), header, types)
 
 
 def test_a_region_outside_of_the_sensor(types, header):

@@ -324,9 +324,15 @@ def test_result_json_is_a_camera_with_its_covariance(tmp_path):
     found = read_camera(written(tmp_path, json.dumps(content), 'result.json'))
     assert found.camera.K[1, 1] == 501
     assert np.array_equal(found.covariance, np.eye(len(PARAMETER_NAMES)))
-    content['covariance'] = [[1]]
-    with pytest.raises(InputError, match='neither'):
-        read_camera(written(tmp_path, json.dumps(content), 'result.json'))
+    # before k3 was estimated a file had nine parameters, with their names; k3 was held
+    content['parameter_names'] = PARAMETER_NAMES[:-1]
+    content['covariance'] = np.eye(len(PARAMETER_NAMES) - 1).tolist()
+    older = read_camera(written(tmp_path, json.dumps(content), 'result.json'))
+    assert np.array_equal(older.covariance, np.diag([1.0] * 9 + [0]))
+    for covariance in ([[1]], np.eye(11).tolist(), 1):
+        with pytest.raises(InputError, match='neither'):
+            read_camera(written(tmp_path, json.dumps({**content, 'covariance': covariance}),
+                                'result.json'))
 
 
 @pytest.mark.parametrize('name', LENSES)
@@ -360,4 +366,4 @@ def test_impossible_lenses():
             Camera(K, d, model=model)
     assert set(LENS_MODELS) == {'plumb_bob', 'rational_polynomial', 'equidistant', 'fov'}
     with pytest.raises(ArgumentError, match='fov is not supported'):
-        lens('fov').camera()
+        lens('fov').as_model('plumb_bob')

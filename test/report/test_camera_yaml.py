@@ -142,7 +142,11 @@ def test_what_other_writers_produce(tmp_path):
     (TEXT.replace('width: 640', 'width: -1'), 'positive integer'),
     (TEXT.replace('520.0', '0.0'), 'not calibrated'),
     (TEXT.replace('520.0', '-520.0'), 'positive focal'),
-    (TEXT.replace('plumb_bob', 'equidistant'), 'equidistant'),
+    (TEXT.replace('plumb_bob', 'magic'), "'magic' is not supported; plumb_bob, rational"),
+    (TEXT.replace('plumb_bob', 'equidistant').replace('0.0, 0.0]', '0.0, 0.1]', 1),
+     'equidistant has 4 coefficients, not 5'),
+    (TEXT.replace('plumb_bob', 'equidistant').replace('cols: 5', 'cols: 3', 1).replace(
+        ', 0.0, 0.0]', ']', 1), 'equidistant has 4 coefficients, not 3'),
     ('a' * 1_000_001, 'too large'),
 ])
 def test_wrong_files(tmp_path, text, words):

@@ -81,7 +81,7 @@ def test_a_change_of_five_sigmas_is_seen_and_said():
 
 def test_facts_that_contradict_each_other_are_no_agreement():
     root = spread()
-    skewed = compare_cameras(camera(TRUTH), camera(TRUTH + [0, 20, 0, 0, 0, 0, 0, 0, 0]),
+    skewed = compare_cameras(camera(TRUTH), camera(TRUTH + [0, 20, 0, 0, 0, 0, 0, 0, 0, 0]),
                              100 * root @ root.T, 100 * root @ root.T)
     assert skewed.agree is False and skewed.untested_px > 1
     assert 'facts contradict' in skewed.verdict

@@ -147,7 +147,7 @@ def test_projection_uncertainty_against_draws():
     camera = Camera([[500, 0, 330], [0, 505, 235], [0, 0, 1]], [-0.2, 0.05, 1e-3, -5e-4],
                     640, 480)
     rng = np.random.default_rng(3)
-    root = np.diag([1, 1, 0.5, 0.5, 0.1, 1e-3, 1e-3, 1e-4, 1e-4]) \
+    root = np.diag([1, 1, 0.5, 0.5, 0.1, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4]) \
         @ (np.eye(len(PARAMETER_NAMES)) + 0.3 * rng.standard_normal(COVARIANCE_SHAPE))
     found = projection_uncertainty(camera, root @ root.T, 12)
     grid = np.stack(np.meshgrid(found.u, found.v), axis=-1).reshape(-1, 2)

@@ -254,7 +254,7 @@ def test_what_is_not_determined_is_not_given_a_sigma(calibration):
 def test_field_of_view_and_its_sigma(calibration):
     rows = [row for row in parameter_rows(replace(
         calibration, camera=type(calibration.camera)(calibration.camera.K, width=800, height=600),
-        covariance=np.diag([4.0] + [0] * 8))) if row.name == 'FoV']
+        covariance=np.diag([4.0] + [0] * (len(PARAMETER_NAMES) - 1)))) if row.name == 'FoV']
     # 2 atan(400 / 900), and its slope 2 · 400 / (900² + 400²) per pixel
     assert float(rows[0].value) == pytest.approx(np.degrees(2 * np.arctan(400 / 900)), abs=0.05)
     assert float(rows[0].sigma) == pytest.approx(
@@ -278,7 +278,7 @@ def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibrati
     assert (grade(calibration), grade(replace(calibration, status=status)),
             grade(NotCalibrated('No.'))) == ('good', 'partial', 'bad')
     # half a pixel everywhere, as a rotation hides none of a change of scale alone
-    one = replace(calibration, covariance=np.diag([4.0] + [0] * 8))
+    one = replace(calibration, covariance=np.diag([4.0] + [0] * (len(PARAMETER_NAMES) - 1)))
     median, worst = projection_sigmas(one)
     assert 0 < median < worst < 2 * 400 / 900 * 1.2
     sentence = quality(one)

@@ -27,6 +27,8 @@ ITERATIONS = 40
 _LEAST_DEPTH = 1e-12
 #: Angles at which it is looked where a distortion folds.
 _ANGLES = 400
+#: Decentring moves the fold of the radial part, over its distance by less than this.
+_FOLD_SLACK = 1.1
 
 
 class PerspectiveImage:
@@ -121,6 +123,8 @@ class Perspective(ABC):
             a, b, d = self.by_point(values, x, y)
             # beyond the fold the polynomial has another root, on the wrong branch
             good = (miss < 1e-9) & (a * d - b * b > 0) & (a + d > 0)
+            # that branch may rise again further out
+            good &= np.hypot(x, y) <= _FOLD_SLACK * np.tan(self.widest_angle(values))
         return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)
 
     def widest_angle(self, values: np.ndarray) -> float:
