@@ -39,6 +39,8 @@ _MATCHES = 200
 _CLEAR_GAIN = 0.93
 #: A coefficient is there if it is so many of its standard deviations from zero.
 _SIGNIFICANT = 5.0
+#: Straight lines with this share of inliers are at most a little bent.
+_NEARLY_ALL = 0.9
 #: The last refinement keeps what lies within so many times the noise, or so much of the limit.
 _NOISES, _LEAST_LIMIT = 3.0, 0.1
 
@@ -128,13 +130,15 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
             F = _sampled(data, division, coarse, rng)
             starts[step] = _cost(data, F, division, coarse), F
 
-    for step in range(_STRAIGHT, len(_LADDER), 2):
+    start(_STRAIGHT)
+    flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
+    # where straight lines leave nothing to explain, refinement goes far enough
+    explained = np.sum(_distances(data, flat.F, np.zeros(1)) < limit) > _NEARLY_ALL * data[2].sum()
+    for step in range(_STRAIGHT + 2, len(_LADDER), 2) if not explained else ():
         start(step)
     middle = best_step()
-    # from straight lines refinement goes far enough
     for step in () if middle == _STRAIGHT else (middle - 1, middle + 1):
         start(step)
-    flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
     order = sorted(starts, key=lambda step: starts[step][0])[:_FINALISTS]
     found = [_descended(data, starts[step][1], np.array([_LADDER[step]]), coarse, limit)
              for step in (order if middle != _STRAIGHT else (_STRAIGHT,))]
@@ -158,30 +162,6 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     model = DivisionModel(tuple(best.coefficients.tolist()) if bent else (0.0,), image_size)
     return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
                           flat.cost)
-
-
-def straight_suffices(pairs: Sequence[tuple[np.ndarray, np.ndarray]], F: np.ndarray,
-                      image_size: tuple[int, int], threshold_px: float = 1.0,
-                      clear_gain: float = _CLEAR_GAIN) -> bool:
-    """
-    Tell in short whether bending the epipolar lines a little gains too little to look further.
-
-    Parameters
-    ----------
-    pairs, image_size, threshold_px, clear_gain
-        As in `shared_division`.
-    F : ndarray, shape (n, 3, 3)
-        Straight ones of the pairs, of pixels.
-
-    """
-    straight = DivisionModel((), image_size)
-    data = _stacked(pairs, straight)
-    limit = threshold_px / straight.half_diagonal_px
-    back = np.linalg.inv(straight.to_units)
-    units = back.T @ F @ back
-    flat = _cost(data, units, np.zeros(1), limit)
-    bent = _descended(data, units, np.zeros(1), max(_COARSE, limit), limit)
-    return bent.cost >= clear_gain * flat
 
 
 @dataclass(frozen=True)

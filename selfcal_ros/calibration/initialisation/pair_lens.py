@@ -30,7 +30,7 @@ from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_ge
 from selfcal_ros.geometry.lifted_homography import lifted_homography_cost
 from selfcal_ros.geometry.lifted_ransac import lifted_ransac
 from selfcal_ros.geometry.ransac import ransac_inliers
-from selfcal_ros.geometry.shared_division import shared_division, straight_suffices
+from selfcal_ros.geometry.shared_division import shared_division
 from selfcal_ros.geometry.two_view_tests import homography_cost
 
 #: So many pairs decide on the lens, each with so many matches at least.
@@ -139,7 +139,7 @@ def _padded(samples: list[Sample], model: DivisionModel,
     return xy[0], xy[1], weight
 
 
-def choose_lens(compared: list[Sample], F: np.ndarray, image_size: tuple[int, int] | None,
+def choose_lens(compared: list[Sample], image_size: tuple[int, int] | None,
                 rng: np.random.Generator, threshold_px: float) -> PairLens:
     """
     Bend the epipolar lines where the matches ask for it.
@@ -148,8 +148,6 @@ def choose_lens(compared: list[Sample], F: np.ndarray, image_size: tuple[int, in
     ----------
     compared : list of (xy_a, xy_b)
         Matches of pairs, with gross errors.
-    F : ndarray, shape (n, 3, 3)
-        Straight ones of these pairs, of pixels.
     image_size : (int, int) or None
         Without it no lens has a centre.
     rng : numpy.random.Generator
@@ -161,14 +159,12 @@ def choose_lens(compared: list[Sample], F: np.ndarray, image_size: tuple[int, in
     PairLens
 
     """
-    rich = [k for k, (a, _) in enumerate(compared) if len(a) >= _LEAST_MATCHES]
+    rich = [pair for pair in compared if len(pair[0]) >= _LEAST_MATCHES]
     if image_size is None or not rich:
         return PairLens()
-    judges = [rich[k] for k in np.unique(np.linspace(0, len(rich) - 1, _JUDGES).astype(int))]
-    pairs = [compared[k] for k in judges]
-    if straight_suffices(pairs, F[judges], image_size, threshold_px, _CLEAR_GAIN):
-        return PairLens()
-    found = shared_division(pairs, image_size, rng, threshold_px, _CLEAR_GAIN)
+    judges = np.unique(np.linspace(0, len(rich) - 1, _JUDGES).astype(int))
+    found = shared_division([rich[k] for k in judges], image_size, rng, threshold_px,
+                            _CLEAR_GAIN)
     if found is None or found.model.straight:
         return PairLens()
     return PairLens(found.model, found.division, found.sigma)

@@ -200,14 +200,11 @@ def _without_still(compared: list[_Compared], views: int) -> list[_Compared]:
 def _fitted(compared: list[_Compared], image_size, rng: np.random.Generator,
             ) -> tuple[PairLens, np.ndarray, list[_Compared], float]:
     """Lens of all pairs, F (n, 3, 3) of those that have one, these pairs, and the limit."""
-    straight = PairLens()
-    samples, matches = _agreeing(straight, compared, rng)
     # a stream of its own: whoever needs no lens draws as if there was none
-    lens = choose_lens([pair.xy for pair in matches], straight.refined(samples), image_size,
-                       rng.spawn(1)[0], EPIPOLAR_THRESHOLD_PX)
-    if lens.model is not None:
-        samples, matches = _agreeing(lens, compared, rng)
-        lens = lens.improved(samples, lens.refined(samples))
+    lens = choose_lens([pair.xy for pair in compared], image_size, rng.spawn(1)[0],
+                       EPIPOLAR_THRESHOLD_PX)
+    samples, matches = _agreeing(lens, compared, rng)
+    lens = lens.improved(samples, lens.refined(samples))
     F, threshold_px = _with_threshold(lens, samples, [pair.xy for pair in matches])
     return lens, F, matches, threshold_px
 
