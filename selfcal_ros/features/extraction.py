@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 import itertools
 import os
 
@@ -25,6 +26,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
+from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.findings.finding import Finding, sentences
@@ -68,7 +70,8 @@ class Extraction:
 
 
 def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int = 40,
-                   rng: np.random.Generator | None = None) -> Extraction:
+                   rng: np.random.Generator | None = None,
+                   mask: ImageMask | None = None) -> Extraction:
     """
     Find point tracks in a sequence of images.
 
@@ -85,6 +88,8 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
         Upper limit of frames in the result.
     rng : numpy.random.Generator, optional
         Source of the samples that verification draws; the same seed gives the same tracks.
+    mask : ImageMask, optional
+        Where the images may be used.
 
     Returns
     -------
@@ -95,7 +100,7 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     ArgumentError
         If mode or max_keyframes is impossible.
     InputError
-        If an image is not (H, W) uint8, or its size changes.
+        If an image is not (H, W) uint8, its size changes, or the mask has another.
 
     """
     if mode not in ('auto', 'video', 'wide'):
@@ -103,21 +108,21 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     if max_keyframes < 2:
         raise ArgumentError(f'max_keyframes must be at least 2, not {max_keyframes}.')
     seed = int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
-    frames = _checked(frames)
+    frames = _checked(frames, mask)
     if mode == 'auto':
         probe = list(itertools.islice(frames, _PROBE_FRAMES))
-        mode, why = _choose_mode([grey for _, grey, _ in probe])
+        mode, why = _choose_mode([grey for _, grey, _ in probe], mask)
         frames = itertools.chain(probe, frames)
         found = [why]
     else:
         found = []
     report = progress or (lambda text, done: None)
     run = _video if mode == 'video' else _wide
-    tracks, keyframes = run(frames, report, max_keyframes, seed, found)
+    tracks, keyframes = run(frames, report, max_keyframes, seed, found, mask)
     return Extraction(tracks, keyframes, mode, tuple(found))
 
 
-def _checked(frames):
+def _checked(frames, mask: ImageMask | None):
     """Pass images on, and stop at the first that cannot be used."""
     size = None
     for index, grey, stamp_ns in frames:
@@ -132,22 +137,24 @@ def _checked(frames):
             raise InputError(f'Frame {index} is {grey.shape[1]}x{grey.shape[0]} pixels, but the '
                              f'frames before are {size[1]}x{size[0]}; calibrate one size at a '
                              'time.')
+        if size is None and mask is not None:
+            mask.check(grey.shape)
         size = grey.shape
         yield int(index), grey, int(stamp_ns)
 
 
-def _choose_mode(images):
+def _choose_mode(images, mask):
     """Video where corners survive there and back and move little, otherwise wide."""
     if len(images) < _PROBE_FRAMES:
         return 'wide', Finding('few_images', images=len(images))
-    shares, steps = zip(*(followed_share(a, b) for a, b in zip(images, images[1:])))
+    shares, steps = zip(*(followed_share(a, b, mask) for a, b in zip(images, images[1:])))
     diagonal = float(np.hypot(*images[0].shape))
     share, step = float(np.median(shares)), float(np.median(steps)) / diagonal
     mode = 'video' if share > 0.8 and step < 0.04 else 'wide'
     return mode, Finding('mode_chosen', followed=share, step=step, mode=mode)
 
 
-def _wide(frames, report, max_keyframes, seed, findings: list[Finding]):
+def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     """Match descriptors between neighbours, loop closures and look-alikes."""
     indices, stamps, images, features = [], {}, [], []
     stride, last = 1, None
@@ -170,7 +177,7 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding]):
     if stride > 1 or len(indices) < len(stamps):
         findings.append(Finding('frames_thinned', frames=len(indices)))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        for found in pool.map(detect, images):
+        for found in pool.map(partial(detect, mask=mask), images):
             features.append(found)
             report('features', len(features))
     size = (last[1], last[0])
@@ -201,9 +208,9 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding]):
     return _finish(tracks, findings, seed), keyframes
 
 
-def _video(frames, report, max_keyframes, seed, findings: list[Finding]):
+def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
-    tracker, selector, kept, stamps = KltTracker(), None, [], {}
+    tracker, selector, kept, stamps = KltTracker(mask=mask), None, [], {}
     size = None
     for count, (index, grey, stamp_ns) in enumerate(frames):
         ids, xy = tracker.add(grey)

@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.registration import PatchRegistration, Templates
 
 #: Where the flow looks first: at the place itself.
@@ -34,7 +35,8 @@ _SIGMA_LIMIT_PX = 0.25
 
 
 def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
-            quality: float = 0.002, border_px: int = 10) -> np.ndarray:
+            quality: float = 0.002, border_px: int = 10, mask: ImageMask | None = None,
+            ) -> np.ndarray:
     """
     Find the best Shi-Tomasi corner of every free cell of a grid.
 
@@ -49,6 +51,8 @@ def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
         Least response, as a share of the strongest in the image.
     border_px : int
         Corners keep this far from the border.
+    mask : ImageMask, optional
+        Corners keep their patches within.
 
     Returns
     -------
@@ -60,9 +64,12 @@ def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
     rows, columns = grey.shape[0] // cell_px, grey.shape[1] // cell_px
     if not rows or not columns:
         return np.empty((0, 2))
+    highest = cv2.dilate(response, np.ones((5, 5), np.uint8))
+    if mask is not None:
+        response[~mask.inside()] = 0
     # the strongest few pixels must not decide for the whole image
     floor = quality * float(np.partition(response.ravel()[::7], -20)[-20])
-    peak = (response >= cv2.dilate(response, np.ones((5, 5), np.uint8))) & (response > floor)
+    peak = (response >= highest) & (response > floor)
     peak[:border_px] = peak[-border_px:] = peak[:, :border_px] = peak[:, -border_px:] = False
     value = np.where(peak, response, 0)[:rows * cell_px, :columns * cell_px]
     value = value.reshape(rows, cell_px, columns, cell_px).swapaxes(1, 2)
@@ -77,13 +84,13 @@ def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
     xy = np.stack([cell % columns * cell_px + best[cell] % cell_px,
                    cell // columns * cell_px + best[cell] // cell_px], axis=1).astype(float)
     if occupied is not None and len(occupied) and len(xy):
-        mask: np.ndarray = np.ones(grey.shape, np.uint8)
+        free_px: np.ndarray = np.ones(grey.shape, np.uint8)
         near = np.clip(np.round(occupied).astype(int), 0, np.array(grey.shape[::-1]) - 1)
-        mask[near[:, 1], near[:, 0]] = 0
+        free_px[near[:, 1], near[:, 0]] = 0
         reach = cell_px // 2 | 1
-        mask = cv2.erode(mask, np.ones((reach, reach), np.uint8))
+        free_px = cv2.erode(free_px, np.ones((reach, reach), np.uint8))
         at = xy.astype(int)
-        xy = xy[mask[at[:, 1], at[:, 0]] > 0]
+        xy = xy[free_px[at[:, 1], at[:, 0]] > 0]
     return xy
 
 
@@ -120,9 +127,9 @@ def flow(before: np.ndarray, after: np.ndarray, xy: np.ndarray, tolerance_px: fl
     return there, followed
 
 
-def followed_share(before: np.ndarray, after: np.ndarray):
+def followed_share(before: np.ndarray, after: np.ndarray, mask: ImageMask | None = None):
     """Share of corners that can be followed between two images, and their median step in px."""
-    xy = corners(before, max(16, int(np.sqrt(before.size / 500))))
+    xy = corners(before, max(16, int(np.sqrt(before.size / 500))), mask=mask)
     there, followed = flow(before, after, xy, 0.5)
     if followed.sum() < 20:
         return 0.0, float('inf')
@@ -143,13 +150,17 @@ class KltTracker:
         Corners aimed at: one a cell of a grid with so many cells.
     least_correlation : float
         A point less alike to its first appearance is lost.
+    mask : ImageMask, optional
+        Points are found and followed within; may be changed between images.
 
     """
 
-    def __init__(self, most: int = 700, least_correlation: float = 0.8):
+    def __init__(self, most: int = 700, least_correlation: float = 0.8,
+                 mask: ImageMask | None = None):
         """Start without an image."""
         self.most = most
         self.least_correlation = least_correlation
+        self.mask = mask
         self._registration = PatchRegistration(half_px=7)
         self.reset()
 
@@ -179,7 +190,14 @@ class KltTracker:
         xy : ndarray of float64, shape (N, 2)
             Pixels.
 
+        Raises
+        ------
+        InputError
+            If the mask has another size.
+
         """
+        if self.mask is not None:
+            self.mask.check(grey.shape)
         if self._grey is not None and self._grey.shape != grey.shape:
             self.reset()
         smooth = cv2.GaussianBlur(grey.astype(np.float32), (5, 5), 0.7)
@@ -207,6 +225,8 @@ class KltTracker:
         margin = self._registration.half_px
         limit = np.array(grey.shape[::-1]) - 1 - margin
         good &= ((found >= margin) & (found <= limit)).all(axis=1)
+        if self.mask is not None:
+            good &= self.mask.allows(found)
         self._xy, self._affine = found, affine
         self._keep(good)
         size = size[good]
@@ -238,7 +258,7 @@ class KltTracker:
         cell = max(12, int(np.sqrt(grey.size / self.most)))
         if len(self._ids) > 0.9 * self.most:
             return
-        xy = corners(grey, cell, self._xy)
+        xy = corners(grey, cell, self._xy, mask=self.mask)
         if not len(xy):
             return
         fresh = self._registration.templates(smooth, xy)

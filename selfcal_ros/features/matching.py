@@ -25,6 +25,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
+from selfcal_ros.features.mask import ImageMask
 
 #: Ratio of the distances to the best and the second best descriptor (Lowe, 2004, section 7.1).
 RATIO = 0.8
@@ -123,7 +124,8 @@ def _sift_offset_px() -> float:
     return float(np.round(4 * (np.median(near) - at)) / 4)
 
 
-def detect(grey: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
+def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
+           mask: ImageMask | None = None) -> Features:
     """
     Find SIFT keypoints, evenly spread.
 
@@ -134,6 +136,8 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
         Keypoints kept at most.
     cells : int
         The image is divided into cells x cells; the strongest of each cell go first.
+    mask : ImageMask, optional
+        Blobs keep what describes them within.
 
     Returns
     -------
@@ -145,6 +149,12 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12) -> Features:
         else grey
     sift = _sift(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
     points, descriptors = sift.detectAndCompute(image, None)
+    if mask is not None and len(points):
+        scale = 2.0 if halved else 1.0
+        keep = np.flatnonzero(mask.allows_blobs(
+            scale * np.array([point.pt for point in points]),
+            scale / 2 * np.array([point.size for point in points])))
+        points, descriptors = [points[k] for k in keep], descriptors[keep]
     if len(points) > most:
         at = np.array([point.pt for point in points])
         strength = np.array([point.response for point in points])
