@@ -54,6 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              '(default: found out)')
     parser.add_argument('--max-keyframes', type=int, metavar='N',
                         help='use at most so many images')
+    parser.add_argument('--mask', metavar='MASK.PNG',
+                        help='an image of the same size: white (not zero) where the images may be '
+                             'used, black where not, such as on the body of the robot; the circle '
+                             'of a fisheye image is found without')
     parser.add_argument('--object', metavar='WHAT',
                         help='known object: chessboard:COLSxROWS:SQUARE_M or '
                              'charuco:COLSxROWS:SQUARE_M:MARKER_M (inner corners), '
@@ -102,7 +106,11 @@ def run(args: argparse.Namespace) -> int:
         views=args.views,
         known_object=args.object, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
-        image_size=tuple(args.image_size) if args.image_size else None)
+        image_size=tuple(args.image_size) if args.image_size else None, mask=args.mask)
+    if args.mask is not None:
+        from selfcal_ros.features.mask import read_mask
+        # before the long work, and once for many recordings
+        read_mask(args.mask)
     paths, many = find_recordings(args.input)
     if many:
         if args.track:
@@ -209,3 +217,5 @@ def _check_track(args) -> None:
         raise ArgumentError('--track needs the wireframe of the object: --model object.cao.')
     if args.image_size:
         raise ArgumentError('--image-size is for tables of tracks; leave it out.')
+    if args.mask is not None:
+        raise ArgumentError('--track follows edges of the whole object; leave --mask out.')

@@ -24,6 +24,7 @@ import os
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
@@ -89,7 +90,7 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     rng : numpy.random.Generator, optional
         Source of the samples that verification draws; the same seed gives the same tracks.
     mask : ImageMask, optional
-        Where the images may be used.
+        Where the images may be used; the circle of a fisheye lens narrows it by itself.
 
     Returns
     -------
@@ -109,13 +110,13 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
         raise ArgumentError(f'max_keyframes must be at least 2, not {max_keyframes}.')
     seed = int(rng.integers(2 ** 31 - 1)) if rng is not None else 0
     frames = _checked(frames, mask)
+    probe = list(itertools.islice(frames, _PROBE_FRAMES))
+    images = [grey for _, grey, _ in probe]
+    frames = itertools.chain(probe, frames)
+    mask, found = within_circle(images, mask)
     if mode == 'auto':
-        probe = list(itertools.islice(frames, _PROBE_FRAMES))
-        mode, why = _choose_mode([grey for _, grey, _ in probe], mask)
-        frames = itertools.chain(probe, frames)
-        found = [why]
-    else:
-        found = []
+        mode, why = _choose_mode(images, mask)
+        found.append(why)
     report = progress or (lambda text, done: None)
     run = _video if mode == 'video' else _wide
     tracks, keyframes = run(frames, report, max_keyframes, seed, found, mask)

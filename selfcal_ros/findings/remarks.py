@@ -169,6 +169,11 @@ REMARKS: dict[str, Phrase] = {
         'Images in which the tracker was unsure are not used.',
         'Nothing.'),
     # features
+    'image_circle': Phrase(
+        'The image is a circle of radius {radius_px:.0f} px about ({x_px:.0f}, {y_px:.0f}); what '
+        'lies beyond is not used.',
+        'A fisheye lens draws a circle. Nothing beyond its rim belongs to the scene.',
+        'Nothing; a mask of your own narrows it further.'),
     'few_images': Phrase(
         '{images} images only: matched as photographs.',
         'With so few images corners are not followed from one to the next.',

@@ -68,6 +68,10 @@ class FeatureTrackerParameters:
     image_transport: str = _image_transport()
     reliability: str = _reliability()
     max_features: int = parameter(400, 'points to follow at once', 20, 5000, live=True)
+    mask: str = parameter(
+        '', 'image file of the size of the images: white (not zero) where points may be followed, '
+        'black where not, such as on the body of the robot; empty: everywhere, but for what is '
+        'black around a fisheye image', live=True)
     lazy: bool = parameter(True, 'subscribe to images only while somebody listens to the tracks',
                            live=True)
     silence_s: float = _silence_s('no image has')

@@ -23,7 +23,9 @@ from msg_adapters.stamps import stamp_ns
 from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
 from selfcal_ros.errors import InputError
+from selfcal_ros.features.image_circle import CircleWatch
 from selfcal_ros.features.klt import KltTracker
+from selfcal_ros.features.mask import ImageMask, read_mask
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
@@ -65,6 +67,8 @@ class FeatureTracker(Node):
         self._types = rclpy_types()
         self._decoder = ImageDecoder()
         self._tracker = KltTracker(most=self.parameters.max_features)
+        self._mask = _mask_of(self.parameters)
+        self._circle = CircleWatch(every=5)
         self._drawing = TracksOverlay()
         self._newest_ns = None
         self._size = None
@@ -76,7 +80,7 @@ class FeatureTracker(Node):
         self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
                                        self.parameters.silence_s)
         self._idle = self.create_timer(1.0, self._say_idle, clock=STEADY)
-        follow(self, lambda new: None, self._change)
+        follow(self, _mask_of, self._change)
 
     def _is_heard(self) -> bool:
         """Tell whether images are wanted now; lazily, as image_transport does."""
@@ -87,6 +91,8 @@ class FeatureTracker(Node):
     def _change(self, new: FeatureTrackerParameters, old: FeatureTrackerParameters):
         """Do what changed parameters say, from the next image on."""
         self._tracker.most = new.max_features
+        if new.mask != old.mask:
+            self._mask = _mask_of(new)
         self._watchdog.limit_s = new.silence_s
         self._inputs.choose(new.image_transport, new.reliability)
 
@@ -112,6 +118,11 @@ class FeatureTracker(Node):
             return
         if not self._is_in_order(stamp_ns(msg.header.stamp), size):
             return
+        try:
+            self._look_where(grey)
+        except InputError as error:
+            self.get_logger().warning(f'image dropped: {error}', throttle_duration_sec=5.0)
+            return
         for listener in self.listeners:
             listener.announce(msg.header, size)
         ids, xy = self._tracker.add(grey)
@@ -122,6 +133,15 @@ class FeatureTracker(Node):
         if self._overlay.get_subscription_count():
             self._overlay.publish(image_message(self._drawing.draw(grey, ids, xy), msg.header,
                                                 self._types))
+
+    def _look_where(self, grey):
+        """Follow points within the mask and the circle of the image; InputError if they differ."""
+        if self._mask is not None:
+            self._mask.check(grey.shape)
+        finding = self._circle.see(grey)
+        if finding is not None:
+            self.get_logger().info(finding.sentence)
+        self._tracker.mask = self._circle.narrowed(self._mask)
 
     def _is_in_order(self, stamp: int, size: tuple[int, int]) -> bool:
         """Tell whether an image is newer than the last; begin anew where another stream begins."""
@@ -137,3 +157,8 @@ class FeatureTracker(Node):
             self._tracker.reset()
         self._newest_ns, self._size = stamp, size
         return True
+
+
+def _mask_of(parameters: FeatureTrackerParameters) -> ImageMask | None:
+    """Read the mask that parameters name; InputError where it cannot be read."""
+    return read_mask(parameters.mask) if parameters.mask else None

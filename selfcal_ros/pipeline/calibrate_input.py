@@ -52,6 +52,8 @@ class CalibrationSettings:
     max_keyframes : int, optional
     image_size : (int, int), optional
         Width and height in pixels, for tracks from a table.
+    mask : str, optional
+        Image file that is white where the images may be used.
 
     """
 
@@ -64,6 +66,7 @@ class CalibrationSettings:
     topic: str | None = None
     max_keyframes: int | None = None
     image_size: tuple[int, int] | None = None
+    mask: str | None = None
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -94,6 +97,9 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
         'image_size': settings.image_size, 'progress': progress}
     # OpenCV and SciPy load here, not where the command line starts
+    if settings.mask is not None:
+        from selfcal_ros.features.mask import read_mask
+        shared['mask'] = read_mask(settings.mask)
     if settings.known_object:
         from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
         from selfcal_ros.features.targets import parse_target

@@ -16,13 +16,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
+
+if TYPE_CHECKING:
+    from selfcal_ros.features.mask import ImageMask
 
 
 @dataclass(frozen=True)
@@ -53,16 +56,35 @@ class ExtractedTracks:
         return sentences(self.findings)
 
 
-def tracks_of_table(source: FrameSource) -> ExtractedTracks:
-    """Return the tracks of a table; with a remark where nobody has told the size of the images."""
+def tracks_of_table(source: FrameSource, mask: ImageMask | None = None) -> ExtractedTracks:
+    """
+    Return the tracks of a table; with a remark where nobody has told the size of the images.
+
+    Parameters
+    ----------
+    source : FrameSource
+    mask : ImageMask, optional
+        Positions that it hides are left out.
+
+    Raises
+    ------
+    InputError
+        If the mask has another size.
+
+    """
     tracks = source.tracks()
+    if mask is not None:
+        width, height = tracks.image_size or mask.size
+        mask.check((height, width))
+        tracks = replace(tracks.select(mask.allows(tracks.xy, 0.0)), image_size=mask.size)
     return ExtractedTracks(tracks, source.description,
                            () if tracks.image_size else (Finding('image_size_not_stated'),))
 
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
-                progress: Callable | None = None) -> ExtractedTracks:
+                progress: Callable | None = None,
+                mask: ImageMask | None = None) -> ExtractedTracks:
     """
     Read an input of any kind that `open_source` knows, and find point tracks in it.
 
@@ -79,6 +101,8 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         Width and height in pixels, for tracks from a table.
     progress : callable, optional
         Called as progress(text, done, total); total is None where it is not known.
+    mask : ImageMask, optional
+        Where the images may be used.
 
     Returns
     -------
@@ -92,7 +116,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
     """
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            return tracks_of_table(source)
+            return tracks_of_table(source, mask)
         # OpenCV loads here, not where the command line starts
         from selfcal_ros.features.extraction import extract_tracks
         total = source.count
@@ -103,8 +127,9 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
 
         limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
         found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
-                               mode=mode, progress=report if progress else None, **limit)
+                               mode=mode, progress=report if progress else None, mask=mask,
+                               **limit)
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
-                             'texture and overlap.')
+                             f'texture and overlap{", also within the mask" if mask else ""}.')
         return ExtractedTracks(found.tracks, source.description, found.findings, source.clock)

@@ -27,6 +27,7 @@ from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
+    from selfcal_ros.features.mask import ImageMask
     from selfcal_ros.features.targets import Target
 
 #: More views add time and little accuracy.
@@ -38,7 +39,8 @@ NEW_VIEW_FRACTION = 0.01
 def read_object_views(path, target: Target, topic: str | None = None,
                       max_keyframes: int | None = None,
                       image_size: tuple[int, int] | None = None,
-                      progress: Callable | None = None) -> ExtractedTracks:
+                      progress: Callable | None = None,
+                      mask: ImageMask | None = None) -> ExtractedTracks:
     """
     Find a known object in an input of any kind that `open_source` knows.
 
@@ -50,6 +52,8 @@ def read_object_views(path, target: Target, topic: str | None = None,
     target : Chessboard, Charuco, TsaiGrid or PointList
     max_keyframes : int, optional
         Views that the result may use at most.
+    mask : ImageMask, optional
+        Where the images may be used; the object is not looked for elsewhere.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
     most = MAX_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            return tracks_of_table(source)
+            return tracks_of_table(source, mask)
         if target.find is None:
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '
@@ -74,7 +78,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
         views, stamps, looked, last = [], {}, 0, None
         for frame in source:
             looked += 1
-            identity, xy = target.find(frame.image, thorough=not moving)
+            identity, xy = _found(target, frame.image, not moving, mask)
             if progress:
                 progress('Looking for the object', looked, source.count)
             step = NEW_VIEW_FRACTION * float(np.hypot(*frame.image.shape))
@@ -96,6 +100,15 @@ def read_object_views(path, target: Target, topic: str | None = None,
         tracks = Tracks(indices, np.concatenate([identity for _, identity, _ in views]),
                         np.concatenate([xy for *_, xy in views]), source.image_size, stamps)
         return ExtractedTracks(tracks, source.description, findings, source.clock)
+
+
+def _found(target, image, thorough: bool, mask: ImageMask | None):
+    """Find the points of the object whose surroundings a mask leaves."""
+    if mask is None:
+        return target.find(image, thorough=thorough)
+    identity, xy = target.find(mask.painted(image), thorough=thorough)
+    clear = mask.allows(xy)
+    return identity[clear], xy[clear]
 
 
 def _moved(last, now, step_px: float) -> bool:

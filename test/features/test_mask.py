@@ -75,15 +75,15 @@ def test_nothing_is_found_or_followed_into_the_masked_part(mask):
         assert len(xy) > 100 and mask.allows(xy).all()
 
 
-@pytest.mark.parametrize('mode, step', [('video', 0.04), ('wide', 0.3)])
-def test_wrong_texture_does_no_harm_behind_a_mask(mask, mode, step):
-    room, cameras = Room(), drive(5, step, 20 * step)
+@pytest.mark.parametrize('mode, count, step', [('video', 8, 0.04), ('wide', 4, 0.3)])
+def test_wrong_texture_does_no_harm_behind_a_mask(mask, mode, count, step):
+    room, cameras = Room(), drive(count, step, 20 * step)
     images = _with_logo(room, cameras, 4.0)
 
     def error(**given):
         tracks = extract_tracks(((k, image, 0) for k, image in enumerate(images)), mode,
                                 **given).tracks
-        assert len(tracks) > 300
+        assert len(tracks) > 200
         return tracks, np.mean(transfer_errors(room, cameras, tracks)[0] > 2)
 
     tracks, share = error(mask=mask)
