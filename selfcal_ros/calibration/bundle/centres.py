@@ -17,10 +17,29 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: Rays that meet at less than this angle (radians) say nothing of depth.
 MINIMUM_PARALLAX = 2e-4
+#: Steps from a pixel that has no ray to the middle of the image.
+_INWARD_STEPS = 25
+
+
+def all_rays(camera: Camera, xy: np.ndarray) -> np.ndarray:
+    """
+    Unit rays (N, 3) of pixels (N, 2); beyond the fold of the lens, those of the nearest inside.
+
+    NaN only where not even the middle of the image has rays.
+    """
+    rays, middle = camera.rays(xy), camera.K[:2, 2]
+    lost = ~np.isfinite(rays).all(axis=1)
+    for inward in np.linspace(1, 0, _INWARD_STEPS, endpoint=False)[1:]:
+        if not lost.any():
+            break
+        rays[lost] = camera.rays(middle + inward * (xy[lost] - middle))
+        lost = ~np.isfinite(rays).all(axis=1)
+    return rays
 
 
 def points_from_centres(blocks: PointBlocks, directions: np.ndarray,

@@ -27,12 +27,13 @@ from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
+from selfcal_ros.geometry.lenses.population import lens_population
 
 
 #: While starts are compared: standard deviation of the coefficients among ordinary lenses.
 START_SIGMA = {'plumb_bob': {'k1': 0.2, 'k2': 0.1},
                'rational_polynomial': {'k1': 0.2, 'k2': 0.1},
-               'equidistant': {'k1': 0.2, 'k2': 0.1}}
+               'equidistant': {'k1': 0.15, 'k2': 0.08, 'k3': 0.04, 'k4': 0.02}}
 
 
 @dataclass(frozen=True)
@@ -168,12 +169,40 @@ def priors_from_facts(facts: CameraFacts) -> Priors:
     return Priors(priors, model)
 
 
-def start_lens(facts: CameraFacts) -> Priors:
+def population_of(choice: str, model: LensModel, corner: float,
+                  decentring: float | None = None) -> Population:
+    """
+    Return what lenses of a kind are like, as a measurement of their coefficients.
+
+    Parameters
+    ----------
+    choice : str
+        Among `LENS_CHOICES`.
+    model : LensModel
+        Its model.
+    corner : float
+        Distance of the image's corner from the middle over the focal length.
+    decentring : float, optional
+        Sigma of p1 and p2 in place of the usual one.
+
+    """
+    mean, covariance = lens_population(choice, corner)
+    for k, name in enumerate(model.coefficients):
+        if name in ('p1', 'p2') and decentring is not None:
+            covariance[k, k] = decentring**2
+    scale = np.sqrt(np.diag(covariance))
+    information = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    return Population(model.coefficients, mean, information)
+
+
+def start_lens(facts: CameraFacts, model: LensModel | None = None) -> Priors:
     """
     Facts, and for starts what most lenses are like.
 
     Decentring, and what bends the outermost image alone, wait until there is a start.
     """
+    if facts.distortion == 'auto' and model is not None and not model.is_perspective:
+        facts = replace(facts, distortion=model.name)
     priors = priors_from_facts(facts)
     waiting = {name: Prior(0.0, 0.0) for name in priors.lens.coefficients
                if name not in START_SIGMA[priors.lens.name]}

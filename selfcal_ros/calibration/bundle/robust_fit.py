@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -23,15 +22,14 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.centres import points_from_centres
+from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
-from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.values.tracks import of_longest
 
@@ -40,9 +38,6 @@ from selfcal_ros.values.tracks import of_longest
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
-#: Models that are tried when none is stated, the richest first. Tangential distortion is not
-#: among them: it trades against the principal point, which planar motion determines weakly enough.
-AUTOMATIC_DISTORTION = ('radial2', 'radial1', 'none')
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -138,7 +133,7 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
     """Intersect the points of all observations from the views and calibration of a state."""
     blocks = PointBlocks(observations.point, observations.view)
     camera = state.camera()
-    rays = camera.rays(observations.xy)
+    rays = all_rays(camera, observations.xy)
     if not np.isfinite(rays).all():
         return None
     directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
@@ -265,37 +260,3 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
         if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
             break
     return fit, False
-
-
-def choose_distortion(fit: RobustFit, facts: CameraFacts,
-                      determined: Callable[[RobustFit, CameraFacts], bool],
-                      ) -> tuple[RobustFit, CameraFacts]:
-    """
-    Choose the richest distortion model with which the images still determine the camera.
-
-    The choice rests on the information in the images, not on the values that come out: a model
-    chosen because its coefficients look significant has sigmas that are too small.
-
-    Parameters
-    ----------
-    fit : RobustFit
-    facts : CameraFacts
-        Its distortion is 'auto'.
-    determined : callable
-        Whether a fit under facts determines the camera.
-
-    Returns
-    -------
-    RobustFit, CameraFacts
-        The latter with the model chosen; the simplest if none determines the camera.
-
-    """
-    for name in AUTOMATIC_DISTORTION:
-        facts = replace(facts, distortion=name)
-        priors = priors_from_facts(facts)
-        bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
-        state = bundle.optimise(with_fixed(fit.state, priors), iterations=25, tolerance=0.1)
-        trial = RobustFit(bundle, state, fit.observations, fit.outliers)
-        if determined(trial, facts):
-            break
-    return trial, facts

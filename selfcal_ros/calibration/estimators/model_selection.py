@@ -20,13 +20,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import to_parameters
-from selfcal_ros.calibration.bundle.priors import priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, choose_distortion, choose_motion,
-                                                       fit_robustly, Observations, refit,
-                                                       RobustFit)
+from selfcal_ros.calibration.bundle.robust_fit import (choose_motion, fit_robustly,
+                                                       Observations, refit, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
+                                                               REGULARISED)
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
-from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
+from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
+                                                            usual_matrix)
 from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     ClusterCovariance,
@@ -73,8 +74,16 @@ class ModelDecision:
 def first_fit(problem: SelfCalibrationProblem, observations: Observations, state: SceneState,
               ) -> RobustFit:
     """Fit a fraction of the tracks with soft priors, the models still open."""
-    return fit_robustly(observations, state, problem.motion, start_priors(problem),
-                        1.5 * problem.noise_px)
+    facts = problem.facts
+    if facts.distortion == 'auto':
+        # of the family that the start is of, with all that such lenses do
+        facts = replace(facts, distortion='plumb_bob' if state.lens.model.is_perspective
+                        else 'equidistant')
+    priors = start_priors(problem, state.camera())
+    if facts.distortion in REGULARISED:
+        known = replace(facts, lens_population=True)
+        priors = lens_priors(known, problem.size, state.lens['f']).under(usual_matrix(problem))
+    return fit_robustly(observations, state, problem.motion, priors, 1.5 * problem.noise_px)
 
 
 def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: float,
@@ -95,20 +104,15 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     ModelDecision
 
     """
-    facts = problem.facts
-    if facts.distortion == 'auto':
-        dependence = robust_covariance_of(fit, problem.size).inflation**2
+    dependence = robust_covariance_of(fit, problem.size).inflation**2
 
-        def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
-            covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
-            status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
-            return 'unobservable' not in status.values()
+    def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
+        covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
+        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
+        return 'unobservable' not in status.values()
 
-        fit, facts = choose_distortion(fit, facts, determined)
-    else:
-        fit = replace(fit, bundle=bundle_of(fit.observations, fit.motion,
-                                            priors_from_facts(facts), fit.bundle.sigma_px))
-        fit = refit(fit, fit.motion)
+    lens = choose_lens(fit, problem.facts, problem.size, dependence, determined)
+    fit, facts = lens.fit, lens.facts
     known = robust_covariance_of(fit, problem.size).inflation**2
     exact = False
     if problem.motion.keeps_plane:
@@ -119,7 +123,7 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
         turned = hold_parallel(fit, every, problem.size)[1] > 0
     fit, profile_excess = profile_likelihood_excess(fit, problem.size, fraction)
     curved = second_order_covariance(fit, problem.size, fraction * known)
-    profile_excess = profile_excess + curved / known
+    profile_excess = profile_excess + (curved + lens.excess) / known
     shared = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
     return ModelDecision(fit, facts, exact, shared, profile_excess, turned, fraction)
 

@@ -96,7 +96,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     if graph.parallax < PARALLAX_RATIO and plane is None:
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
-                                     max(graph.noise_px, 0.02), flat=plane)
+                                     max(graph.noise_px, 0.02), flat=plane,
+                                     division=getattr(graph, 'division', 0.0))
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
@@ -150,7 +151,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     extended = extend(problem, model)
     if isinstance(extended, NoEstimate):
         return extended.saying(facts=problem.facts)
-    fit = fit_robustly(problem.observations, extended, motion, priors_from_facts(model.facts),
+    fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
     result = assess(fit, model, problem, graph)
     return replace(result, findings=(*findings, *result.findings)) if result else result
@@ -163,8 +164,7 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     if len(found.path) == problem.views:
         return with_all_points(found, problem.observations) or folded
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
-    bundle = bundle_of(few, problem.motion, priors_from_facts(model.facts),
-                       10 * problem.noise_px)
+    bundle = bundle_of(few, problem.motion, model.fit.bundle.priors, 10 * problem.noise_px)
     starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
     standing = [state if not model.exact else replace(state, path=state.path.flat())

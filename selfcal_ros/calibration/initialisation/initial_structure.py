@@ -27,7 +27,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import lsqr
 
-from selfcal_ros.calibration.bundle.centres import MINIMUM_PARALLAX, points_from_centres
+from selfcal_ros.calibration.bundle.centres import (all_rays, MINIMUM_PARALLAX,
+                                                    points_from_centres)
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.scene_model import rescaled
@@ -81,7 +82,9 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     ndarray, shape (len(pairs), 3, 3)
 
     """
-    E = camera.K.T @ np.array([pair.F for pair in pairs]) @ camera.K
+    E = (camera.K.T @ np.array([pair.F for pair in pairs]) @ camera.K if camera.is_pinhole
+         else np.array([essential(camera.rays(pair.xy_first), camera.rays(pair.xy_second))
+                        for pair in pairs]))
     U, _, Vt = np.linalg.svd(E)
     U = U * np.sign(np.linalg.det(U))[:, None, None]
     Vt = Vt * np.sign(np.linalg.det(Vt))[:, None, None]
@@ -103,6 +106,40 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     votes = np.maximum((ahead_first & ahead_second).sum(-1),
                        (~ahead_first & ~ahead_second).sum(-1))
     return candidates[np.arange(len(pairs)), np.argmax(votes, axis=1)]
+
+
+def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """
+    Essential matrix of a pair from rays, which a distorted lens or a wide one has and F has not.
+
+    The linear solution (Longuet-Higgins 1981), weighed anew by the angles between rays and
+    epipolar planes.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (M, 3)
+        Unit rays; those that are NaN count nothing.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        x_secondᵀ E x_first = 0; not projected on the manifold.
+
+    """
+    good = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    a, b = first[good], second[good]
+    rows = (b[:, :, None] * a[:, None, :]).reshape(len(a), 9)
+    weight = np.ones(len(a))
+    for _ in range(5):
+        _, vectors = np.linalg.eigh((rows * weight[:, None]).T @ rows)
+        E = vectors[:, 0].reshape(3, 3)
+        Ea, Eb = a @ E.T, b @ E
+        # slopes across the rays alone: along them nothing was measured
+        value = np.sum(b * Ea, axis=1)
+        square = (np.sum(Ea**2, axis=1) + np.sum(Eb**2, axis=1) - 2 * value**2)
+        angle = np.abs(value) / np.sqrt(np.maximum(square, 1e-12))
+        weight = 1 / np.maximum(square, 1e-3) / (1 + (angle / (2 * np.median(angle) + 1e-9))**2)
+    return E
 
 
 def common_axis(rotations: np.ndarray) -> np.ndarray:
@@ -317,7 +354,7 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
         path = AxisPath.at_origin(mount, np.unwrap(twist), swing)
     rotations = mount @ path.rotations()
     centres = chained_centres(pairs, camera, rotations, planar=exact)
-    rays = camera.rays(xy)
+    rays = all_rays(camera, xy)
     if not np.isfinite(rays).all():
         return None
     directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)

@@ -23,8 +23,9 @@ from selfcal_ros.calibration.affine.modulus import MIN_VIEWS, propose_camera
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
-                                                            supposed_camera)
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
+from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
+                                                                  STRONG_BEND, supposed_camera)
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -61,11 +62,11 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
     """
     mask = problem.observations.longest(START_TRACKS_PER_VIEW)
     few, _ = problem.observations.select(mask)
-    priors = start_priors(problem)
     blocks = PointBlocks(few.point, few.view)
-    coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
-    fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
     for camera in proposals:
+        priors = start_priors(problem, camera)
+        coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
+        fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
         found = (problem.start(blocks, few.xy, camera, exact)
                  for exact in ((True, False) if problem.motion.keeps_plane else (False,)))
         candidates = [state for state in found if state is not None]
@@ -117,18 +118,19 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         Robust estimate of the noise there, pixels.
 
     """
-    longer = max(problem.size)
-
     def proposals():
         yield from first
-        for k, share in enumerate(FOCAL_SWEEP):
+        for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.division,
+                                                          FOCAL_SWEEP)):
             # an ordinary lens is tried in less time than the closed form takes
-            if k == 1 and problem.motion.keeps_plane and problem.flat is None:
+            if k == 1 and problem.motion.keeps_plane and problem.flat is None \
+                    and problem.division >= STRONG_BEND:
                 yield from closed_form(problem)
-            yield supposed_camera(share * longer, problem.size, problem.facts)
+            yield supposed_camera(focal_px, problem.size, problem.facts, problem.division)
         # a principal point far off the middle, which the sweep does not suppose
         if not problem.motion.keeps_plane and problem.flat is None \
-                and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS:
+                and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \
+                and problem.division >= STRONG_BEND:
             few = problem.observations
             yield from propose_camera(Tracks(few.view, few.point, few.xy, problem.size),
                                       problem.size, problem.facts)

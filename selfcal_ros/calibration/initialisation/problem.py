@@ -27,6 +27,8 @@ from selfcal_ros.calibration.initialisation.initial_structure import (planar_sta
                                                                       relative_rotations,
                                                                       spanning_order)
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
+from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
+                                                                  supposed_camera)
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
@@ -44,7 +46,12 @@ TRACKS_PER_VIEW = 400
 
 @dataclass(frozen=True)
 class SelfCalibrationProblem:
-    """What every start is judged on; `flat` where the scene may be one plane."""
+    """
+    What every start is judged on.
+
+    `flat` where the scene may be one plane; `division` is the bend that the pairs show, λ for
+    radii in half image diagonals.
+    """
 
     observations: Observations
     pairs: list
@@ -53,6 +60,7 @@ class SelfCalibrationProblem:
     noise_px: float
     motion: MotionModel = NEARLY_PLANAR
     flat: FlatScene | None = None
+    division: float = 0.0
 
     @property
     def views(self) -> int:
@@ -70,7 +78,9 @@ class SelfCalibrationProblem:
         """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""
         if self.views <= WINDOW_VIEWS:
             return self
-        camera = supposed_camera(max(self.size), self.size, self.facts)
+        camera = supposed_camera(
+            likely_focal_lengths(self.size, self.division, (1.0,))[0], self.size, self.facts,
+            self.division)
         near = [pair for pair in self.pairs if pair.second - pair.first == 1]
         turn = np.zeros(self.views - 1)
         turn[[pair.first for pair in near]] = np.linalg.norm(
@@ -90,22 +100,17 @@ class SelfCalibrationProblem:
                        observations=replace(within, view=within.view - first))
 
 
-def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts) -> Camera:
-    """Camera with a supposed focal length; what no fact states is what most cameras have."""
-    centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    aspect = facts.aspect_ratio or 1.0
-    return Camera(np.array([[focal_px, facts.skew or 0.0, centre[0]],
-                            [0, focal_px * aspect, centre[1]], [0, 0, 1]]),
-                  width=size[0], height=size[1])
+def start_priors(problem: SelfCalibrationProblem, camera: Camera) -> Priors:
+    """Facts, and for the starts alone what most cameras with such a lens have."""
+    return start_lens(problem.facts, camera.lens).under(usual_matrix(problem))
 
 
-def start_priors(problem: SelfCalibrationProblem) -> Priors:
-    """Facts, and for the starts alone what most cameras have."""
+def usual_matrix(problem: SelfCalibrationProblem) -> dict[str, Prior]:
+    """What most cameras have, but for the focal length, as soft measurements."""
     longer = max(problem.size)
-    usual = {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
-             'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
-             'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer)}
-    return start_lens(problem.facts).under(usual)
+    return {'cx': Prior((problem.size[0] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
+            'cy': Prior((problem.size[1] - 1) / 2, START_PRINCIPAL_POINT_FRACTION * longer),
+            'aspect': Prior(1.0, 0.1), 'skew': Prior(0.0, 0.02 * longer)}
 
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:

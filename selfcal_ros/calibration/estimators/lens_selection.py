@@ -1,0 +1,255 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Which lens: the family, and how much of it the images have to tell.
+
+The richest member of a family is fitted, with what real lenses are like as one more measurement
+(`geometry.lenses.population`). What the images do not determine then stays where lenses usually
+are, with the sigma of lenses: nothing that a lens may do is left out in silence. Families are
+compared by their evidence (Laplace's approximation; MacKay 2003, chapter 28).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES
+from selfcal_ros.calibration.bundle.priors import (Population, population_of, Priors,
+                                                   priors_from_facts, with_fixed)
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
+from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.model import fitted_coefficients
+
+#: Members that are tried when the richest of a family leaves the camera open.
+POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': ()}
+#: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
+DECENTRING = np.geomspace(2e-4, 5e-3, 9)
+#: A barrel that moves the image's corner by less than this fraction of its distance is no
+#: fisheye's, and the other family is not tried.
+BARREL = 0.12
+#: Log of the odds beyond which a family is certain: 400 to 1.
+CERTAIN = 6.0
+
+
+@dataclass(frozen=True)
+class LensDecision:
+    """
+    The lens that was chosen.
+
+    Attributes
+    ----------
+    fit : RobustFit
+    facts : CameraFacts
+        The lens stated.
+    excess : ndarray, shape (k, k)
+        Covariance of the lens to be added, since another family explains the images alike.
+
+    """
+
+    fit: RobustFit
+    facts: CameraFacts
+    excess: np.ndarray
+
+
+def lens_priors(facts: CameraFacts, size: tuple[int, int], f: float,
+                decentring: float | None = None) -> Priors:
+    """
+    Translate facts to priors, with what such lenses are like.
+
+    Parameters
+    ----------
+    facts : CameraFacts
+        With a lens that is stated.
+    size : (int, int)
+        Width and height of the image.
+    f : float
+        About the focal length, pixels.
+    decentring : float, optional
+        Sigma of p1 and p2 among lenses.
+
+    Returns
+    -------
+    Priors
+
+    """
+    priors = priors_from_facts(facts)
+    if not facts.lens_population or facts.distortion not in REGULARISED:
+        return priors
+    return replace(priors, population=population_of(
+        facts.distortion, priors.lens, float(np.hypot(*size)) / 2 / f, decentring))
+
+
+#: Lenses whose coefficients are weighed with those of real lenses.
+REGULARISED = ('plumb_bob', 'rational', 'equidistant')
+
+
+def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
+                determined: Callable[[RobustFit, CameraFacts], bool]) -> LensDecision:
+    """
+    Choose family and member of the lens on some of the tracks.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        With any lens.
+    facts : CameraFacts
+        Where it states a lens, that one is fitted.
+    size : (int, int)
+        Width and height of the image.
+    dependence : float
+        Variance of the estimate over that with independent errors.
+    determined : callable
+        Whether a fit under facts determines the camera.
+
+    Returns
+    -------
+    LensDecision
+
+    """
+    if facts.distortion != 'auto':
+        found = _fitted(fit, facts, size, dependence)
+        return LensDecision(found, facts, _nothing(found))
+    tried = []
+    for name in _families(fit, size):
+        stated = replace(facts, distortion=name)
+        trial = _fitted(fit, stated, size, dependence)
+        tried.append((_evidence(trial, dependence), trial, stated))
+    tried.sort(key=lambda one: -one[0])
+    (best, found, stated), excess = tried[0], None
+    if len(tried) > 1:
+        excess = _between(found, tried[1][1], best - tried[1][0])
+    for poorer in (None, *POORER[stated.distortion]):
+        if poorer is not None:
+            stated, excess = replace(stated, distortion=poorer), None
+            found = _fitted(fit, stated, size, dependence)
+        if determined(found, stated):
+            break
+    return LensDecision(found, stated, _nothing(found) if excess is None else excess)
+
+
+def _nothing(fit: RobustFit) -> np.ndarray:
+    return np.zeros((len(fit.state.lens),) * 2)
+
+
+def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
+    """Name the families that may have made the images, that of the fit first."""
+    lens = fit.state.lens
+    if not lens.model.is_perspective:
+        return 'equidistant', 'plumb_bob'
+    corner = float(np.hypot(*size)) / 2 / lens['f']
+    barrel = -lens['k1'] * corner**2
+    return ('plumb_bob', 'equidistant') if barrel > BARREL else ('plumb_bob',)
+
+
+def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
+            ) -> RobustFit:
+    """Fit a lens to the same observations, decentring as large as the images suggest."""
+    state = with_lens(fit, facts.distortion)
+    priors = lens_priors(facts, size, state.lens['f'], DECENTRING[-1])
+    found = _refitted(fit, state, priors)
+    if facts.distortion == 'plumb_bob' and priors.population is not None:
+        places = found.state.lens.places(('p1', 'p2'))
+        variance = dependence * found.lens_covariance[np.ix_(places, places)]
+        decentring = likely_decentring(found.state.lens.values[places], variance)
+        priors = lens_priors(facts, size, found.state.lens['f'], decentring)
+        found = _refitted(fit, found.state, priors)
+    return found
+
+
+def _refitted(fit: RobustFit, state: SceneState, priors: Priors) -> RobustFit:
+    bundle = bundle_of(fit.observations, fit.motion, priors, fit.bundle.sigma_px)
+    state = bundle.optimise(with_fixed(state, priors), iterations=40, tolerance=0.05)
+    return replace(fit, bundle=bundle, state=state)
+
+
+def with_lens(fit: RobustFit, name: str) -> SceneState:
+    """Return the state of a fit with the lens that is nearest to its own in another model."""
+    model, names = LENS_CHOICES[name]
+    lens = fit.state.lens
+    if lens.model is model:
+        return fit.state
+    camera = lens.camera()
+    rays, pixels = camera.rays(fit.observations.xy), fit.observations.xy
+    seen = np.isfinite(rays).all(axis=1)
+    if model.is_perspective:
+        seen &= rays[:, 2] > np.cos(WIDEST_PERSPECTIVE)
+    K = camera.K
+    y = (pixels[seen, 1] - K[1, 2]) / K[1, 1]
+    xy = np.column_stack([(pixels[seen, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y])
+    values = fitted_coefficients(model, names, rays[seen], xy)
+    return replace(fit.state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
+
+
+def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
+    """
+    Return the sigma of p1 and p2 that their estimate suggests.
+
+    The root mean square over `DECENTRING`, each size weighed by how probable it makes the
+    estimate: where the images say little it stays large.
+
+    Parameters
+    ----------
+    found : ndarray, shape (2,)
+        Estimated with the largest size as prior.
+    variance : ndarray, shape (2, 2)
+        Of that estimate, the prior included.
+
+    Returns
+    -------
+    float
+
+    """
+    values, vectors = np.linalg.eigh(variance)
+    values = np.clip(values, 1e-16, 0.999 * DECENTRING[-1]**2)
+    # the prior taken out again
+    of_images = 1 / (1 / values - 1 / DECENTRING[-1]**2)
+    free = (vectors.T @ found) * of_images / values
+    total = of_images[:, None] + DECENTRING**2
+    log_probability = -0.5 * np.sum(free[:, None]**2 / total + np.log(total), axis=0)
+    weight = np.exp(log_probability - log_probability.max())
+    return float(np.sqrt(weight @ DECENTRING**2 / weight.sum()))
+
+
+def _evidence(fit: RobustFit, dependence: float) -> float:
+    """Log of the probability of the images under a lens, up to what all lenses share."""
+    population: Population | None = fit.bundle.priors.population
+    cost = fit.cost / dependence
+    if not np.isfinite(cost):
+        return -np.inf
+    if population is None:
+        return -cost
+    places = fit.state.lens.places(population.names)
+    after = dependence * fit.lens_covariance[np.ix_(places, places)]
+    scale = np.sqrt(np.diag(after))
+    log_after = np.linalg.slogdet(after / np.outer(scale, scale))[1] + 2 * np.log(scale).sum()
+    return float(-cost + 0.5 * (log_after + np.linalg.slogdet(population.information)[1]))
+
+
+def _between(fit: RobustFit, other: RobustFit, log_odds: float) -> np.ndarray | None:
+    """Covariance between two families that explain the images about alike; None if they don't."""
+    if log_odds > CERTAIN:
+        return None
+    weight = 1 / (1 + np.exp(log_odds))
+    count = len(MATRIX_NAMES)
+    apart = other.state.lens.values[:count] - fit.state.lens.values[:count]
+    excess = _nothing(fit)
+    excess[:count, :count] = weight * np.outer(apart, apart)
+    return excess * np.outer(fit.bundle.unknowns.free[:len(excess)],
+                             fit.bundle.unknowns.free[:len(excess)])

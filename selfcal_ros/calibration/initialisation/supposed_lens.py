@@ -1,0 +1,129 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Cameras that are supposed, for starts: a focal length, and the bend that pairs of views show.
+
+Epipolar geometry shows how a lens bends before anything is known of its focal length: the
+division model, tan θ = (r / f) / (1 + λ r²) (Fitzgibbon 2001). A supposed focal length makes
+angles of it, and the lens model at hand is fitted to them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.model import fitted_coefficients, LensModel
+
+#: A bend λ, in half image diagonals, beyond which a lens is started as a fisheye: its polynomial
+#: of the angle follows a barrel as well, and does not fold.
+STRONG_BEND = -0.15
+#: λ f² of a fisheye without distortion of its own, about; a stereographic one has -1/4.
+EQUIDISTANT_BEND = -0.36
+#: Rays that a perspective is fitted to lie within this angle of the axis.
+WIDEST_PERSPECTIVE = np.radians(80.0)
+_RADII = 60
+#: Coefficients that starts leave zero: decentring, and what bends the outermost image alone.
+_WAITING = ('p1', 'p2', 'k3', 'k4', 'k5', 'k6')
+
+
+def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
+                    division: float = 0.0) -> Camera:
+    """
+    Suppose a focal length; what no fact states is what most cameras have.
+
+    Parameters
+    ----------
+    focal_px : float
+    size : (int, int)
+        Width and height of the image.
+    facts : CameraFacts
+    division : float
+        λ for radii in half image diagonals.
+
+    Returns
+    -------
+    Camera
+
+    """
+    centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    aspect = facts.aspect_ratio or 1.0
+    model, names = supposed_model(facts, division)
+    half = float(np.hypot(*size)) / 2
+    coefficients = np.zeros(len(model.coefficients))
+    if division < STRONG_BEND:
+        coefficients = bent(model, names, division * (focal_px / half)**2, half / focal_px)
+    return Camera(np.array([[focal_px, facts.skew or 0.0, centre[0]],
+                            [0, focal_px * aspect, centre[1]], [0, 0, 1]]), coefficients,
+                  size[0], size[1], model.name)
+
+
+def supposed_model(facts: CameraFacts, division: float) -> tuple[LensModel, tuple[str, ...]]:
+    """Return the lens model of starts, and the coefficients that they may give it."""
+    stated = facts.distortion
+    if stated == 'auto':
+        stated = 'equidistant' if division < STRONG_BEND else 'radial2'
+    model, names = LENS_CHOICES[stated]
+    if model.is_perspective:
+        names = tuple(name for name in names if name not in _WAITING)
+    return model, names
+
+
+def bent(model: LensModel, names: tuple[str, ...], bend: float, corner: float) -> np.ndarray:
+    """
+    Fit a lens model to a division model.
+
+    Parameters
+    ----------
+    model : LensModel
+    names : tuple of str
+        Coefficients that may differ from zero.
+    bend : float
+        λ for radii over the focal length.
+    corner : float
+        Largest radius over the focal length.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+
+    """
+    radius = np.linspace(0, corner, _RADII + 1)[1:]
+    rays = np.column_stack([radius, np.zeros(_RADII), 1 + bend * radius**2])
+    if model.is_perspective:
+        seen = np.arctan2(rays[:, 0], rays[:, 2]) < WIDEST_PERSPECTIVE
+        rays, radius = rays[seen], radius[seen]
+    return fitted_coefficients(model, names, rays,
+                               np.column_stack([radius, np.zeros(len(radius))]))
+
+
+def likely_focal_lengths(size: tuple[int, int], division: float, sweep: tuple[float, ...],
+                         ) -> list[float]:
+    """
+    Return focal lengths to try, pixels, the likely ones first.
+
+    Parameters
+    ----------
+    size : (int, int)
+    division : float
+    sweep : tuple of float
+        Usual ones, in longer image sides.
+
+    """
+    usual = [share * max(size) for share in sweep]
+    if division >= STRONG_BEND:
+        return usual
+    fisheye = float(np.hypot(*size)) / 2 * float(np.sqrt(EQUIDISTANT_BEND / division))
+    return [fisheye, 0.8 * fisheye, 1.25 * fisheye, 0.6 * fisheye, 1.6 * fisheye, *usual]
