@@ -97,7 +97,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, 0.02), flat=plane,
-                                     division=getattr(graph, 'division', 0.0))
+                                     division=graph.division)
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
