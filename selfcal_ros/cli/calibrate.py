@@ -192,9 +192,9 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
 def _from_edges(args, path, facts, progress):
     """Calibrate from the edges of a tracked object; returns the result and the reading."""
     from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
-    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.rorapid.model import read_model
-    start = read_camera_yaml(args.camera)[0] if args.camera else None
+    start = read_known_camera(args.camera) if args.camera else None
     return calibrate_tracked_object(path, read_model(args.model), facts, init=args.init,
                                     clicks=args.clicks, start=start, topic=args.topic,
                                     max_keyframes=args.max_keyframes, seed=args.seed,

@@ -25,8 +25,8 @@ from selfcal_ros.errors import InputError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal compare`."""
-    kinds = ('camera file of ROS, OpenCV, Kalibr or COLMAP, or result.json, whose covariance is '
-             'then used')
+    kinds = ('camera file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or result.json, whose '
+             'covariance is then used')
     parser.add_argument('first', metavar='A', help=kinds)
     parser.add_argument('second', metavar='B', help='the same, of the same image size')
     for letter in 'ab':

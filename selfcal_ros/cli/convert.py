@@ -29,7 +29,7 @@ from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
 
 #: Kinds of camera file that can be written.
-KINDS = ('ros', 'opencv', 'kalibr', 'colmap')
+KINDS = ('ros', 'opencv', 'kalibr', 'colmap', 'mrcal')
 DEFAULT_TOPIC = '/camera/image_raw'
 
 
@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('input', metavar='INPUT',
                         help='image folder, video or bag; or a camera file: ROS camera_info YAML, '
                              'OpenCV YAML, XML or JSON, Kalibr camchain, COLMAP cameras.txt or '
-                             'cameras.bin (or their folder), result.json of selfcal')
+                             'cameras.bin (or their folder), .cameramodel of mrcal, result.json '
+                             'of selfcal')
     parser.add_argument('output', type=Path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
     parser.add_argument('--topic', help=f'topic to write (default {DEFAULT_TOPIC})')
@@ -55,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     file = parser.add_argument_group('camera files')
     file.add_argument('--to', choices=KINDS,
                       help='kind to write (default: by the name of OUTPUT; .xml is OpenCV, .txt '
-                           'and .bin are COLMAP, camchain*.yaml is Kalibr, other .yaml is ROS)')
+                           'and .bin are COLMAP, camchain*.yaml is Kalibr, other .yaml is ROS, '
+                           '.cameramodel is mrcal)')
     file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
     file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
@@ -112,8 +114,8 @@ def kind_of_name(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix in ('.txt', '.bin'):
         return 'colmap'
-    if suffix == '.xml':
-        return 'opencv'
+    if suffix in ('.xml', '.cameramodel'):
+        return 'opencv' if suffix == '.xml' else 'mrcal'
     if suffix in ('.yaml', '.yml'):
         return 'kalibr' if path.name.startswith('camchain') else 'ros'
     raise ArgumentError(f'The name {path.name} does not tell what to make; say it with --to '

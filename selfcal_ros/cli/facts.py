@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from selfcal_ros.geometry.camera import CameraFacts
 
 FREE = 'free'
+#: Lens models that can be stated: those of `LENS_CHOICES`, which take NumPy to be imported.
+LENSES = ('auto', 'none', 'radial1', 'radial2', 'radial3', 'plumb_bob', 'rational', 'equidistant')
 
 
 def _number_or_free(text: str):
@@ -52,9 +54,13 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        help='known principal point in pixels (default: estimated)')
     group.add_argument('--principal-point-sigma', type=float, default=0.0, metavar='PX',
                        help='standard deviation of the principal point (default 0: exact)')
-    group.add_argument('--distortion', choices=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
-                       default='auto', help='coefficients to estimate (default auto: the richest '
-                       'radial model with which the images determine the camera)')
+    group.add_argument('--lens', '--distortion', dest='distortion', choices=LENSES,
+                       default='auto', help='lens model to estimate: a pinhole with none to three '
+                       'radial coefficients, plumb_bob (tangential ones, too), rational, or the '
+                       'equidistant fisheye (default auto: the family, and its richest member '
+                       'that the images determine); --distortion is the older name')
+    group.add_argument('--no-lens-population', dest='lens_population', action='store_false',
+                       help='do not count as a measurement what real lenses are like')
 
 
 def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
@@ -83,4 +89,5 @@ def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
         aspect_ratio_sigma=args.aspect_ratio_sigma,
         skew_sigma_px=args.skew_sigma,
         principal_point_sigma_px=args.principal_point_sigma,
-        distortion=args.distortion)
+        distortion=args.distortion,
+        lens_population=args.lens_population)

@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'moved without turning')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
-                        help='calibration of the camera, as `selfcal calibrate` writes it')
+                        help='calibration of the camera, as `selfcal calibrate` writes it, or '
+                             'another program')
     parser.add_argument('--images', type=int, nargs=2, metavar=('I', 'J'),
                         help='which two images, counted from 0 (default: the first, and of the '
                              'last and some between them the one that shows most lines)')
@@ -67,11 +68,11 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.geometry.estimate import NoEstimate
     from selfcal_ros.pipeline.object_modelling import model_recording, ModelRequest
     from selfcal_ros.pipeline.sources import open_source
-    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.rorapid.acquisition.picked_vertices import read_picked
     from selfcal_ros.rorapid.model import write_model
     _check_outputs(args)
-    camera, _ = read_camera_yaml(args.camera)
+    camera = read_known_camera(args.camera)
     request = ModelRequest(
         camera, length_m=args.length, baseline_m=args.baseline,
         between=tuple(args.between) if args.between else None,

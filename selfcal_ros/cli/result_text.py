@@ -36,7 +36,8 @@ def facts_text(facts) -> str:
     if facts.principal_point is not None:
         known.append('principal point ({:g}, {:g}) ({})'.format(
             *facts.principal_point, spread(facts.principal_point_sigma_px)))
-    return f'Facts: {", ".join(known) or "none"}; distortion {facts.distortion}.'
+    lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
+    return f'Facts: {", ".join(known) or "none"}; lens {lens}.'
 
 
 def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,

@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     add_object_arguments(parser)
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
-                        help='calibration of the camera, as `selfcal calibrate` writes it')
+                        help='calibration of the camera, as `selfcal calibrate` writes it, or '
+                             'another program')
     group = parser.add_argument_group('how to track')
     group.add_argument('--method', choices=('modern', 'rorapid', 'rapid'), default='modern',
                        help="RAPiD and RoRAPiD are the thesis's; modern adds what has been "
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.tracking_run import read_start
-    from selfcal_ros.report.camera_yaml import read_camera_yaml
+    from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.files import check_writable
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.output)
     if args.overlay:
         check_video_path(args.overlay)
-    camera, _ = read_camera_yaml(args.camera)
+    camera = read_known_camera(args.camera)
     model = read_model(args.model)
     start = read_start(args.init, args.clicks, camera)
     with ProgressBar(not (args.quiet or args.verbose)) as progress:

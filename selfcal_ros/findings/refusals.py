@@ -170,7 +170,7 @@ REFUSALS: dict[str, Phrase] = {
         'The residuals are alike in each region of the image. No lens deviates that much from '
         'its model.',
         'The scene may be nearly one plane, move, or repeat itself; or the lens needs another '
-        'distortion model (--distortion plumb_bob).'),
+        'lens model (--lens plumb_bob).'),
     # known points
     'object_without_extent': Phrase(
         'The object has no extent: all its points are one.',

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
 
@@ -100,10 +101,11 @@ class CalibratorParameters:
     aspect_ratio_sigma: float = parameter(0.0, 'its standard deviation; 0: exact', 0.0, 10.0,
                                           live=True)
     zero_skew: bool = parameter(True, 'the skew is known to be zero', live=True)
-    distortion: str = parameter('auto', 'coefficients to estimate; auto: the richest model with '
-                                'which the images determine the camera',
-                                one_of=('auto', 'none', 'radial1', 'radial2', 'plumb_bob'),
-                                live=True)
+    distortion: str = parameter('auto', 'lens model to estimate; auto: the family, and its '
+                                'richest member that the images determine',
+                                one_of=('auto', *LENS_CHOICES), live=True)
+    lens_population: bool = parameter(True, 'what real lenses are like counts as a measurement',
+                                      live=True)
     max_keyframes: int = parameter(40, 'views to keep', 3, 400, live=True)
     first_estimate: int = parameter(8, 'views before the first estimate', 3, 400, live=True)
     keyframe_parallax: float = parameter(

@@ -35,7 +35,7 @@ from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
-from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.report.camera_files.known_camera import check_unfolded, read_known_camera
 from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
@@ -67,7 +67,7 @@ class RorapidNode(Node):
         self._model = read_model(p.model)
         self._segments = wireframe_segments(self._model)
         session = TrackingSession(self._model, tracker_options(p))
-        camera = read_camera_yaml(p.camera_file)[0] if p.camera_file else None
+        camera = read_known_camera(p.camera_file) if p.camera_file else None
         if camera is not None:
             session.set_camera(camera)
         self._start = read_start(p.start_pose, None, camera) if p.start_pose else None
@@ -140,13 +140,16 @@ class RorapidNode(Node):
 
     def _on_camera_info(self, msg: CameraInfo):
         # drivers send the same calibration with every image
-        key = (msg.width, msg.height, msg.k.tobytes(), bytes(msg.d), msg.binning_x, msg.binning_y,
-               msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height)
+        key = (msg.width, msg.height, msg.distortion_model, msg.k.tobytes(), bytes(msg.d),
+               msg.binning_x, msg.binning_y, msg.roi.x_offset, msg.roi.y_offset, msg.roi.width,
+               msg.roi.height)
         if key == self._info_key:
             return
         self._info_key = key
         try:
             camera = image_camera_from_info(msg)
+            if camera is not None and min(camera.width, camera.height) > 0:
+                check_unfolded(camera, 'The CameraInfo is wrong')
         except InputError as error:
             self._refuse_camera(str(error))
             return

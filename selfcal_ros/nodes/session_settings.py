@@ -32,7 +32,8 @@ def session_settings(parameters: CalibratorParameters) -> SessionSettings:
     facts = CameraFacts(aspect_ratio=parameters.aspect_ratio or None,
                         aspect_ratio_sigma=parameters.aspect_ratio_sigma,
                         skew=0.0 if parameters.zero_skew else None,
-                        distortion=parameters.distortion)
+                        distortion=parameters.distortion,
+                        lens_population=parameters.lens_population)
     return SessionSettings(motion=parameters.motion, facts=facts,
                            parallax=parameters.keyframe_parallax,
                            max_keyframes=parameters.max_keyframes,

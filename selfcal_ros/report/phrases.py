@@ -23,14 +23,19 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.lenses.rational_polynomial import RATIONAL_POLYNOMIAL
 
-#: What each parameter is.
-MEANING = {
+#: What each parameter of the calibration matrix is.
+_MATRIX_MEANING = {
     'fx': 'focal length along x, px', 'fy': 'focal length along y, px',
-    'cx': 'principal point, x, px', 'cy': 'principal point, y, px', 'skew': 'skew, px',
-    **{name: ('tangential' if name.startswith('p') else 'radial') + ' distortion'
-       for name in RATIONAL_POLYNOMIAL.coefficients}}
+    'cx': 'principal point, x, px', 'cy': 'principal point, y, px', 'skew': 'skew, px'}
+#: What the coefficients of a family are, by the first letters of their names.
+_LENS_MEANING = {
+    'plumb_bob': {'k': 'radial distortion', 'p': 'tangential distortion'},
+    'rational_polynomial': {'k4': 'radial distortion, below the line',
+                            'k5': 'radial distortion, below the line',
+                            'k6': 'radial distortion, below the line',
+                            'k': 'radial distortion', 'p': 'tangential distortion'},
+    'equidistant': {f'k{j}': f'distortion, θ{power}' for j, power in enumerate('³⁵⁷⁹', 1)}}
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,14 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
     decimals -= round(sigma, min(decimals, 12)) >= 10.0 ** (2 - decimals)
     decimals = min(max(decimals, 0), 9)
     return f'{value:.{decimals}f}', f'{sigma:.{decimals}f}'
+
+
+def meaning(model: str, name: str) -> str:
+    """Say what a parameter of a camera is, with its unit if it has one."""
+    if name in _MATRIX_MEANING:
+        return _MATRIX_MEANING[name]
+    return next((words for start, words in _LENS_MEANING.get(model, {}).items()
+                 if name.startswith(start)), 'lens coefficient')
 
 
 def verdict(result: Calibration) -> str:
@@ -92,7 +105,7 @@ def parameter_rows(result: Calibration) -> list[Row]:
         share = ''
         if name in ('fx', 'fy') and spread:
             share = f'{100 * sigma[name] / value:.2g} %'
-        rows.append(Row(name, MEANING[name], text,
+        rows.append(Row(name, meaning(result.camera.model, name), text,
                         'not determined' if status == 'unobservable' else spread, share, status,
                         result.held_by.get(name, '') if status == 'held' else ''))
     return rows + _derived_rows(result)
@@ -134,7 +147,8 @@ def facts_lines(facts: CameraFacts) -> list[str]:
     if facts.principal_point is not None:
         lines.append('principal point = ({:g}, {:g}) px '.format(*facts.principal_point)
                      + f'({spread(facts.principal_point_sigma_px, " px")})')
-    return lines + [f'distortion model: {facts.distortion}']
+    lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
+    return lines + [f'lens model: {lens}']
 
 
 def _sigma(result: Calibration) -> dict:

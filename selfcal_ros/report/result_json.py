@@ -27,10 +27,14 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated, Structure
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.lenses.catalogue import lens_model
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.files import atomic_write
 
 #: Version of what is written; the first had none.
 SCHEMA = 2
+#: Parameters of files without a k3.
+_BEFORE_K3 = 9
 
 
 def result_to_dict(result: Calibration | NotCalibrated) -> dict:
@@ -49,10 +53,11 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     -------
     dict
         'status' ('calibrated' or 'not_calibrated'), 'reason', 'advice', 'motion', 'camera',
-        'sigma', 'covariance' (9x9 in the order of 'parameter_names'), 'parameter_names',
-        'parameters', 'held_by', 'frames', 'reprojection_rms_px', 'noise_sigma_px',
-        'observations', 'outliers', 'fixed_points', 'identifiability' ('from_images',
-        'without', 'weakest', 'weakest_share'; an infinite factor in 'without' is None),
+        'lens' ('model' and 'coefficients' by name), 'sigma', 'covariance' (square, in the order
+        of 'parameter_names'), 'parameter_names', 'parameters', 'held_by', 'frames',
+        'reprojection_rms_px', 'noise_sigma_px', 'observations', 'outliers', 'fixed_points',
+        'identifiability' ('from_images', 'without', 'weakest', 'weakest_share'; an infinite
+        factor in 'without' is None),
         'measurement' ('field_of_view_deg' with 'horizontal', 'vertical', 'diagonal',
         'central_angle_deg', 'length_ratio' with the tracks of its two lengths in 'first' and
         'second', 'structure_angle_deg' with the tracks of its three points in 'corner': each
@@ -69,6 +74,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'advice': '' if result else result.advice,
         'motion': result.motion,
         'camera': _camera(result.camera) if result else None,
+        'lens': _lens(result.camera) if result else None,
         'sigma': _sigma(result) if result else None,
         'covariance': result.covariance if result else None,
         'parameter_names': result.parameter_names if result else (),
@@ -165,9 +171,12 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
                              content.get('motion', 'unknown'), facts=facts, software=software,
                              kind=kind, values=values, findings=_findings(stored, ()))
     c = content['camera']
+    model = lens_model(c.get('distortion_model', 'plumb_bob'))
+    # older files of a plumb bob lack its k3
+    if len(c['d']) not in (len(model.coefficients), 0, *((4,) if model is PLUMB_BOB else ())):
+        raise ValueError(f'the lens model {model.name} has not {len(c["d"])} coefficients')
     camera = Camera(np.array([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]]),
-                    np.array(c['d']), c['width'], c['height'],
-                    c.get('distortion_model', 'plumb_bob'))
+                    np.array(c['d']), c['width'], c['height'], model.name)
     covariance = np.array([[np.nan if v is None else v for v in row]
                            for row in content['covariance']], float)
     covariance = _complete(covariance, content.get('parameter_names'), camera)
@@ -185,7 +194,10 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
 
 def _complete(covariance: np.ndarray, names, camera: Camera) -> np.ndarray:
     """Return the covariance of all parameters; older files know fewer, the others are held."""
-    names = camera.parameter_names[:len(covariance)] if names is None else names
+    if names is None:
+        # k3 came later than the names
+        known = camera.parameter_names
+        names = known if len(covariance) == len(known) else known[:_BEFORE_K3]
     if covariance.shape != (len(names),) * 2 or not set(names) <= set(camera.parameter_names):
         raise ValueError(f'the covariance has the shape {covariance.shape}')
     places = [camera.parameter_names.index(name) for name in names]
@@ -212,6 +224,11 @@ def _camera(camera) -> dict:
     values = dict(zip(MATRIX_PARAMETERS, camera.parameters))
     return {'width': camera.width, 'height': camera.height, **values,
             'distortion_model': camera.model, 'd': camera.distortion}
+
+
+def _lens(camera: Camera) -> dict:
+    return {'model': camera.model,
+            'coefficients': dict(zip(camera.lens.coefficients, camera.distortion))}
 
 
 def _sigma(result: Calibration) -> dict:

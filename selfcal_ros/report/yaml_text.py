@@ -34,9 +34,9 @@ _Loader.add_constructor('tag:yaml.org,2002:opencv-matrix',
                         lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
-def read_bytes(path) -> bytes:
+def read_bytes(path, limit: int = MAX_BYTES) -> bytes:
     """
-    Read a small file.
+    Read a file of so many bytes at most.
 
     Raises
     ------
@@ -47,10 +47,10 @@ def read_bytes(path) -> bytes:
     path = Path(path)
     try:
         with path.open('rb') as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(limit + 1)
     except (OSError, ValueError) as error:
         raise InputError(f'{path} cannot be read: {getattr(error, "strerror", error)}.') from None
-    if len(raw) > MAX_BYTES:
+    if len(raw) > limit:
         raise InputError(f'{path} is too large for a camera file.')
     return raw
 

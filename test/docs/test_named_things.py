@@ -41,8 +41,9 @@ SOURCES = ('selfcal_ros', 'msg_adapters', 'launch', 'config', 'bench', 'test', '
 #: Names of other people's programs, message fields and libraries that the documents use.
 FOREIGN = {
     # ROS and its packages
-    'camera_info_manager', 'camera_calibration_parsers', 'camera_info_url', 'image_pipeline',
-    'image_proc', 'image_geometry', 'nav2_lifecycle_manager', 'python3-opencv', 'rviz2',
+    'camera_info_manager', 'camera_calibration', 'camera_calibration_parsers',
+    'camera_info_url', 'image_pipeline', 'image_proc',
+    'image_geometry', 'nav2_lifecycle_manager', 'python3-opencv', 'rviz2',
     'rectify_node', 'launch_ros', 'set_camera_info', 'ament_copyright', 'ament_xmllint',
     'ament_flake8', 'ament_pep257', 'cv_bridge', 'ros2', 'rosdep', 'colcon', 'binning_x',
     'binning_y', 'roi', 'tf2_msgs', 'rclpy', 'rosbags', 'rosbag2',

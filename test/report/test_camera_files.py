@@ -34,14 +34,20 @@ LENSES = {
     'rational': ('rational_polynomial', [0.3, 0.05, 1e-3, -2e-3, 0.01, 0.4, 0.08, 0.002]),
     'equidistant': ('equidistant', [-0.02, 0.01, -0.004, 0.0007]),
     'fov': ('fov', [0.93]),
+    'ucm': ('ucm', [1.3, 0, 0, 0, 0]),
+    'mei': ('ucm', [1.3, -0.2, 0.05, 1e-3, -2e-3]),
+    'eucm': ('eucm', [0.58, 1.1]),
+    'double_sphere': ('double_sphere', [-0.21, 0.59]),
 }
 #: Which lenses each format can hold.
 HELD = {'ros': {'none', 'radial', 'radtan', 'plumb_bob', 'rational', 'equidistant'},
         'opencv': {'none', 'radial', 'radtan', 'plumb_bob', 'rational', 'equidistant'},
-        'kalibr': {'none', 'radial', 'radtan', 'equidistant', 'fov'},
-        'colmap': set(LENSES)}
+        'kalibr': {'none', 'radial', 'radtan', 'equidistant', 'fov', 'ucm', 'mei', 'eucm',
+                   'double_sphere'},
+        'colmap': set(LENSES) - {'ucm', 'mei', 'double_sphere'},
+        'mrcal': {'none', 'radial', 'radtan', 'plumb_bob', 'rational'}}
 SUFFIX = {'ros': ['.yaml'], 'opencv': ['.yml', '.xml'], 'kalibr': ['.yaml'],
-          'colmap': ['.txt', '.bin']}
+          'colmap': ['.txt', '.bin'], 'mrcal': ['.cameramodel']}
 PLACES = [(kind, suffix) for kind, suffixes in SUFFIX.items() for suffix in suffixes]
 
 
@@ -152,7 +158,7 @@ def test_opencv_files_of_a_stereo_pair_a_fisheye_and_without_size(tmp_path):
 
 
 @pytest.mark.parametrize('suffix', ['.txt', '.bin'])
-@pytest.mark.parametrize('name', LENSES)
+@pytest.mark.parametrize('name', sorted(HELD['colmap']))
 def test_colmap_reads_what_we_write_and_sees_half_a_pixel_more(tmp_path, suffix, name):
     pycolmap = pytest.importorskip('pycolmap')
     camera = lens(name)
@@ -187,10 +193,6 @@ def test_we_read_what_colmap_writes(tmp_path, model, d, binary):
     reconstruction = pycolmap.Reconstruction()
     reconstruction.add_camera(theirs)
     (reconstruction.write_binary if binary else reconstruction.write_text)(str(tmp_path))
-    if model == 'EUCM':
-        with pytest.raises(InputError, match='EUCM of COLMAP has no exact counterpart'):
-            read_camera(tmp_path)
-        return
     found = read_camera(tmp_path, '7')
     seen = np.array(theirs.img_from_cam(rays()))
     assert np.abs(found.camera.project(rays()) + 0.5 - seen).max() < 1e-9
@@ -242,15 +244,75 @@ def test_a_chain_of_kalibr(tmp_path):
     assert '<fisheye_model>1</fisheye_model>' in back.read_text(encoding='utf-8')
 
 
+#: As mrcal 2 writes it, shortened, with an apostrophe where its comments have one.
+MRCAL = """\
+# generated on 2020-11-14 21:49:59 with   mrcal-calibrate-cameras --lensmodel LENSMODEL_OPENCV8
+{
+    'lensmodel':  'LENSMODEL_OPENCV8',
+
+    # intrinsics are fx,fy,cx,cy,distortion0,distortion1,....
+    'intrinsics': [ 1761.18, 1761.25, 1965.70, 1087.51, -0.01266, 0.03590, -2.5e-4, 5.2e-4,
+                    0.01968, 0.01482, -0.05622, 0.05002,],
+
+    'valid_intrinsics_region': [
+    [ 622, 0 ],
+    [ 0, 634 ],
+],
+    # extrinsics are rt_fromref
+    'extrinsics': [ 2e-2, -3e-1, -1e-2,  1., 2, -3., ],
+
+    'imagersize': [ 4000, 2200,],
+
+    'icam_intrinsics': None,
+
+    # a chunk of data that isn't useful for humans
+    'optimization_inputs': b'P)h>@6aWAK2mk;8#"{[+-(000*}',
+}
+"""
+
+
+def test_a_camera_model_of_mrcal(tmp_path):
+    path = written(tmp_path, MRCAL, 'left.cameramodel')
+    found, (stored,) = read_cameras(path)
+    camera = stored.camera
+    assert found == 'mrcal' and camera.model == 'rational_polynomial'
+    assert (camera.width, camera.height) == (4000, 2200)
+    assert camera.K[0, 0] == 1761.18 and camera.K[1, 2] == 1087.51
+    assert camera.distortion.tolist() == [-0.01266, 0.03590, -2.5e-4, 5.2e-4, 0.01968, 0.01482,
+                                          -0.05622, 0.05002]
+    # by its content, under any name
+    assert read_cameras(written(tmp_path, MRCAL, 'left.txt'))[0] == 'mrcal'
+    for name, model in (('none', 'PINHOLE'), ('radtan', 'OPENCV4'), ('plumb_bob', 'OPENCV5'),
+                        ('rational', 'OPENCV8')):
+        write_camera(path, 'mrcal', lens(name))
+        assert f"'LENSMODEL_{model}'" in path.read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('coefficients, fisheye, counts', [
+    ([0.1, 0.2, 0.3], True, 'takes 4.'), ([0.1] * 5, True, 'takes 4.'),
+    ([0.1, 0.2, 0.3], False, 'takes 4, 5, 8, 12, 14.')])
+def test_another_number_of_coefficients_is_refused(tmp_path, coefficients, fisheye, counts):
+    path = tmp_path / 'camera.yml'
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write('camera_matrix', K)
+    storage.write('distortion_coefficients', np.array([coefficients]))
+    storage.release()
+    with pytest.raises(InputError, match=re.escape(counts)):
+        read_camera(path, fisheye=fisheye)
+
+
 XML = ('<?xml version="1.0"?><opencv_storage><camera_matrix type_id="opencv-matrix"><rows>3</rows>'
        '<cols>3</cols><dt>d</dt><data>5. 0. 3. 0. 5. 2. 0. 0. 1.</data></camera_matrix>'
        '</opencv_storage>')
 
 
 @pytest.mark.parametrize('name, text, words', [
-    ('a.yaml', KALIBR.replace('camera_model: pinhole', 'camera_model: omni'), 'omni'),
+    ('a.yaml', KALIBR.replace('camera_model: pinhole', 'camera_model: omni', 1),
+     'xi fu fv pu pv'),
+    ('a.yaml', KALIBR.replace('camera_model: pinhole', 'camera_model: eucm', 1), 'eucm-none'),
     ('a.yaml', KALIBR.replace('radtan', 'wavy'), 'wavy'),
-    ('a.yaml', KALIBR.replace('[458.6, 457.2, 367.2, 248.3]', '[458.6, 457.2]'), 'four'),
+    ('a.yaml', KALIBR.replace('[458.6, 457.2, 367.2, 248.3]', '[458.6, 457.2]'),
+     'fu fv pu pv'),
     ('a.yaml', KALIBR.replace('[458.6, 457.2, 367.2, 248.3]', '12'), 'list'),
     ('a.yaml', KALIBR.replace('[-0.28, 0.07, 0.0002, 1.8e-05]', '[-0.28]'), '4 coefficients'),
     ('a.yaml', KALIBR.replace('  resolution: [752, 480]\n', ''), 'lacks its resolution'),
@@ -269,12 +331,27 @@ XML = ('<?xml version="1.0"?><opencv_storage><camera_matrix type_id="opencv-matr
      'no parallax.'),
     ('a.txt', '1 OPENCV 640 480 500 500 320\n', 'OPENCV has 8 parameters'),
     ('a.txt', '1 OPENCV 640 480 x\n', 'line 1: expected'),
-    ('a.txt', '1 EUCM 640 480 1 1 1 1 1 1\n', 'no exact counterpart'),
+    ('a.txt', '1 DIVISION 640 480 1 1 1 1 1\n', 'no exact counterpart'),
+    ('a.txt', '1 EUCM 640 480 1 1 1 1 1.5 1\n', 'between 0 and 1'),
     ('a.txt', '1 PINHOLE 640 -480 500 500 320 240\n', 'positive image size'),
     ('a.txt', '1 PINHOLE 640 480 nan 500 320 240\n', 'finite'),
     ('a.txt', '# Camera list with one line of data per camera:\n', 'without cameras'),
     ('a.txt', 'hello\n', 'no keys'),
     ('a.bin', 'hello', 'no cameras.bin'),
+    ('a.cameramodel', 'hello', 'not one dictionary'),
+    ('a.cameramodel', MRCAL.replace('OPENCV8', 'CAHVORE'), 'CAHVORE of mrcal has no exact'),
+    ('a.cameramodel', MRCAL.replace(
+        'OPENCV8', 'SPLINED_STEREOGRAPHIC_order=3_Nx=30_Ny=20_fov_x_deg=170'),
+     'mrcal-convert-lensmodel'),
+    ('a.cameramodel', MRCAL.replace('0.05002,', ''), '12 intrinsics'),
+    ('a.cameramodel', MRCAL.replace('4000', '0'), 'positive integer'),
+    ('a.cameramodel', MRCAL.replace('1761.18', '[1]'), 'not a number'),
+    ('a.cameramodel', MRCAL.replace('1761.18', '1e999'), 'not finite'),
+    ('a.cameramodel', MRCAL.replace('1761.18', 'exit()'), 'not one dictionary'),
+    ('a.cameramodel', MRCAL.replace('1761.18', '1' + '+1' * 100_000), 'not one dictionary'),
+    ('a.cameramodel', MRCAL.replace('1761.18', '-' * 100_000 + '1'), 'not one dictionary'),
+    ('a.cameramodel', '(' * 100_000, 'not one dictionary'),
+    ('a.cameramodel', MRCAL.replace("    'imagersize'", "    'size'"), 'lacks its lensmodel'),
     ('a.bin', '\x01' + '\0' * 11 + '\x63' + '\0' * 40, 'no camera model 99'),
 ])
 def test_wrong_files_are_refused_in_a_sentence(tmp_path, name, text, words):
@@ -364,6 +441,10 @@ def test_impossible_lenses():
                      ('plumb_bob', [0] * 6)):
         with pytest.raises(ArgumentError):
             Camera(K, d, model=model)
-    assert set(LENS_MODELS) == {'plumb_bob', 'rational_polynomial', 'equidistant', 'fov'}
+    assert set(LENS_MODELS) == {model for model, _ in LENSES.values()}
+    for model, d in (('ucm', [-0.1]), ('eucm', [1.1, 1]), ('eucm', [0.5, 0]),
+                     ('double_sphere', [-1, 0.5]), ('double_sphere', [0, 1.5])):
+        with pytest.raises(ArgumentError, match=f'lens model {model} '):
+            Camera(K, d, model=model)
     with pytest.raises(ArgumentError, match='fov is not supported'):
         lens('fov').as_model('plumb_bob')

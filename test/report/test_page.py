@@ -265,7 +265,7 @@ def test_facts_with_their_spread():
     lines = facts_lines(CameraFacts(aspect_ratio=1, aspect_ratio_sigma=0.01, skew=0,
                                     principal_point=(320, 240), principal_point_sigma_px=5))
     assert lines == ['aspect ratio fy / fx = 1 (σ = 0.01)', 'skew = 0 px (exact)',
-                     'principal point = (320, 240) px (σ = 5 px)', 'distortion model: auto']
+                     'principal point = (320, 240) px (σ = 5 px)', 'lens model: auto']
 
 
 def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibration):

@@ -66,6 +66,8 @@ def test_calibrated(tmp_path):
     assert document['camera'] == {
         'width': 640, 'height': 480, 'fx': 520.0, 'fy': 519.0, 'cx': 319.0, 'cy': 239.0,
         'skew': 0.1, 'distortion_model': 'plumb_bob', 'd': [-0.1, 0.05, 0, 0, 0]}
+    assert document['lens'] == {'model': 'plumb_bob', 'coefficients': {
+        'k1': -0.1, 'k2': 0.05, 'p1': 0, 'p2': 0, 'k3': 0}}
     assert list(document['sigma']) == list(PARAMETER_NAMES)
     assert document['sigma']['fx'] == 1 and document['sigma']['p2'] == 9
     assert np.array_equal(document['covariance'], result.covariance)
@@ -137,6 +139,42 @@ def test_files_without_a_schema_and_kinds_of_later_ones_are_read():
     del refused['schema']
     assert result_from_dict(refused).reason == 'There is no rotation.'
     assert result_from_dict(refused | {'kind': 'of_tomorrow'}).kind == 'of_tomorrow'
+
+
+@pytest.mark.parametrize('named', [True, False])
+def test_files_of_the_nine_parameters_before_k3_are_read(named):
+    content = result_to_dict(calibration())
+    del content['lens'], content['camera']['distortion_model']
+    content['camera']['d'] = [-0.1, 0.05, 0, 0]
+    content['covariance'] = [row[:9] for row in content['covariance'][:9]]
+    content['parameter_names'] = content['parameter_names'][:9]
+    if not named:
+        del content['parameter_names']
+    read = result_from_dict(content)
+    assert read.camera.model == 'plumb_bob' and read.camera.distortion.tolist() == [
+        -0.1, 0.05, 0, 0, 0]
+    assert read.sigma['p2'] == 9 and read.sigma['k3'] == 0
+    content['covariance'].append([0.0] * 9)
+    with pytest.raises(ValueError, match='shape'):
+        result_from_dict(content)
+
+
+@pytest.mark.parametrize('camera', [
+    Camera([[260, 0, 319], [0, 260, 239], [0, 0, 1]], [-0.03, 0.01, -0.01, 0.002], 640, 480,
+           'equidistant'),
+    Camera([[520, 0, 319], [0, 520, 239], [0, 0, 1]], [0.3, 0.1, 0, 0, 0.01, 0.5, 0.1, 0.01],
+           640, 480, 'rational_polynomial')], ids=lambda camera: camera.model)
+def test_every_family_comes_back(camera):
+    names = camera.parameter_names
+    document = json.loads(json.dumps(result_to_dict(calibration(
+        camera=camera, covariance=np.diag(np.arange(1., len(names) + 1)**2),
+        status=dict.fromkeys(names, 'estimated'), held_by={}))))
+    assert document['lens']['model'] == camera.model
+    assert list(document['sigma']) == list(names) == document['parameter_names']
+    read = result_from_dict(document)
+    assert read.camera.model == camera.model
+    assert np.array_equal(read.camera.parameters, camera.parameters)
+    assert read.sigma['k4'] == document['sigma']['k4'] > 0
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf])

@@ -21,10 +21,12 @@ from selfcal_ros.geometry.lenses.fov import FOV
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.lenses.rational_polynomial import RATIONAL_POLYNOMIAL
+from selfcal_ros.geometry.lenses.unified import DOUBLE_SPHERE, EUCM, UCM
 
 #: Every model that is known, estimated or not.
 LENS_MODELS: dict[str, LensModel] = {
-    model.name: model for model in (PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT, FOV)}
+    model.name: model for model in (PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT, FOV, UCM, EUCM,
+                                    DOUBLE_SPHERE)}
 #: What can be stated (`--lens`): the model, and the coefficients that it leaves free.
 LENS_CHOICES: dict[str, tuple[LensModel, tuple[str, ...]]] = {
     'none': (PLUMB_BOB, ()),

@@ -46,12 +46,23 @@ _MODELS = {
     'RADIAL_FISHEYE': (9, 1, 'equidistant', (0, 1)),
     'SIMPLE_FISHEYE': (14, 1, 'equidistant', ()),
     'FISHEYE': (15, 2, 'equidistant', ()),
+    'EUCM': (16, 2, 'eucm', (0, 1)),
 }
 #: Models without a counterpart.
 _FOREIGN = {'THIN_PRISM_FISHEYE': 10, 'RAD_TAN_THIN_PRISM_FISHEYE': 11, 'SIMPLE_DIVISION': 12,
-            'DIVISION': 13, 'EUCM': 16, 'EQUIRECTANGULAR': 17}
+            'DIVISION': 13, 'EQUIRECTANGULAR': 17}
 _NAMES = {**{entry[0]: name for name, entry in _MODELS.items()},
           **{number: name for name, number in _FOREIGN.items()}}
+
+
+#: The models that lenses of ours are written as, beside the polynomials.
+_WRITTEN = {'equidistant': 'OPENCV_FISHEYE', 'fov': 'FOV', 'eucm': 'EUCM',
+            'rational_polynomial': 'FULL_OPENCV'}
+
+
+def holds(camera: Camera) -> bool:
+    """Tell whether COLMAP has the lens model of a camera."""
+    return camera.model in ('plumb_bob', *_WRITTEN)
 
 
 def is_colmap(text: str) -> bool:
@@ -151,8 +162,7 @@ def _entry(camera: Camera) -> tuple[str, list[float]]:
     without_skew(camera, 'COLMAP')
     plumb = camera.distortion_as('plumb_bob')
     if plumb is None:
-        model = {'equidistant': 'OPENCV_FISHEYE', 'fov': 'FOV',
-                 'rational_polynomial': 'FULL_OPENCV'}[camera.model]
+        model = _WRITTEN[camera.model]
         d = camera.distortion
     elif plumb[4]:
         # COLMAP has k3 in its rational model only: k1 k2 p1 p2 k3, and nothing below

@@ -22,11 +22,12 @@ from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.report.camera_files import kalibr_chain
+from selfcal_ros.report.camera_files import colmap_cameras, kalibr_chain, mrcal_model
 from selfcal_ros.report.camera_files.colmap_cameras import (colmap_binary, colmap_text, is_colmap,
                                                             parse_colmap_binary,
                                                             parse_colmap_text)
 from selfcal_ros.report.camera_files.kalibr_chain import kalibr_text, parse_kalibr
+from selfcal_ros.report.camera_files.mrcal_model import is_mrcal, mrcal_text, parse_mrcal
 from selfcal_ros.report.camera_files.opencv_storage import (is_opencv, OPENCV_MODELS, opencv_text,
                                                             parse_opencv)
 from selfcal_ros.report.camera_files.stored import StoredCamera
@@ -34,12 +35,14 @@ from selfcal_ros.report.camera_yaml import (camera_from_document, camera_yaml, i
                                             ROS_MODELS)
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.result_json import result_from_dict
-from selfcal_ros.report.yaml_text import decoded, load_yaml, read_bytes
+from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
 
 #: File names without suffix that COLMAP reads.
 _COLMAP_NAMES = ('cameras.bin', 'cameras.txt')
+#: That of mrcal's camera models.
+MRCAL_SUFFIX = '.cameramodel'
 #: Suffixes of files that may hold cameras.
-CAMERA_SUFFIXES = ('.yaml', '.yml', '.xml', '.json', '.txt', '.bin')
+CAMERA_SUFFIXES = ('.yaml', '.yml', '.xml', '.json', '.txt', '.bin', MRCAL_SUFFIX)
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,8 @@ FORMATS = {
     'ros': Format('ROS', lambda camera: camera.model in ROS_MODELS),
     'opencv': Format('OpenCV', lambda camera: camera.model in OPENCV_MODELS),
     'kalibr': Format('Kalibr', kalibr_chain.holds),
-    'colmap': Format('COLMAP', lambda camera: True),
+    'colmap': Format('COLMAP', colmap_cameras.holds),
+    'mrcal': Format('mrcal', mrcal_model.holds),
 }
 
 
@@ -79,7 +83,7 @@ def is_camera_file(path) -> bool:
 def read_cameras(path, *, fisheye: bool = False,
                  image_size: tuple[int, int] | None = None) -> tuple[str, list[StoredCamera]]:
     """
-    Read all cameras of a file of ROS, OpenCV, Kalibr or COLMAP, or of our result.json.
+    Read all cameras of a file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or our result.json.
 
     Parameters
     ----------
@@ -92,7 +96,7 @@ def read_cameras(path, *, fisheye: bool = False,
 
     Returns
     -------
-    kind : {'ros', 'opencv', 'kalibr', 'colmap', 'result'}
+    kind : {'ros', 'opencv', 'kalibr', 'colmap', 'mrcal', 'result'}
     cameras : list of StoredCamera
 
     Raises
@@ -104,8 +108,9 @@ def read_cameras(path, *, fisheye: bool = False,
     path = Path(path)
     if path.is_dir():
         path = next((path / name for name in _COLMAP_NAMES if (path / name).is_file()), path)
-    raw, source = read_bytes(path), str(path)
-    if path.suffix.lower() == '.bin':
+    suffix, source = path.suffix.lower(), str(path)
+    raw = read_bytes(path, mrcal_model.MAX_BYTES if suffix == MRCAL_SUFFIX else MAX_BYTES)
+    if suffix == '.bin':
         return 'colmap', parse_colmap_binary(raw, source)
     text = decoded(raw, source)
     if is_opencv(text):
@@ -113,6 +118,8 @@ def read_cameras(path, *, fisheye: bool = False,
     if fisheye:
         raise InputError(f'{source} is no OpenCV file and says itself what its lens is; leave '
                          '--fisheye out.')
+    if suffix == MRCAL_SUFFIX or is_mrcal(text):
+        return 'mrcal', parse_mrcal(text, source)
     if text.lstrip().startswith('{'):
         return 'result', [_from_result(text, source)]
     if is_colmap(text):
@@ -167,7 +174,7 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
     ----------
     path : str or Path
         For OpenCV a suffix .xml makes XML, for COLMAP .bin makes cameras.bin.
-    kind : {'ros', 'opencv', 'kalibr', 'colmap'}
+    kind : {'ros', 'opencv', 'kalibr', 'colmap', 'mrcal'}
     camera : Camera
         With its image size.
     name : str
@@ -196,6 +203,8 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
         return atomic_write(path, opencv_text(camera, xml=suffix == '.xml'))
     if kind == 'kalibr':
         return atomic_write(path, kalibr_text(camera, topic=topic))
+    if kind == 'mrcal':
+        return atomic_write(path, mrcal_text(camera))
     return atomic_write(path, colmap_binary(camera) if suffix == '.bin' else colmap_text(camera))
 
 
@@ -206,6 +215,8 @@ def _from_result(text: str, source: str) -> StoredCamera:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
                          ) from None
+    except ArgumentError as error:
+        raise InputError(f'{source}: {error}') from None
     if not result:
         raise InputError(f'{source} holds no camera. {result}')
     return StoredCamera(result.camera, 'camera', covariance=result.covariance,

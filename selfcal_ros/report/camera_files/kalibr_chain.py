@@ -14,8 +14,8 @@
 """
 Camera chains of Kalibr (camchain.yaml).
 
-Of its projections only 'pinhole' has a counterpart elsewhere. Kalibr finds corners with OpenCV and
-shares its pixel convention.
+Its projections are a pinhole and three that look at a sphere: omni, eucm and ds. Kalibr finds
+corners with OpenCV and shares its pixel convention.
 """
 
 from __future__ import annotations
@@ -27,9 +27,20 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.stored import lens_camera, StoredCamera, without_skew
 from selfcal_ros.report.yaml_text import number_text, numbers, positive_integer
 
-#: Kalibr's names of distortion models, and ours with the number of coefficients it writes.
-_MODELS = {'none': ('plumb_bob', 0), 'radtan': ('plumb_bob', 4), 'equidistant': ('equidistant', 4),
-           'equi': ('equidistant', 4), 'fov': ('fov', 1)}
+#: Kalibr's projections with their distortion models: ours, the names among its intrinsics before
+#: the focal lengths, and the number of distortion coefficients that follow.
+_MODELS: dict[tuple[str, str], tuple[str, tuple[str, ...], int]] = {
+    ('pinhole', 'none'): ('plumb_bob', (), 0),
+    ('pinhole', 'radtan'): ('plumb_bob', (), 4),
+    ('pinhole', 'equidistant'): ('equidistant', (), 4),
+    ('pinhole', 'equi'): ('equidistant', (), 4),
+    ('pinhole', 'fov'): ('fov', (), 1),
+    ('omni', 'none'): ('ucm', ('xi',), 0),
+    ('omni', 'radtan'): ('ucm', ('xi',), 4),
+    ('eucm', 'none'): ('eucm', ('alpha', 'beta'), 0),
+    ('ds', 'none'): ('double_sphere', ('xi', 'alpha'), 0)}
+#: The projection that a lens model of ours is written as; all others are a pinhole.
+_PROJECTIONS = {'ucm': 'omni', 'eucm': 'eucm', 'double_sphere': 'ds'}
 
 
 def parse_kalibr(document: dict, source: str) -> list[StoredCamera]:
@@ -52,35 +63,36 @@ def _camera(entry: dict, name: str, source: str) -> StoredCamera:
     """Read one camera of a chain."""
     projection = str(entry.get('camera_model', 'pinhole'))
     model = str(entry.get('distortion_model', 'none'))
-    if projection != 'pinhole':
-        raise InputError(f'{source}: the projection {projection!r:.40} has no exact counterpart '
-                         'in other programs; calibrate with a pinhole model of Kalibr.')
-    if model not in _MODELS:
-        raise InputError(f'{source}: the distortion model {model!r:.40} is unknown; '
-                         f'{", ".join(_MODELS)} are known.')
+    if (projection, model) not in _MODELS:
+        known = ', '.join('-'.join(pair) for pair in _MODELS)
+        raise InputError(f'{source}: the projection {projection!r:.40} with the distortion model '
+                         f'{model!r:.40} has no exact counterpart; {known} have.')
+    ours, first, count = _MODELS[projection, model]
     if 'resolution' not in entry:
         raise InputError(f'{source} lacks its resolution.')
     intrinsics = numbers(entry['intrinsics'], source, 'intrinsics')
     size = entry['resolution']
-    if intrinsics.size != 4 or not isinstance(size, list) or len(size) != 2:
-        raise InputError(f'{source}: a pinhole camera has four intrinsics and two numbers of '
-                         'resolution.')
+    names = (*first, 'fu', 'fv', 'pu', 'pv')
+    if intrinsics.size != len(names) or not isinstance(size, list) or len(size) != 2:
+        raise InputError(f'{source}: the intrinsics of the projection {projection} are '
+                         f'{" ".join(names)}, and the resolution has two numbers.')
     size = [positive_integer(value, f'{source}: resolution') for value in size]
-    ours, count = _MODELS[model]
     d = numbers(entry.get('distortion_coeffs', []), source, 'distortion_coeffs')
     if d.size != count and not (model == 'none' and not d.any()):
         raise InputError(f'{source}: the distortion model {model} has {count} coefficients, not '
                          f'{d.size}.')
-    fu, fv, pu, pv = intrinsics
+    fu, fv, pu, pv = intrinsics[len(first):]
     K = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]])
-    return StoredCamera(lens_camera(source, K, ours, d[:count], size), name,
+    coefficients = [*intrinsics[:len(first)], *d[:count]]
+    return StoredCamera(lens_camera(source, K, ours, coefficients, size), name,
                         str(entry.get('rostopic', '')))
 
 
 def holds(camera: Camera) -> bool:
     """Tell whether Kalibr has the lens model: its polynomial has no k3."""
     plumb = camera.distortion_as('plumb_bob')
-    return camera.model in ('equidistant', 'fov') or plumb is not None and plumb[4] == 0
+    known = ('equidistant', 'fov', *_PROJECTIONS)
+    return camera.model in known or plumb is not None and plumb[4] == 0
 
 
 def kalibr_text(camera: Camera, name: str = '', topic: str = '') -> str:
@@ -94,17 +106,22 @@ def kalibr_text(camera: Camera, name: str = '', topic: str = '') -> str:
 
     """
     without_skew(camera, 'Kalibr')
-    plumb = camera.distortion_as('plumb_bob')
+    plumb, K = camera.distortion_as('plumb_bob'), camera.K
     model = camera.model if plumb is None else 'radtan'
     d = camera.distortion if plumb is None else plumb[:4]
-    K = camera.K
+    projection, first = _PROJECTIONS.get(camera.model, 'pinhole'), d[:0]
+    if projection != 'pinhole':
+        # what bends the rays is among the intrinsics; what follows may be nothing
+        places = 1 if camera.model == 'ucm' else 2
+        first, d = d[:places], d[places:]
+        model, d = ('radtan', d) if d.any() else ('none', d[:0])
 
     def listed(values):
         return f'[{", ".join(map(number_text, values))}]'
 
-    lines = ['cam0:', '  cam_overlaps: []', '  camera_model: pinhole',
+    lines = ['cam0:', '  cam_overlaps: []', f'  camera_model: {projection}',
              f'  distortion_coeffs: {listed(d)}', f'  distortion_model: {model}',
-             f'  intrinsics: {listed([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])}',
+             f'  intrinsics: {listed([*first, K[0, 0], K[1, 1], K[0, 2], K[1, 2]])}',
              f'  resolution: [{camera.width}, {camera.height}]',
              f'  rostopic: {topic or "/camera/image_raw"}']
     return '\n'.join(lines) + '\n'

@@ -33,6 +33,8 @@ from selfcal_ros.report.yaml_text import load_yaml, matrix, number_text, positiv
 
 #: Lens models that OpenCV has functions for, and that other programs share.
 OPENCV_MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
+#: Numbers of coefficients that OpenCV's functions take.
+_COUNTS, _FISHEYE_COUNTS = (4, 5, 8, 12, 14), (4,)
 #: Spellings in lower case without separators; a digit may follow in files of a stereo pair.
 _MATRIX = ('cameramatrix', 'k', 'm', 'intrinsicmatrix', 'intrinsics', 'cammatrix')
 _DISTORTION = ('distortioncoefficients', 'distcoeffs', 'distortion', 'd', 'distcoeff')
@@ -121,6 +123,11 @@ def _camera(source, K, d, size, fisheye) -> Camera:
     if K[0, 1]:
         raise InputError(f'{source} has a skew of {K[0, 1]:.4g} px in its camera matrix, which '
                          'OpenCV ignores; set it to zero.')
+    counts = _FISHEYE_COUNTS if fisheye else _COUNTS
+    if d.any() and d.size not in counts:
+        whose = 'The fisheye model of OpenCV' if fisheye else 'OpenCV'
+        raise InputError(f'{source} has {d.size} distortion coefficients. {whose} takes '
+                         f'{", ".join(map(str, counts))}.')
     if fisheye:
         return lens_camera(source, K, 'equidistant', d, size)
     if d[8:].any():
