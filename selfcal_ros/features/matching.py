@@ -267,11 +267,10 @@ def _guided(first: Features, second: Features, candidates, epipolar: EpipolarIma
 def _twin_on_curve(features: Features, epipolar: EpipolarImages, curves, chosen,
                    band_px: float):
     """Similarity of the closest twin on the epipolar curve of each chosen place's partner."""
-    curve = np.full((len(features.xy), 3), np.nan)
-    curve[chosen] = curves
-    a, b, alike = features.twins
-    distance = epipolar.off_curve(curve[a], features.xy[b])
-    near = np.abs(distance) < 2 * band_px  # NaN, hence False, for places without a partner
+    row = np.full(len(features.xy), -1)
+    row[chosen] = np.arange(len(chosen))
+    a, b, alike = (part[row[features.twins[0]] >= 0] for part in features.twins)
+    near = np.abs(epipolar.off_curve(curves[row[a]], features.xy[b])) < 2 * band_px
     most = np.full(len(features.xy), _USUAL_SIMILARITY, np.float32)
     np.maximum.at(most, a[near], alike[near])
     return most[chosen]

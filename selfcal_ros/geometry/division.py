@@ -120,10 +120,10 @@ class DivisionModel:
 
         """
         place, coefficients = self.units(xy), np.array(self.coefficients)
-        product = (line * lifted(place, coefficients)).sum(axis=-1)
+        product = _dot(line, lifted(place, coefficients))
         slope = line[..., :2] + line[..., 2:] * bend(place, coefficients)
         with np.errstate(divide='ignore', invalid='ignore'):
-            distance = product / np.linalg.norm(slope, axis=-1)
+            distance = product / np.sqrt(_dot(slope, slope))
         in_pixels: np.ndarray = distance * self.half_diagonal_px
         return in_pixels
 
@@ -154,20 +154,29 @@ class DivisionModel:
 
 def lifted(xy: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Lift places (..., 2), in units of the radii of the coefficients (p,), to (..., 3)."""
-    square = (xy ** 2).sum(axis=-1)
-    w = np.ones_like(square)
-    for power, value in enumerate(coefficients, start=1):
-        w += value * square ** power
-    return np.concatenate([xy, w[..., None]], axis=-1)
+    square = _dot(xy, xy)
+    points = np.empty((*xy.shape[:-1], 3))
+    points[..., :2] = xy
+    w = np.zeros_like(square)
+    for value in coefficients[::-1]:
+        w = (w + value) * square
+    points[..., 2] = 1 + w
+    return points
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Products of (..., k) with (..., k), summed: several times faster than by sum()."""
+    product: np.ndarray = np.einsum('...i,...i->...', a, b)
+    return product
 
 
 def bend(xy: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Derivative (..., 2) of w by the place."""
-    square = (xy ** 2).sum(axis=-1, keepdims=True)
+    square = _dot(xy, xy)
     slope = np.zeros_like(square)
-    for power, value in enumerate(coefficients, start=1):
-        slope += 2 * power * value * square ** (power - 1)
-    bend: np.ndarray = slope * xy
+    for power in range(len(coefficients), 0, -1):
+        slope = slope * square + 2 * power * coefficients[power - 1]
+    bend: np.ndarray = slope[..., None] * xy
     return bend
 
 
@@ -197,25 +206,25 @@ def residuals(xy_a: np.ndarray, xy_b: np.ndarray, F: np.ndarray, coefficients: n
     line_b, line_a = a @ np.swapaxes(F, 1, 2), b @ F
     slope_a = line_a[..., :2] + line_a[..., 2:] * bend_a
     slope_b = line_b[..., :2] + line_b[..., 2:] * bend_b
-    product = (line_b * b).sum(axis=-1)
-    norm = np.sqrt((slope_a ** 2).sum(axis=-1) + (slope_b ** 2).sum(axis=-1)) + 1e-300
+    product = _dot(line_b, b)
+    norm = np.sqrt(_dot(slope_a, slope_a) + _dot(slope_b, slope_b)) + 1e-300
     distance = product / norm
     if not derivative:
         return (distance,)
     # gradient of half the squared norm by the line of either side
-    share_a = np.concatenate([slope_a, (slope_a * bend_a).sum(-1, keepdims=True)], axis=-1)
-    share_b = np.concatenate([slope_b, (slope_b * bend_b).sum(-1, keepdims=True)], axis=-1)
+    share_a = np.concatenate([slope_a, _dot(slope_a, bend_a)[..., None]], axis=-1)
+    share_b = np.concatenate([slope_b, _dot(slope_b, bend_b)[..., None]], axis=-1)
     shrink = (distance / norm ** 2)[..., None, None]
     by_F = b[..., :, None] * (a / norm[..., None])[..., None, :] - shrink * (
         b[..., :, None] * share_a[..., None, :] + share_b[..., :, None] * a[..., None, :])
-    square_a, square_b = (xy_a ** 2).sum(axis=-1), (xy_b ** 2).sum(axis=-1)
+    square_a, square_b = _dot(xy_a, xy_a), _dot(xy_b, xy_b)
     by_coefficient = np.empty((*distance.shape, len(coefficients)))
     for k in range(len(coefficients)):
         w_a, w_b = square_a ** (k + 1), square_b ** (k + 1)
-        turn_a = 2 * (k + 1) * square_a ** k * line_a[..., 2] * (slope_a * xy_a).sum(axis=-1)
-        turn_b = 2 * (k + 1) * square_b ** k * line_b[..., 2] * (slope_b * xy_b).sum(axis=-1)
-        turn_a += w_b * (share_a * F[:, None, 2, :]).sum(axis=-1)
-        turn_b += w_a * (share_b * F[:, None, :, 2]).sum(axis=-1)
+        turn_a = 2 * (k + 1) * square_a ** k * line_a[..., 2] * _dot(slope_a, xy_a)
+        turn_b = 2 * (k + 1) * square_b ** k * line_b[..., 2] * _dot(slope_b, xy_b)
+        turn_a += w_b * _dot(share_a, F[:, None, 2, :])
+        turn_b += w_a * _dot(share_b, F[:, None, :, 2])
         by_coefficient[..., k] = ((line_a[..., 2] * w_a + line_b[..., 2] * w_b) / norm
                                   - shrink[..., 0, 0] * (turn_a + turn_b))
     return distance, by_F.reshape(*distance.shape, 9), by_coefficient
@@ -251,9 +260,9 @@ def weighted_eight_point(xy_a: np.ndarray, xy_b: np.ndarray, weight: np.ndarray,
     for turn in range(iterations):
         if F is not None:
             line_b, line_a = a @ np.swapaxes(F, 1, 2), b @ F
-            norm = np.sqrt(
-                ((line_a[..., :2] + line_a[..., 2:] * bend_a) ** 2).sum(axis=-1)
-                + ((line_b[..., :2] + line_b[..., 2:] * bend_b) ** 2).sum(axis=-1))
+            slope_a = line_a[..., :2] + line_a[..., 2:] * bend_a
+            slope_b = line_b[..., :2] + line_b[..., 2:] * bend_b
+            norm = np.sqrt(_dot(slope_a, slope_a) + _dot(slope_b, slope_b))
             # next to an epipole the slope vanishes
             usual = np.median(norm, axis=1, keepdims=True)
             scale = weight / np.maximum(norm, 0.05 * usual + 1e-300)
