@@ -27,8 +27,8 @@ from selfcal_ros.geometry.robust_scale import robust_sigma
 #: Values of lambda to begin with, half diagonals: every second one, then next to the best.
 #: Lenses of 185 degrees whose circle fits into the height of the image have -1.7 (square image)
 #: to -4 (16:9).
-_LADDER = (0.08, 0.0, -0.06, -0.14, -0.26, -0.42, -0.65, -0.95, -1.4, -2.0, -2.8, -4.0)
-_STRAIGHT = _LADDER.index(0.0)
+LADDER = (0.08, 0.0, -0.06, -0.14, -0.26, -0.42, -0.65, -0.95, -1.4, -2.0, -2.8, -4.0)
+_STRAIGHT = LADDER.index(0.0)
 #: Threshold of the first comparison, half diagonals: neighbours in the grid differ by so much.
 _COARSE = 0.006
 #: The first comparison draws so many samples a pair; so many of its best are refined.
@@ -125,8 +125,8 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         return min(starts, key=lambda step: starts[step][0])
 
     def start(step: int) -> None:
-        if 0 <= step < len(_LADDER):
-            division = np.array([_LADDER[step]])
+        if 0 <= step < len(LADDER):
+            division = np.array([LADDER[step]])
             F = _sampled(data, division, coarse, rng)
             starts[step] = _cost(data, F, division, coarse), F
 
@@ -134,13 +134,13 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
     # where straight lines leave nothing to explain, refinement goes far enough
     explained = np.sum(_distances(data, flat.F, np.zeros(1)) < limit) > _NEARLY_ALL * data[2].sum()
-    for step in range(_STRAIGHT + 2, len(_LADDER), 2) if not explained else ():
+    for step in range(_STRAIGHT + 2, len(LADDER), 2) if not explained else ():
         start(step)
     middle = best_step()
     for step in () if middle == _STRAIGHT else (middle - 1, middle + 1):
         start(step)
     order = sorted(starts, key=lambda step: starts[step][0])[:_FINALISTS]
-    found = [_descended(data, starts[step][1], np.array([_LADDER[step]]), coarse, limit)
+    found = [_descended(data, starts[step][1], np.array([LADDER[step]]), coarse, limit)
              for step in (order if middle != _STRAIGHT else (_STRAIGHT,))]
     one = min(found, key=lambda fit: fit.cost)
     best, bent = one, one.cost < clear_gain * flat.cost or middle != _STRAIGHT

@@ -72,6 +72,16 @@ def test_a_wide_lens_is_found_and_gross_errors_go(degrees):
     assert np.mean(kept[~wrong]) > 0.85
 
 
+def test_a_turning_wide_camera_has_no_parallax():
+    rng = np.random.default_rng(1)
+    tracks, _ = walk(rng, fisheye(150), np.zeros((6, 3)), rng.normal(0, 0.15, (6, 3)),
+                     outliers=0.0)
+    graph = build_view_graph(tracks, rng)
+    # through straight lines it is 30
+    assert graph.parallax < 2
+    assert graph.division == pytest.approx(-0.33 * np.deg2rad(75) ** 2, rel=0.05)
+
+
 def test_equal_images_make_no_pair():
     rng = np.random.default_rng(2)
     tracks, _ = walk(rng, fisheye(150), rng.normal(0, 0.3, (6, 3)), rng.normal(0, 0.1, (6, 3)),

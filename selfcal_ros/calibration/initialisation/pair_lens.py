@@ -23,6 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from selfcal_ros.geometry.division import DivisionModel, refine_division, weighted_eight_point
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
@@ -30,13 +31,16 @@ from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_ge
 from selfcal_ros.geometry.lifted_homography import lifted_homography_cost
 from selfcal_ros.geometry.lifted_ransac import lifted_ransac
 from selfcal_ros.geometry.ransac import ransac_inliers
-from selfcal_ros.geometry.shared_division import shared_division
-from selfcal_ros.geometry.two_view_tests import homography_cost
+from selfcal_ros.geometry.shared_division import LADDER, shared_division
+from selfcal_ros.geometry.two_view_tests import homography_cost, PARALLAX_RATIO
 
 #: So many pairs decide on the lens, each with so many matches at least.
 _JUDGES, _LEAST_MATCHES = 6, 30
 #: A bent lens leaves at most this share of the truncated squares of straight lines.
 _CLEAR_GAIN = 0.85
+#: A lens found by homographies leaves at most this share of what they left before; and the best
+#: of a few values this one, to look further.
+_HOMOGRAPHY_GAIN, _HOMOGRAPHY_HOPE = 0.3, 0.5
 
 #: Matches of a pair in pixels, (m, 2) twice.
 Sample = tuple[np.ndarray, np.ndarray]
@@ -168,3 +172,49 @@ def choose_lens(compared: list[Sample], image_size: tuple[int, int] | None,
     if found is None or found.model.straight:
         return PairLens()
     return PairLens(found.model, found.division, found.sigma)
+
+
+def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
+                    image_size: tuple[int, int] | None) -> PairLens:
+    """
+    Return a lens with which homographies explain what they leave through straight lines.
+
+    While the camera only turns, or sees one plane, straight epipolar lines find room for any
+    lens: the lens shows in homographies alone.
+
+    Parameters
+    ----------
+    lens : PairLens
+        That of the epipolar geometry.
+    samples : list of (xy_a, xy_b)
+        Inliers of all pairs.
+    noise_px : float
+    image_size : (int, int) or None
+
+    Returns
+    -------
+    PairLens
+        The given one, unless the other explains the worst pair.
+
+    """
+    if image_size is None:
+        return lens
+    left = lens.homography_px(samples)
+    worst = samples[int(np.argmax(left))]
+    if left.max() < PARALLAX_RATIO * noise_px:
+        return lens
+    count = max(2 * len(worst[0]) - 8, 1)
+
+    def left_px(coefficients) -> float:
+        model = DivisionModel(tuple(coefficients), image_size)
+        return float(np.sqrt(lifted_homography_cost(model, *worst) / (4 * count)))
+
+    start = min(((division, -0.1 * division ** 2) for division in LADDER), key=left_px)
+    if left_px(start) > _HOMOGRAPHY_HOPE * left.max():
+        return lens
+    found = minimize(left_px, start, method='Nelder-Mead', options={
+        'maxfev': 120, 'xatol': 1e-4, 'fatol': 1e-3 * noise_px,
+        'initial_simplex': [start, (1.1 * start[0], start[1]), (start[0], 0.5 * start[1] - 0.01)]})
+    other = PairLens(DivisionModel(tuple(found.x.tolist()), image_size), float(found.x[0]))
+    # every pair has to agree: a lens is no excuse for parallax
+    return other if other.homography_px(samples).max() < _HOMOGRAPHY_GAIN * left.max() else lens

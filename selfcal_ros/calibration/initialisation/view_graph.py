@@ -25,7 +25,8 @@ from scipy.special import erf
 
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
-from selfcal_ros.calibration.initialisation.pair_lens import choose_lens, PairLens, Sample
+from selfcal_ros.calibration.initialisation.pair_lens import (choose_lens, homography_lens,
+                                                              PairLens, Sample)
 from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.robust_scale import robust_sigma
@@ -72,13 +73,14 @@ class ViewGraph:
         single one may be to blame.
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
-        noise; near 1 the scene is one plane or the camera only rotated.
+        noise, through the lens; near 1 the scene is one plane or the camera only rotated.
     division : float
         lambda of the division model that bends the epipolar lines, for radii in half diagonals
         of the image (`geometry/division.py`); 0 where straight lines suffice. Of one
         coefficient, also where `lens` has two.
     division_sigma : float
-        Its standard deviation; infinite where it was not asked for.
+        Its standard deviation; infinite where it is not known, as where homographies told the
+        lens: of one plane, or of a camera that only turned.
     lens : DivisionModel, optional
         The model that the pairs' F and `noise_px` go by; None for straight lines.
 
@@ -285,7 +287,9 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
-    left_px = lens.homography_px([(p.xy_first, p.xy_second) for p in pairs])
+    inliers = [(p.xy_first, p.xy_second) for p in pairs]
+    turning = homography_lens(lens, inliers, max(median, MIN_NOISE_PX), tracks.image_size)
+    left_px = turning.homography_px(inliers)
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
-                     float(left_px.max()) / max(median, MIN_NOISE_PX), lens.division, lens.sigma,
-                     lens.model)
+                     float(left_px.max()) / max(median, MIN_NOISE_PX), turning.division,
+                     turning.sigma, lens.model)
