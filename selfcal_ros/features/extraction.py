@@ -30,6 +30,7 @@ from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.tracks import Tracks
 
@@ -240,9 +241,12 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
 
 def _finish(tracks, findings: list[Finding], seed):
     """Drop static points, then what contradicts epipolar geometry."""
-    tracks, static = drop_static(tracks)
+    whole = tracks
+    tracks, static = drop_static(whole)
     if static:
         findings.append(Finding('static_tracks', tracks=int(static)))
+    tracks, regions = drop_static_regions(whole, tracks)
+    findings += regions
     tracks, removed, _ = verify(tracks, seed=seed)
     if removed:
         findings.append(Finding('positions_contradictory', positions=int(removed)))

@@ -59,13 +59,22 @@ class KeyframeSelector:
                                             return_indices=True)
             kept = len(here) / max(len(self._ids), 1)
             displacement = np.linalg.norm(xy[here] - self._xy[there], axis=1)
-            moved = len(here) and np.median(displacement) >= self.displacement_px
+            moved = len(here) and np.median(_moving(displacement, self.displacement_px)
+                                            ) >= self.displacement_px
             if not moved and kept >= 1 - self.lost_share:
                 return False
         elif not len(ids):
             return False
         self._ids, self._xy = ids.copy(), xy.copy()
         return True
+
+
+def _moving(displacement: np.ndarray, wanted_px: float) -> np.ndarray:
+    """Leave out what hardly moves where it is a large part: the robot's own body."""
+    fast = displacement > wanted_px / 5
+    if fast.mean() < 0.6 and fast.sum() >= max(20, 0.15 * len(fast)):
+        return displacement[fast]
+    return displacement
 
 
 def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0):

@@ -203,6 +203,12 @@ REMARKS: dict[str, Phrase] = {
         'What moves with the camera says nothing of the scene. Neither does the background of a '
         'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
+    'static_region': Phrase(
+        'The image stands still in x {left_px:.0f} to {right_px:.0f}, y {top_px:.0f} to '
+        "{bottom_px:.0f}, as a robot's body does; {positions} positions in it were dropped.",
+        'Most tracks there stay where they are, or shake about a place. A body that shines, or '
+        'slides along the scene, would mislead.',
+        'Nothing; a mask cuts the part out exactly.'),
     'tracks_contradictory': Phrase(
         '{tracks} tracks that contradicted themselves were dropped.',
         'Chains of matches came back to the same image at another place.',
