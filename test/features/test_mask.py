@@ -35,6 +35,12 @@ def mask():
     return ImageMask(usable)
 
 
+@pytest.fixture(scope='module')
+def room():
+    """Return the room; painting it takes a while."""
+    return Room()
+
+
 def _with_logo(room, cameras, creeping_px=0.0):
     """Return images with a textured logo that stands still, or creeps to the right."""
     rng = np.random.default_rng(5)
@@ -62,8 +68,8 @@ def test_a_margin_keeps_patches_within(mask):
     assert (mask & ImageMask(other)).share == pytest.approx(0.75 - 120 * 220 / 120000)
 
 
-def test_nothing_is_found_or_followed_into_the_masked_part(mask):
-    room, cameras = Room(), drive(5)
+def test_nothing_is_found_or_followed_into_the_masked_part(room, mask):
+    cameras = drive(5)
     images = _with_logo(room, cameras, 2.5)
     found = corners(images[0], 20, mask=mask)
     assert len(found) > 60 and mask.allows(found).all()
@@ -76,8 +82,8 @@ def test_nothing_is_found_or_followed_into_the_masked_part(mask):
 
 
 @pytest.mark.parametrize('mode, count, step', [('video', 8, 0.04), ('wide', 4, 0.3)])
-def test_wrong_texture_does_no_harm_behind_a_mask(mask, mode, count, step):
-    room, cameras = Room(), drive(count, step, 20 * step)
+def test_wrong_texture_does_no_harm_behind_a_mask(room, mask, mode, count, step):
+    cameras = drive(count, step, 20 * step)
     images = _with_logo(room, cameras, 4.0)
 
     def error(**given):

@@ -17,6 +17,7 @@ import cv2
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from selfcal_ros.nodes.tracker_node import FeatureTracker
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
@@ -134,3 +135,34 @@ def test_an_image_that_cannot_be_read_is_dropped_and_the_next_is_used(graph):
     assert len(tracks) == count
     play(graph, publisher, image, [4])
     assert len(tracks) > count
+
+
+def test_no_point_is_followed_behind_a_mask_which_may_change(graph, tmp_path):
+    usable = np.full((240, 320), 255, np.uint8)
+    usable[120:] = 0
+    cv2.imwrite(str(tmp_path / 'upper.png'), usable)
+    cv2.imwrite(str(tmp_path / 'small.png'), usable[:100])
+    graph = graph()
+    node = graph.add(FeatureTracker())
+    publisher = graph.probe.create_publisher(Image, 'image', 5)
+    _, tracks = play(graph, publisher, image, range(2))
+    assert (tracks_from_message(tracks[-1]).xy[:, 1] > 130).sum() > 20
+
+    def change(path):
+        result, = node.set_parameters([Parameter('mask', value=str(path))])
+        return result.reason
+
+    assert change(tmp_path / 'upper.png') == ''
+    _, tracks = play(graph, publisher, image, range(2, 5))
+    low = tracks_from_message(tracks[-1]).xy[:, 1]
+    assert len(low) > 20 and low.max() < 120
+    assert 'none.png cannot be read' in change(tmp_path / 'none.png')
+    # the size is known with the next image, which is dropped then
+    assert change(tmp_path / 'small.png') == ''
+    known = len(tracks)
+    publisher.publish(image(6))
+    graph.spin_for(0.5)
+    assert len(tracks) == known
+    assert change('') == ''
+    _, tracks = play(graph, publisher, image, range(7, 9))
+    assert (tracks_from_message(tracks[-1]).xy[:, 1] > 130).sum() > 20
