@@ -188,7 +188,9 @@ def with_opencv(tracks: Tracks, target: KnownObject, result):
     solid = bool(np.ptp(target.points[:, 2]) > 0)
     objects = [target.points.astype(np.float32)] * len(result.frames)
     seen = [tracks.xy[tracks.frame == f].astype(np.float32)[:, None] for f in result.frames]
-    flags = cv2.CALIB_FIX_K3 | (cv2.CALIB_USE_INTRINSIC_GUESS if solid else 0)
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS if solid else 0
+    if result.status['k3'] == 'held':
+        flags |= cv2.CALIB_FIX_K3
     seconds = []
     for _ in range(3):
         # it has no start of its own for solids

@@ -30,6 +30,7 @@ from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.comparison import compare_cameras
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
@@ -203,15 +204,15 @@ def over_the_image(report: Report, what: str, result, other: Camera, covariance=
 def report_result(report: Report, one: RecordedSet, truth: dict, result, nearest) -> None:
     """Print every parameter beside the truth."""
     K = truth['K']
-    true = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1], *truth['dist'][:4]]
+    true = Camera(K, truth['dist']).parameters
     rows, worst = [], 0.0
     for k, name in enumerate(PARAMETER_NAMES):
         if result.status[name] != 'estimated':
             continue
         value, sigma = result.camera.parameters[k], result.sigma[name]
         away = (true[k] - value) / sigma
-        # k1 and k2 depend on how many coefficients there are
-        if name not in ('k1', 'k2', 'p1', 'p2'):
+        # each coefficient depends on how many there are
+        if name not in PLUMB_BOB.coefficients:
             worst = max(worst, abs(away))
         rows.append((name, f'{value:.5g}', f'{sigma:.2g}', f'{true[k]:.5g}',
                      f'{value - true[k]:+.3g}', f'{away:+.2f}', f'{nearest[k]:.5g}',

@@ -292,8 +292,8 @@ class CameraFacts:
         In pixels. None: not known.
     aspect_ratio_sigma, skew_sigma_px, principal_point_sigma_px : float
         Standard deviation of each fact; 0 means exact, and the parameter is held.
-    distortion : {'auto', 'none', 'radial1', 'radial2', 'radial3', 'plumb_bob', 'rational', \
-'equidistant'}
+    distortion : {'auto', 'none', 'radial1', 'radial2', 'radial3', 'radtan', 'plumb_bob', \
+'rational', 'equidistant'}
         The lens model, and which of its coefficients are estimated; the others are held at
         zero. 'auto': the family and the richest member that the images determine.
     lens_population : bool

@@ -137,6 +137,29 @@ def test_gross_errors_are_left_out():
     assert abs(result.camera.K[0, 0] - 610) < 4 * result.sigma['fx']
 
 
+def test_a_board_that_does_not_show_k3_still_shows_decentring():
+    result = calibrate_known_object(
+        seen(BOARD, BOARD_POSES, CAMERA, 0.1, np.random.default_rng(4)), BOARD, facts=NO_SKEW)
+    assert result.facts.distortion == 'radtan' and result.status['k3'] == 'held'
+    assert result.status['p1'] == result.status['p2'] == 'estimated'
+    error = result.camera.parameters - CAMERA.parameters
+    assert (np.abs(error)[:-1] < 4 * np.sqrt(np.diag(result.covariance))[:-1] + 1e-12).all()
+
+
+@pytest.mark.parametrize('model, values, choice', [
+    ('equidistant', [-0.02, 0.006, -0.004, 5e-4], 'equidistant'),
+    ('rational_polynomial', [0.78, 0.07, 1e-3, -2e-3, 0.001, 1.11, 0.24, 0.002], 'rational')])
+def test_a_wide_lens_that_is_stated(model, values, choice):
+    camera = Camera(CAMERA.K, values, *SIZE, model)
+    result = calibrate_known_object(
+        seen(BOARD, BOARD_POSES, camera, 0.1, np.random.default_rng(4)), BOARD,
+        facts=CameraFacts(skew=0.0, distortion=choice))
+    assert result.camera.model == model
+    assert result.noise_sigma_px == pytest.approx(0.1, rel=0.1)
+    error = (result.camera.parameters - camera.parameters)[:4]
+    assert (np.abs(error) < 4 * np.sqrt(np.diag(result.covariance))[:4]).all()
+
+
 def test_a_view_that_is_wrong_as_a_whole_is_left_out():
     tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.1, np.random.default_rng(0))
     xy = tracks.xy.copy()

@@ -29,7 +29,7 @@ from scipy.stats import chi2
 from selfcal_ros.calibration.affine.diac import (camera_from_dual_conic, InfiniteHomographies,
                                                  linear_conic, ROUNDING)
 from selfcal_ros.calibration.observability import FOCAL_FRACTION, parameter_status
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 
@@ -242,10 +242,11 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     covariance, log_aspect_sigma, open_directions = _judge(
         information, free, K, scale, max(misfit / freedom, 1.0))
     camera = Camera(np.triu(K), width=size[0], height=size[1])
-    nine = np.zeros((9, 9))
-    nine[:5, :5] = covariance
-    status = {k: v for k, v in parameter_status(camera, nine, facts).items()
-              if k in ('fx', 'fy', 'cx', 'cy', 'skew')}
+    count = len(MATRIX_PARAMETERS)
+    whole = np.zeros((len(camera.parameters),) * 2)
+    whole[:count, :count] = covariance
+    status = {k: v for k, v in parameter_status(camera, whole, facts).items()
+              if k in MATRIX_PARAMETERS}
     status['aspect_ratio'] = ('held' if not free[_LOG_ASPECT] else 'estimated'
                               if log_aspect_sigma < FOCAL_FRACTION else 'unobservable')
     near = constraints.K(theta)

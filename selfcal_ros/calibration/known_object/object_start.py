@@ -35,6 +35,7 @@ from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.projective import (calibration_from_iac, euclidean, homogeneous,
                                              normalising_transform)
 from selfcal_ros.geometry.resection import resect_linear
@@ -217,8 +218,8 @@ def _fact_rows(skew, aspect, point) -> list[np.ndarray]:
     return rows
 
 
-def start_state(K: np.ndarray, views: list[LinearView]) -> ObjectState:
-    """Return the camera without distortion, and each view's pose nearest to its linear one."""
+def start_state(K: np.ndarray, views: list[LinearView], lens: LensModel) -> ObjectState:
+    """Return the camera, its coefficients zero, and each view's pose nearest to its linear one."""
     poses = np.empty((len(views), 3, 4))
     for view, pose in zip(views, poses):
         A = np.linalg.solve(K, view.matrix)
@@ -230,4 +231,4 @@ def start_state(K: np.ndarray, views: list[LinearView]) -> ObjectState:
         t = A[:, 3] / (scale[:2].mean() if view.flat else scale.mean())
         pose[:, :3] = R @ view.frame
         pose[:, 3] = t - pose[:, :3] @ view.centre
-    return ObjectState(Lens.of(Camera(K)), ObjectPoses(poses))
+    return ObjectState(Lens.of(Camera(K, model=lens.name)), ObjectPoses(poses))

@@ -46,7 +46,7 @@ from selfcal_ros.version import __version__
 
 MOTION = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
-AUTOMATIC_DISTORTION = ('plumb_bob', 'radial2', 'radial1', 'none')
+AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
 #: Residuals beyond so many sigmas are outliers.
 OUTLIER_SIGMAS = 4.0
 #: An image noise beyond this share of the image's diagonal is no noise: points and object do not
@@ -247,8 +247,8 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
     for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
-        state = bundle.optimise(with_fixed(start_state(K, few.linear), priors), iterations=25,
-                                tolerance=1e-2)
+        state = with_fixed(start_state(K, few.linear, priors.lens), priors)
+        state = bundle.optimise(state, iterations=25, tolerance=1e-2)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
@@ -311,7 +311,8 @@ def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
     far as the lens is exactly what its model says.
     """
     pinhole = replace(facts, distortion='none')
-    priors = priors_from_facts(pinhole)
+    priors = priors_from_facts(facts).updated(
+        {name: Prior(0.0, 0.0) for name in state.lens.model.coefficients})
     ideal, bare = with_fixed(state, priors), bundle.with_priors(priors)
     # what that camera would have seen
     exact = Bundle(bundle.model, bundle.view, bundle.part,

@@ -33,6 +33,8 @@ LENS_CHOICES: dict[str, tuple[LensModel, tuple[str, ...]]] = {
     'radial1': (PLUMB_BOB, ('k1',)),
     'radial2': (PLUMB_BOB, ('k1', 'k2')),
     'radial3': (PLUMB_BOB, ('k1', 'k2', 'k3')),
+    # without k3, as Kalibr's radtan and COLMAP's OPENCV
+    'radtan': (PLUMB_BOB, ('k1', 'k2', 'p1', 'p2')),
     'plumb_bob': (PLUMB_BOB, PLUMB_BOB.coefficients),
     'rational': (RATIONAL_POLYNOMIAL, RATIONAL_POLYNOMIAL.coefficients),
     'equidistant': (EQUIDISTANT, EQUIDISTANT.coefficients),
