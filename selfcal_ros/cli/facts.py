@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 FREE = 'free'
 #: Lens models that can be stated: those of `LENS_CHOICES`, which take NumPy to be imported.
-LENSES = ('auto', 'none', 'radial1', 'radial2', 'radial3', 'plumb_bob', 'rational', 'equidistant')
+LENSES = ('auto', 'none', 'radial1', 'radial2', 'radial3', 'radtan', 'plumb_bob', 'rational',
+          'equidistant')
 
 
 def _number_or_free(text: str):
