@@ -71,9 +71,8 @@ class Lenses:
         return Lenses(self.scaled[rows], self.corner[rows], self.brand[rows])
 
     def weights(self) -> np.ndarray:
-        """Weigh a brand by the root of its number, lest the largest be the population."""
-        _, which, count = np.unique(self.brand, return_inverse=True, return_counts=True)
-        return (count**-0.5)[which]
+        """Return the weights of `brand_weights`."""
+        return brand_weights(self.brand)
 
 
 @dataclass(frozen=True)
@@ -85,6 +84,17 @@ class Profiles:
     corner: np.ndarray
     brand: np.ndarray
     read: int
+
+    def __getitem__(self, rows) -> Profiles:
+        """Take some of them."""
+        return Profiles(self.size[rows], self.k[rows], self.corner[rows], self.brand[rows],
+                        self.read)
+
+
+def brand_weights(brand: np.ndarray) -> np.ndarray:
+    """Weigh a brand by the root of its number, lest the largest be the population."""
+    _, which, count = np.unique(brand, return_inverse=True, return_counts=True)
+    return (count**-0.5)[which]
 
 
 def read_profiles(path: Path) -> Profiles:
@@ -251,7 +261,7 @@ def run(report: Report, options) -> None:
                    'Share of lenses inside the ellipsoids; a brand counts by the root of its '
                    'number.', 'The population has long tails, and the Gaussian is made to hold '
                    'them: its middle is too wide.')
-    path = _csv_path()
+    path = profile_path()
     if path is None:
         report.say('left out: there is no lens_profiles.csv')
         return
@@ -276,7 +286,8 @@ def run(report: Report, options) -> None:
                   *(f'{100 * share:.0f} %' for share in SHARES)), rows)
 
 
-def _csv_path() -> Path | None:
+def profile_path() -> Path | None:
+    """Return where the measured lenses are, or None."""
     folder = data_folder('fisheye_room')
     path = folder.parent / 'lens_profiles.csv' if folder else None
     return path if path and path.exists() else None
@@ -314,7 +325,7 @@ if __name__ == '__main__':
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--write', action='store_true', help='write the table into the package')
     if parser.parse_args().write:
-        found = _csv_path()
+        found = profile_path()
         if found is None:
             raise SystemExit('There is no ../shared/data/lens_profiles.csv.')
         write_table(found)

@@ -57,7 +57,7 @@ class PointSequence:
         Unit rotation axis in the first camera frame; for a motion that is not planar, the z
         axis of the body.
     true_pixels : ndarray, shape (V, P, 2)
-        Noise-free projections, NaN behind the camera.
+        Noise-free projections, NaN where the lens cannot see.
     outliers : ndarray of bool, shape (N,)
         Rows of `tracks` that were replaced by gross errors.
 
@@ -183,8 +183,8 @@ def observe(rng, camera: Camera, cam_from_world, points, noise_px: float = 0.0,
     noise_px : float
         Standard deviation of each image coordinate.
     only_inside : bool
-        Drop observations outside the image; needs a camera with a size. Points behind the
-        camera are always dropped.
+        Drop observations outside the image; needs a camera with a size. Points that the lens
+        cannot see, as those behind a pinhole, are always dropped.
     seen : array_like of bool, shape (V, P), optional
         Further restriction.
 
@@ -196,7 +196,9 @@ def observe(rng, camera: Camera, cam_from_world, points, noise_px: float = 0.0,
     poses = np.asarray(cam_from_world, float)
     points = np.asarray(points, float)
     local = points @ np.swapaxes(poses[:, :, :3], 1, 2) + poses[:, None, :, 3]
-    ahead = local[..., 2] > 1e-9
+    from_axis = np.arctan2(np.hypot(local[..., 0], local[..., 1]), local[..., 2])
+    # beyond its widest angle a polynomial folds back into the image
+    ahead = from_axis < camera.lens.widest_angle(camera.distortion) - 1e-9
     pixels = camera.project(np.where(ahead[..., None], local, np.nan))
     keep = ahead.copy()
     if only_inside:

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import (double_tsai_grid, mount_from_axis, observe,
                                           pitched_mount, planar_poses, planar_sequence,
                                           PointSequence, sequence_si, si_axis, SI_POSITIONS)
@@ -161,16 +162,91 @@ def drive(rng, noise_px: float = 0.1, views: int = 24, tracks: int = 2000,
     positions = np.cumsum(stride[:, None] * np.column_stack([np.cos(course), np.sin(course)]),
                           axis=0)
     poses = planar_poses(mount, heading, positions)
-    # each point is placed by the pixel and the depth at which one view of its window sees it
-    start = np.linspace(1 - track_length / 2, views - track_length / 2, tracks).round().astype(int)
-    anchor = np.clip(start + track_length // 2, 0, views - 1)
-    pixel = rng.uniform(0, [camera.width - 1, camera.height - 1], (tracks, 2))
-    depth = rng.uniform(3.0, 10.0, tracks)
-    ray = camera.normalised(pixel)
-    ray = np.where(np.isfinite(ray), ray, 0.0)
-    local = depth[:, None] * np.column_stack([ray, np.ones(tracks)])
-    rotation, shift = poses[anchor, :, :3], poses[anchor, :, 3]
-    points = np.einsum('pji,pj->pi', rotation, local - shift)
-    seen = (step[:, None] >= start) & (step[:, None] < start + track_length)
+    points, seen = placed_points(rng, camera, poses, tracks, track_length)
     return planar_sequence(rng, camera, mount, heading, positions, points, noise_px,
                            only_inside=True, seen=seen)
+
+
+def placed_points(rng, camera: Camera, cam_from_world, count: int, track_length: int,
+                  depth_m=(3.0, 10.0)) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Place scene points evenly over a recording and over the image, whatever the lens.
+
+    Each is placed by the pixel and the depth at which one view of its window sees it.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    camera : Camera
+        With an image size.
+    cam_from_world : ndarray, shape (V, 3, 4)
+    count : int
+    track_length : int
+        Each point may be seen in so many consecutive views.
+    depth_m : (float, float)
+        Depth before a pinhole; distance from a lens that sees beyond 90 degrees.
+
+    Returns
+    -------
+    points : ndarray, shape (count, 3)
+    seen : ndarray of bool, shape (V, count)
+
+    """
+    views = len(cam_from_world)
+    start = np.linspace(1 - track_length / 2, views - track_length / 2, count).round().astype(int)
+    anchor = np.clip(start + track_length // 2, 0, views - 1)
+    size = [camera.width - 1, camera.height - 1]
+    pixel = rng.uniform(0, size, (count, 2))
+    depth = rng.uniform(*depth_m, count)
+    ray = camera.rays(pixel)
+    if camera.lens.is_perspective:
+        ray = ray / ray[:, 2:]
+    for _ in range(40):
+        dark = ~np.isfinite(ray).all(axis=1)
+        if camera.lens.is_perspective or not dark.any():
+            break
+        # outside the circle of a fisheye nothing is seen
+        ray[dark] = camera.rays(rng.uniform(0, size, (int(dark.sum()), 2)))
+    local = depth[:, None] * np.where(np.isfinite(ray), ray, [0.0, 0.0, 1.0])
+    rotation, shift = cam_from_world[anchor, :, :3], cam_from_world[anchor, :, 3]
+    points = np.einsum('pji,pj->pi', rotation, local - shift)
+    step = np.arange(views)[:, None]
+    return points, (step >= start) & (step < start + track_length)
+
+
+def hand_held(rng, noise_px: float = 0.3, views: int = 20, tracks: int = 1000,
+              track_length: int = 12, camera: Camera | None = None, turn_deg: float = 20.0,
+              shift_m: float = 0.5) -> PointSequence:
+    """
+    Carry a camera by hand: it turns about all axes and moves along all, smoothly.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Draws the path, too.
+    noise_px : float
+    views, tracks, track_length : int
+        As for `drive`.
+    camera : Camera, optional
+        As for `drive`.
+    turn_deg, shift_m : float
+        About how far it turns and moves to either side.
+
+    Returns
+    -------
+    PointSequence
+
+    """
+    camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], (), 640, 480) if camera is None \
+        else camera
+    phase = 2 * np.pi * np.linspace(0, 1, views)[:, None] * [1.0, 2.0, 3.0]
+    waves = []
+    for _ in range(2):
+        size = rng.standard_normal((3, 3))
+        late = rng.uniform(0, 2 * np.pi, (3, 1, 3))
+        waves.append((size[:, None] / np.linalg.norm(size) * np.sin(phase + late)).sum(axis=2).T)
+    rotation = rotation_matrix(1.8 * np.radians(turn_deg) * waves[0])
+    centres = 1.8 * shift_m * waves[1]
+    poses = np.concatenate([rotation, -rotation @ centres[:, :, None]], axis=-1)
+    points, seen = placed_points(rng, camera, poses, tracks, track_length)
+    return observe(rng, camera, poses, points, noise_px, only_inside=True, seen=seen)

@@ -15,6 +15,7 @@
 
 import numpy as np
 import pytest
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.synthetic import scenes, special_scenes
 
 
@@ -145,3 +146,37 @@ def test_distortion_reaches_the_pixels(rng):
     bent = scenes.sequence_si(rng, 0.0, distortion=(-0.12, 0.05, 0, 0))
     moved = np.linalg.norm(bent.true_pixels - straight.true_pixels, axis=-1)
     assert moved.max() > 0.2
+
+
+FISHEYE = Camera([[200, 0, 322], [0, 200, 238], [0, 0, 1]], (-0.0388, 0.0087, -0.0110, 0.0025),
+                 640, 480, 'equidistant')
+
+
+@pytest.mark.parametrize('make', [special_scenes.drive, special_scenes.hand_held])
+def test_any_lens_sees_its_scene_beyond_90_degrees_too(rng, make):
+    sequence = make(rng, 0.2, 12, 600, 8, FISHEYE)
+    tracks = sequence.tracks
+    rays = FISHEYE.rays(sequence.true_pixels[tracks.frame, tracks.track])
+    assert (rays[:, 2] < 0).sum() > 20
+    # the true rays meet the true points
+    poses = sequence.cam_from_world[tracks.frame]
+    local = np.einsum('nij,nj->ni', poses[:, :, :3],
+                      sequence.points[tracks.track]) + poses[:, :, 3]
+    assert np.allclose(local / np.linalg.norm(local, axis=1, keepdims=True), rays, atol=1e-9)
+    away = tracks.xy - sequence.true_pixels[tracks.frame, tracks.track]
+    assert away.std() == pytest.approx(0.2, rel=0.05)
+    assert np.bincount(tracks.frame, minlength=12).min() > 100
+
+
+def test_points_beyond_the_fold_of_a_lens_are_not_seen(rng):
+    folding = Camera([[400, 0, 320], [0, 400, 240], [0, 0, 1]], (-0.3, 0, 0, 0), 640, 480)
+    points = np.array([[1.9, 0, 1.0], [0.3, 0, 1.0]])
+    pose = np.eye(3, 4)[None]
+    assert scenes.observe(rng, folding, pose, points).tracks.track.tolist() == [1]
+
+
+def test_a_hand_turns_about_all_axes_and_moves_along_all(rng):
+    poses = special_scenes.hand_held(rng).cam_from_world
+    centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    assert (np.linalg.svd(centres - centres.mean(axis=0))[1] > 0.1).all()
+    assert (np.linalg.svd((poses[:, :, :3] - poses[0, :, :3]).reshape(20, 9))[1][:3] > 0.3).all()
