@@ -154,7 +154,7 @@ class _Model:
     def project(self, change, view, X):
         """Pixels (N, 2), complex, of world points X (N, 3)."""
         n = len(self.free)
-        fx, fy, cx, cy, skew, k1, k2, p1, p2 = self.intrinsics(change[:n])
+        fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = self.intrinsics(change[:n])
         mount = self.tilted(change[n:n + 2])
         angles = self.angles + np.r_[0, change[n + 2:self.first_position]]
         centres = self.centres.astype(complex)
@@ -166,7 +166,7 @@ class _Model:
         seen = body @ mount.T
         x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
         r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * k2)
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.stack([fx * xd + skew * yd + cx, fy * yd + cy], axis=1)

@@ -124,7 +124,7 @@ class LinearWindow:
         information = np.linalg.inv(covariance)
         every = np.arange(len(self.free))
         told = Information(covariance, influence, share, self._freedom / self._measured,
-                           self._system)
+                           self._system, slice(0, len(self.free)))
         return influence.sum(axis=0), information, shared_within_tracks(
             told, self.track, every, information)
 

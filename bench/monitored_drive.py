@@ -214,7 +214,7 @@ def displaced(camera: Camera, focal: float = 1.0, shift=(0.0, 0.0)) -> Camera:
 def recalibrated(drive: MeasuredDrive, rng: np.random.Generator) -> Calibration:
     """Calibration of the true camera with an error drawn from its stated covariance."""
     values, vectors = np.linalg.eigh(drive.calibration.covariance)
-    error = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(9))
+    error = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(len(values)))
     return replace(drive.calibration, camera=Camera.from_parameters(
         drive.camera.parameters + error, drive.camera.width, drive.camera.height))
 

@@ -205,9 +205,15 @@ def test_recorded_chessboards_give_the_camera():
     assert all(len(xy) == 54 for xy in seen)
     tracks = Tracks(np.repeat(np.arange(len(seen)), 54), np.tile(np.arange(54), len(seen)),
                     np.concatenate(seen), (640, 480))
-    result = calibrate_known_object(tracks, board.known, facts=CameraFacts(skew=0.0))
-    assert result.camera.K[0, 0] == pytest.approx(532.46, rel=0.002)
-    assert result.camera.K[1, 1] == pytest.approx(532.41, rel=0.002)
-    assert np.hypot(*(result.camera.K[:2, 2] - [341.97, 232.66])) < 3
+    found = {lens: calibrate_known_object(tracks, board.known, facts=CameraFacts(
+        skew=0.0, distortion=lens)).camera for lens in ('radtan', 'auto')}
+    for camera in found.values():
+        assert camera.K[0, 0] == pytest.approx(532.46, rel=0.002)
+        assert camera.K[1, 1] == pytest.approx(532.41, rel=0.002)
+        assert np.hypot(*(camera.K[:2, 2] - [341.97, 232.66])) < 3
     # the truth has a third radial coefficient: k1 depends on it
-    assert result.camera.distortion[0] == pytest.approx(-0.3, abs=0.015)
+    assert found['radtan'].distortion[0] == pytest.approx(-0.3, abs=0.015)
+    # together the three bend what the boards reach as the true ones do
+    true = 1 - 0.3088 * 0.4 + 0.1624 * 0.4**2 - 0.0362 * 0.4**3
+    k1, k2, _, _, k3 = found['auto'].distortion
+    assert 1 + k1 * 0.4 + k2 * 0.4**2 + k3 * 0.4**3 == pytest.approx(true, abs=0.004)
