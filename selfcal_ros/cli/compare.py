@@ -95,27 +95,18 @@ def _same(a, b) -> bool:
 def _rows(a, b, covariances) -> list[dict]:
     """Compare parameter by parameter, as far as both have the same ones."""
     import numpy as np
-    from selfcal_ros.geometry.lenses.catalogue import lens_model
-    names = a.parameter_names
-    variance = sum((np.diag(C) for C in covariances if C is not None),
-                   np.zeros(len(names)))
-    spread = dict(zip(names, np.sqrt(np.maximum(variance, 0)).tolist()))
-    values = []
-    for camera in (a, b):
-        K = camera.K
-        values.append({'fx': K[0, 0], 'fy': K[1, 1], 'cx': K[0, 2], 'cy': K[1, 2],
-                       'skew': K[0, 1]})
-        plumb = camera.distortion_as('plumb_bob')
-        both = a.distortion_as('plumb_bob') is not None and (
-            b.distortion_as('plumb_bob') is not None)
-        if both or a.model == b.model:
-            model = 'plumb_bob' if both else a.model
-            values[-1].update(zip(lens_model(model).coefficients,
-                                  plumb if both else camera.distortion))
+    from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+    plumb = [camera.distortion_as('plumb_bob') for camera in (a, b)]
+    if plumb[0] is not None and plumb[1] is not None:
+        # rational lenses with a denominator of one are plumb bobs
+        a, b = a.as_model('plumb_bob'), b.as_model('plumb_bob')
+    # coefficients of different models have nothing but their names in common
+    names = a.parameter_names if a.model == b.model else MATRIX_PARAMETERS
+    variances = [np.diag(C)[:len(names)].tolist() for C in covariances if C is not None]
     rows = []
-    for name in values[0]:
-        first, second = float(values[0][name]), float(values[1][name])
-        sigma = spread.get(name, 0.0)
+    for k, name in enumerate(names):
+        first, second = float(a.parameters[k]), float(b.parameters[k])
+        sigma = max(sum(variance[k] for variance in variances), 0.0)**0.5
         rows.append({'name': name, 'a': first, 'b': second, 'difference': second - first,
                      'sigma': sigma or None,
                      'sigmas': abs(second - first) / sigma if sigma > 0 else None})
@@ -142,6 +133,9 @@ def _text(args, found, rows, covariances) -> str:
     if found.sigmas is not None:
         lines.append(f'That is {found.sigmas[found.worst]:.1f} sigmas there, and '
                      f'{np.nanmedian(found.sigmas):.1f} in the median.')
+    if not found.one_model:
+        lines.append('Their lens models differ, so their coefficients are not compared one by '
+                     'one.')
     lone = [letter for letter, C in zip('AB', covariances) if C is None]
     if len(lone) == 1:
         lines.append(f'{lone[0]} has no covariance and counts as exact.')

@@ -41,6 +41,11 @@ SAME_PX, SMALL_PX = 0.1, 1.0
 #: Effects of parameters below this share of the largest are rounding: the root of that of the
 #: covariance.
 _RANK = 1e-6
+#: The same for lenses of two models, whose parameters do nearly, not exactly, the same: below it
+#: is what linearisation leaves.
+_RANK_OF_TWO = 1e-2
+#: What may be left untested between lenses of two models, over the largest difference.
+OTHER_MODEL = 0.25
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,9 @@ class Comparison:
         Length of each difference in standard deviations along its own direction.
     untested_px : float
         Largest part of a difference that no free parameter can make: what both calibrations
-        hold, but differently.
+        hold, but differently; or, of two lens models, what neither can express of the other.
+    one_model : bool
+        Whether both have the same lens model.
 
     """
 
@@ -77,6 +84,7 @@ class Comparison:
     freedom: int = 0
     sigmas: np.ndarray | None = None
     untested_px: float = 0.0
+    one_model: bool = True
 
     @property
     def distance_px(self) -> np.ndarray:
@@ -93,7 +101,10 @@ class Comparison:
         """Tell whether the covariances explain the difference; None without any."""
         if self.p_value is None:
             return None
-        return bool(self.p_value >= SURE and self.untested_px < SAME_PX)
+        # lenses of two models differ by a little that is no contradiction
+        limit = SAME_PX if self.one_model else max(
+            SAME_PX, OTHER_MODEL * float(np.nanmax(self.distance_px)))
+        return bool(self.p_value >= SURE and self.untested_px < limit)
 
     @property
     def verdict(self) -> str:
@@ -114,8 +125,10 @@ class Comparison:
                     f'({chance}): the camera has changed, or one of them rests on something '
                     f'wrong. It is {most:.2g} px at most, which {size}.')
         if not self.agree:
-            return ('The calibrations differ in what both hold as known, by '
-                    f'{self.untested_px:.2g} px: their facts contradict each other. It is '
+            how = ('what both hold as known, by {:.2g} px: their facts contradict each other.'
+                   if self.one_model else
+                   'what their lens models cannot express of each other, by {:.2g} px.')
+            return (f'The calibrations differ in {how.format(self.untested_px)} It is '
                     f'{most:.2g} px at most, which {size}.')
         if self.p_value < DOUBTFUL:
             return (f'The calibrations agree barely ({chance}): if nothing has changed, one '
@@ -135,8 +148,8 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     a, b : Camera
         Of one image size.
     covariance_a, covariance_b : ndarray, shape (k, k), optional
-        Of the parameters of each camera, independent of each other; a camera without one counts
-        as exact.
+        Of the parameters of each camera, of whatever lens model, independent of each other; a
+        camera without one counts as exact.
 
     Returns
     -------
@@ -145,7 +158,7 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
     Raises
     ------
     InputError
-        If the sizes differ, or no ray is seen by both.
+        If the sizes differ, no ray is seen by both, or a covariance is of other parameters.
 
     """
     if (a.width, a.height) != (b.width, b.height) or min(a.width, a.height) <= 0:
@@ -169,28 +182,39 @@ def compare_cameras(a, b, covariance_a: np.ndarray | None = None,
                          x_scale=0.01, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     difference = np.full(pixels.shape, np.nan)
     difference[good] = apart(best.x)
-    found = Comparison(pixels, difference, float(np.linalg.norm(best.x)))
-    known = [np.asarray(C, float) for C in (covariance_a, covariance_b) if C is not None]
+    found = Comparison(pixels, difference, float(np.linalg.norm(best.x)),
+                       one_model=a.model == b.model)
+    known = [(camera, np.asarray(C, float))
+             for camera, C in ((a, covariance_a), (b, covariance_b)) if C is not None]
     if not known:
         return found
-    if a.model != b.model:
-        raise InputError(f'The first calibration has the lens model {a.model}, the second '
-                         f'{b.model}; a covariance of one says nothing of the other. Leave the '
-                         'covariances out.')
-    return _tested(found, a, np.sum(known, axis=0))
+    for camera, C in known:
+        if C.shape != (len(camera.parameter_names),) * 2:
+            raise InputError(f'A covariance of {len(C)} parameters is none of the '
+                             f'{len(camera.parameter_names)} of a camera with the lens model '
+                             f'{camera.model}.')
+        if not np.isfinite(C).all():
+            raise InputError('A covariance is not finite: its calibration leaves a parameter '
+                             'undetermined, so that nothing can be tested against it.')
+    if found.one_model:
+        # to first order both do the same, so they count as one
+        return _tested(found, [(a, np.sum([C for _, C in known], axis=0))], _RANK)
+    return _tested(found, known, _RANK_OF_TWO)
 
 
-def _tested(found: Comparison, camera: Camera, covariance: np.ndarray) -> Comparison:
-    """Test the difference against its covariance."""
-    if not np.isfinite(covariance).all():
-        raise InputError('A covariance is not finite: its calibration leaves a parameter '
-                         'undetermined, so that nothing can be tested against it.')
-    effect = parameter_effect(camera, found.pixels)
-    good = np.isfinite(effect).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1)
-    values, vectors = np.linalg.eigh(covariance)
-    root = effect[good] @ (vectors * np.sqrt(np.maximum(values, 0)))
+def _tested(found: Comparison, known: list[tuple[Camera, np.ndarray]], rank: float,
+            ) -> Comparison:
+    """Test the difference against covariances, each by what its own camera makes of it."""
+    roots = []
+    for camera, covariance in known:
+        values, vectors = np.linalg.eigh(covariance)
+        roots.append(parameter_effect(camera, found.pixels)
+                     @ (vectors * np.sqrt(np.maximum(values, 0))))
+    root = np.concatenate(roots, axis=2)
+    good = np.isfinite(root).all(axis=(1, 2)) & np.isfinite(found.difference_px).all(axis=1)
+    root = root[good]
     U, s, _ = np.linalg.svd(root.reshape(-1, root.shape[2]), full_matrices=False)
-    free = s > _RANK * max(s.max(initial=0), 1e-300)
+    free = s > rank * max(s.max(initial=0), 1e-300)
     d = found.difference_px[good]
     shares = U[:, free].T @ d.ravel()
     statistic = float(np.sum((shares / s[free])**2))
@@ -202,4 +226,4 @@ def _tested(found: Comparison, camera: Camera, covariance: np.ndarray) -> Compar
     sigmas[good] = np.divide(length[:, 0], spread, out=np.zeros(len(d)), where=spread > 0)
     return Comparison(found.pixels, found.difference_px, found.rotation_rad, statistic,
                       float(chi2.sf(statistic, free.sum())), int(free.sum()), sigmas,
-                      float(np.linalg.norm(rest, axis=1).max(initial=0.0)))
+                      float(np.linalg.norm(rest, axis=1).max(initial=0.0)), found.one_model)

@@ -39,7 +39,7 @@ class ObservationTable:
     xy : ndarray, shape (N, 2)
         Pixels, as measured.
     residual : ndarray, shape (N, 2)
-        Predicted less measured, pixels; NaN behind the camera.
+        Predicted less measured, pixels; NaN where the lens does not see.
     used : ndarray of bool, shape (N,)
         False for outliers.
 
@@ -73,11 +73,10 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     both = seen & known
     view, point, xy = view[both], point[both], tracks.xy[both]
     X = np.einsum('nij,nj->ni', shape.cam_from_world[view], shape.points[point])
-    # a homogeneous point has no sign: take the one that most of its views see ahead
-    balance = np.bincount(point, np.sign(X[:, 2]), minlength=len(shape.points))
-    ahead = X[:, 2] * np.where(balance[point] < 0, -1, 1) > 0
-    depth = np.where(ahead, X[:, 2], np.nan)
-    residual = result.camera.pixels(X[:, :2] / depth[:, None]) - xy
+    # a homogeneous point has no sign: take the one that most of its views see where they look
+    along = np.nan_to_num(np.einsum('ni,ni->n', X, result.camera.rays(xy)))
+    balance = np.bincount(point, np.sign(along), minlength=len(shape.points))
+    residual = result.camera.project(X * np.where(balance[point] < 0, -1, 1)[:, None]) - xy
     with np.errstate(invalid='ignore', over='ignore'):
         distance = np.linalg.norm(residual, axis=1)
         finite = np.sort(distance[np.isfinite(distance)])

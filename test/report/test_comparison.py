@@ -94,8 +94,52 @@ def test_lenses_of_other_models():
     angle = np.hypot(320, 240) / 520
     assert np.nanmax(found.distance_px) == pytest.approx(520 * (np.tan(angle) - angle), rel=0.01)
     assert np.nanmax(compare_cameras(fisheye, fisheye).distance_px) < 1e-9
-    with pytest.raises(InputError, match='a covariance of one says nothing of the other'):
-        compare_cameras(fisheye, camera(TRUTH), np.eye(len(fisheye.parameter_names)))
+    with pytest.raises(InputError, match='9 parameters is none of the 10 .* lens model plumb_bob'):
+        compare_cameras(fisheye, camera(TRUTH), None, np.eye(9))
+
+
+#: A fisheye of 90 degrees, and the rational lens next to it: 0.02 px apart at most.
+FISHEYE = np.array([400, 400, 320, 240, 0, -0.03, 0.008, -0.004, 0.0006])
+RATIONAL = np.array([399.917956, 399.917956, 320, 240, 0, 0.346812689, -0.0297561748, 0, 0,
+                     0.00236203260, 0.707451794, 0, 0])
+
+
+def estimated(values, model, free, seed):
+    """Return a root (n, k) of the covariance that 300 measured rays give a camera."""
+    one = Camera.from_parameters(values, 640, 480, model)
+    pixels = np.random.default_rng(seed).uniform([20, 20], [620, 460], (300, 2))
+    rays, step = one.rays(pixels), 1e-4
+    moves = np.array([[name in group.split() for name in one.parameter_names]
+                      for group in free], float)
+    J = np.stack([(Camera.from_parameters(values + step * move, 640, 480, model).project(rays)
+                   - pixels).ravel() / step for move in moves], axis=1)
+    return moves.T @ np.linalg.cholesky(np.linalg.inv(J.T @ J) * 0.5**2)
+
+
+def test_calibrations_of_two_families_are_tested_each_by_its_own_covariance():
+    roots = (estimated(FISHEYE, 'equidistant', ('fx fy', 'cx', 'cy', 'k1', 'k2', 'k3'), 1),
+             estimated(RATIONAL, 'rational_polynomial', ('fx fy', 'cx', 'cy', 'k1', 'k2', 'k4'),
+                       2))
+    C = [root @ root.T for root in roots]
+    rng, found = np.random.default_rng(3), []
+
+    def pair(shift=0.0):
+        drawn = [truth + root @ rng.standard_normal(6) for truth, root in zip(
+            (FISHEYE, RATIONAL), roots)]
+        drawn[1][:2] += shift
+        return (Camera.from_parameters(drawn[0], 640, 480, 'equidistant'),
+                Camera.from_parameters(drawn[1], 640, 480, 'rational_polynomial'))
+
+    found = [compare_cameras(*pair(), *C) for _ in range(60)]
+    p = np.array([one.p_value for one in found])
+    for nominal in (0.2, 0.5, 0.8):
+        assert abs(np.mean(p < nominal) - nominal) < 3 * np.sqrt(nominal * (1 - nominal) / 60)
+    assert np.mean([one.agree for one in found]) > 0.95
+    # the sum of both, not one of them: a camera known exactly is told apart better
+    moved = pair(3.0)
+    both, alone = compare_cameras(*moved, *C), compare_cameras(*moved, C[0])
+    assert both.agree is False and 'the camera has changed' in both.verdict
+    assert alone.chi2 > both.chi2 and not alone.agree
 
 
 def test_what_cannot_be_compared():

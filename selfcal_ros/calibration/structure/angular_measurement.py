@@ -148,8 +148,11 @@ def fields_of_view(camera: Camera, covariance: np.ndarray) -> dict[str, Measured
     ends = {'horizontal': ((-0.5, middle[1]), (right, middle[1])),
             'vertical': ((middle[0], -0.5), (middle[0], bottom)),
             'diagonal': ((-0.5, -0.5), (right, bottom))}
-    angle, sigma = np.degrees(angles_between(camera, covariance, *np.array(
-        list(ends.values())).swapaxes(0, 1)))
+    first, second = np.array(list(ends.values())).swapaxes(0, 1)
+    angle, sigma = np.degrees(angles_between(camera, covariance, first, second))
+    # two rays are never more than 180 degrees apart, but a fisheye sees what lies between
+    from_axis = [np.degrees(np.arccos(camera.rays(end)[:, 2])) for end in (first, second)]
+    angle = np.where(np.add(*from_axis) > 180, 360 - angle, angle)
     return {name: Measured(float(value), float(spread))
             for name, value, spread in zip(ends, angle, sigma) if np.isfinite(value + spread)}
 
@@ -177,7 +180,8 @@ def central_angle(camera: Camera, covariance: np.ndarray) -> Measured | None:
     along = np.linspace(0.01, 0.5, 400)[:, None] * size.max() * axis
     angle, sigma = np.degrees(angles_between(camera, covariance, middle - along,
                                              middle + along))
-    seen = np.isfinite(angle) & np.isfinite(sigma)
+    # beyond 180 degrees the angle falls again
+    seen = np.isfinite(angle) & np.isfinite(sigma) & (angle == np.fmax.accumulate(angle))
     if not seen.any():
         return None
     wanted = (COMMON_ANGLE_DEG if angle[seen][-1] >= COMMON_ANGLE_DEG >= angle[seen][0]
