@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
+from selfcal_ros.report.lens_curve import lens_figure
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.path_figure import path_figure
 from selfcal_ros.report.residual_figures import coverage_figure, residual_figure
@@ -55,6 +56,7 @@ def draw_figures(result: Calibration | NotCalibrated,
         size = (result.camera.width, result.camera.height)
         seen = observations(result, tracks) if tracks is not None else None
         drawings = [fixed_points_figure(result, seen), projection_figure(result),
-                    sigma_figure(result), residual_figure(result, seen), path_figure(result),
+                    lens_figure(result, seen), sigma_figure(result),
+                    residual_figure(result, seen), path_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]

@@ -18,9 +18,13 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.projection_uncertainty import projection_uncertainty
+from selfcal_ros.report.projection_uncertainty import (parameter_effect,
+                                                       projection_uncertainty)
 from selfcal_ros.report.style import (BLACK, BLUE, Drawing, image_axes, image_height_in,
                                       new_panel, SEQUENTIAL, styled, WHITE)
+
+#: The colours of projection uncertainty end at so many medians.
+MOST_SHOWN = 10.0
 
 
 def sigma_figure(result: Calibration) -> Drawing | None:
@@ -77,14 +81,14 @@ def sigma_figure(result: Calibration) -> Drawing | None:
 def _corner_effect(result: Calibration) -> np.ndarray:
     """Return the shift of a corner per unit of each parameter, pixels, shape (k,)."""
     camera = result.camera
-    corner = np.array([camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]])
-    x, y = corner
-    r2 = x * x + y * y
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    return np.array([x, y, 1, 1, y, np.hypot(fx * x, fy * y) * r2,
-                     np.hypot(fx * x, fy * y) * r2**2,
-                     np.hypot(fx * 2 * x * y, fy * (r2 + 2 * y * y)),
-                     np.hypot(fx * (r2 + 2 * x * x), fy * 2 * x * y)])
+    centre = camera.K[:2, 2]
+    # a size that is not known is as if the principal point were in the middle
+    corner = np.array([camera.width, camera.height]) - 0.5 if camera.width else 2 * centre
+    # where a fisheye has no ray in its corner, the last that it has on the way there
+    way = centre + np.linspace(1, 0.02, 50)[:, None] * (corner - centre)
+    effect = parameter_effect(camera, way, rotate=False)
+    first = int(np.argmax(np.isfinite(effect).all(axis=(1, 2))))
+    return np.linalg.norm(effect[first], axis=0)
 
 
 def projection_figure(result: Calibration) -> Drawing | None:
@@ -113,15 +117,22 @@ def projection_figure(result: Calibration) -> Drawing | None:
     with styled():
         axes = new_panel(image_height_in(camera.width, camera.height))
         top = float(sigma.max())
-        picture = axes.pcolormesh(found.u, found.v, sigma, cmap=SEQUENTIAL, vmin=0, vmax=top,
+        # a corner beyond all observations would make the rest one colour
+        shown = min(top, MOST_SHOWN * float(np.ma.median(sigma)))
+        picture = axes.pcolormesh(found.u, found.v, sigma, cmap=SEQUENTIAL, vmin=0, vmax=shown,
                                   shading='gouraud' if not sigma.mask.any() else 'nearest',
                                   rasterized=True)
         if sigma.max() > 1.05 * sigma.min():
-            lines = axes.contour(found.u, found.v, sigma, 6, colors=WHITE, linewidths=0.6)
-            axes.clabel(lines, fmt='%.2g', fontsize=8)
+            whole = shown == top
+            lines = axes.contour(found.u, found.v, sigma,
+                                 6 if whole else np.linspace(0, shown, 4)[1:], colors=WHITE,
+                                 linewidths=0.6)
+            if whole:    # else they crowd where the observations end
+                axes.clabel(lines, fmt='%.2g', fontsize=8)
         image_axes(axes, camera.width, camera.height)
         axes.plot(camera.K[0, 2], camera.K[1, 2], '+', color=WHITE, markersize=7)
-        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+        bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02,
+                                   extend='max' if shown < top else 'neither')
         bar.set_label('σ / px')
         axes.set_title('σ of a projected point, worst direction')
     return Drawing('projection', 'Uncertainty of projection', f'All parameters together, after '
