@@ -68,6 +68,8 @@ class Recording:
         How it was made, for the record.
     labels : tuple of str
         The kind of move that each view belongs to; empty where there is only one.
+    circle_deg : float, optional
+        Angle across the image circle of a fisheye: the image is black beyond.
 
     """
 
@@ -82,6 +84,7 @@ class Recording:
     seed: int = 0
     made: dict = field(default_factory=dict)
     labels: tuple = ()
+    circle_deg: float | None = None
 
     def __len__(self):
         """Return the number of images."""
@@ -89,7 +92,8 @@ class Recording:
 
     def renderer(self, supersampling: int = 3) -> Renderer:
         """Return a renderer of this sequence's scene; keep it, it is costly to make."""
-        return Renderer(Scene(self.surfaces), self.camera, supersampling)
+        circle = None if self.circle_deg is None else np.deg2rad(self.circle_deg)
+        return Renderer(Scene(self.surfaces), self.camera, supersampling, circle_rad=circle)
 
     def poses(self, index: int) -> np.ndarray:
         """Poses of the rigid bodies in view `index`: (3, 4), or (2, 3, 4) with a static body."""
@@ -133,7 +137,7 @@ class Recording:
             'width': camera.width,
             'height': camera.height,
             'K': camera.K.tolist(),
-            'distortion_model': 'plumb_bob',
+            'distortion_model': camera.model,
             'distortion': camera.distortion.tolist(),
             'stamps_ns': [int(stamp) for stamp in self.stamps_ns],
             'labels': list(self.labels),

@@ -14,9 +14,10 @@
 """
 A small anti-aliased renderer of textured rectangles, with exact truth.
 
-A rectangle ``P + u U + v V`` (0 <= u, v <= 1, camera frame) is seen along the ray d = (x, y, 1)
-at depth t where ``[U V P] (u, v, 1)^T = t d``. With ``A = [U V P]^-1`` the three values
-``(a, b, w) = A d = (u, v, 1) / t`` are linear in the ray: w is the inverse depth, and the ray
+A rectangle ``P + u U + v V`` (0 <= u, v <= 1, camera frame) is seen along the ray d at distance
+t where ``[U V P] (u, v, 1)^T = t d``; rays have z = 1 under a perspective and unit length under a
+fisheye, where they may point backwards. With ``A = [U V P]^-1`` the three values
+``(a, b, w) = A d = (u, v, 1) / t`` are linear in the ray: w is the inverse distance, and the ray
 hits where ``0 <= a, b <= w``. Nothing is approximated but the texture's filter, which is
 symmetric: the mean of a regular grid of samples over the pixel, each looked up trilinearly in a
 pyramid of box-filtered textures.
@@ -161,7 +162,9 @@ class Renderer:
     supersampling : int
         Samples along each side of a pixel.
     background : float
-        Grey level where no surface is hit.
+        Grey level where no surface is hit. Where the lens sees nothing, the image is black.
+    circle_rad : float, optional
+        Angle across the image circle: rays farther than half of it from the axis are black.
 
     Raises
     ------
@@ -171,18 +174,19 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, camera: Camera, supersampling: int = 3,
-                 background: float = 0.0):
+                 background: float = 0.0, circle_rad: float | None = None):
         """Cut the image into tiles and compute their rays."""
         if camera.width < 1 or camera.height < 1:
             raise ArgumentError('The camera to render with needs its image size.')
         self.scene, self.camera, self.background = scene, camera, float(background)
         self._samples = int(supersampling)
-        self._tiles = list(self._cut())
-        boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r in self._tiles]
+        self._circle = circle_rad
+        self._tiles = [tile for tile in self._cut() if np.isfinite(tile[1]).any()]
+        boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r, _ in self._tiles]
         self._low, self._high = np.moveaxis(np.array(boxes), 1, 0)
 
     def _cut(self):
-        """Yield (slices, rays (3, N)) for every tile, samples in raster order."""
+        """Yield (slices, rays (3, N), step (3, 2)) for every tile, samples in raster order."""
         n = self._samples
         for top in range(0, self.camera.height, _TILE):
             for left in range(0, self.camera.width, _TILE):
@@ -192,9 +196,37 @@ class Renderer:
                 y = (np.arange(rows.start * n, rows.stop * n) + 0.5) / n - 0.5
                 x = (np.arange(columns.start * n, columns.stop * n) + 0.5) / n - 0.5
                 pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-                rays = np.ones((3, len(pixels)))
-                rays[:2] = self.camera.normalised(pixels).T
-                yield (rows, columns), rays
+                rays = self._rays(pixels)
+                yield (rows, columns), rays, self._step(rays.reshape(3, len(y), len(x)))
+
+    def _rays(self, pixels):
+        """Return the ray of every sample, shape (3, N), NaN where there is none."""
+        if self.camera.lens.is_perspective:
+            rays = np.ones((3, len(pixels)))
+            rays[:2] = self.camera.normalised(pixels).T
+        else:
+            rays = self.camera.rays(pixels).T
+        if self._circle is not None:
+            angle = np.arctan2(np.hypot(rays[0], rays[1]), rays[2])
+            rays[:, ~(angle <= self._circle / 2)] = np.nan
+        return rays
+
+    def _step(self, rays):
+        """
+        Return how the ray (3, rows, columns) changes from sample to sample, shape (3, 2).
+
+        One value a tile: only the texture's filter depends on it.
+        """
+        if self.camera.model == 'plumb_bob':
+            # that of the pinhole will do, and it is the same for every window of an image
+            return np.vstack([np.diag(1 / (self._samples * self.camera.K[[0, 1], [0, 1]])),
+                              np.zeros(2)])
+        steps = []
+        for axis in (2, 1):
+            change = np.diff(rays, axis=axis).reshape(3, -1)
+            there = np.isfinite(change[0])
+            steps.append(change[:, there].sum(axis=1) / max(there.sum(), 1))
+        return np.stack(steps, axis=1)
 
     def render(self, cam_from_world, rng=None, noise_sigma: float = 0.0) -> np.ndarray:
         """
@@ -218,10 +250,10 @@ class Renderer:
 
     def intensity(self, cam_from_world) -> np.ndarray:
         """Render without noise or rounding: grey levels as reals, shape (height, width)."""
-        image = np.empty((self.camera.height, self.camera.width))
+        image = np.zeros((self.camera.height, self.camera.width))
         n = self._samples
-        for (rows, columns), rays, surfaces, inverse in self._candidates(cam_from_world):
-            grey = self._shade(rays, surfaces, inverse)
+        for (rows, columns), rays, step, surfaces, inverse in self._candidates(cam_from_world):
+            grey = self._shade(rays, step, surfaces, inverse)
             high, wide = rows.stop - rows.start, columns.stop - columns.start
             image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
         return image
@@ -230,23 +262,25 @@ class Renderer:
         """
         Depth (z in the optical frame, metres) at the pixel centres, NaN where nothing is hit.
 
-        Shape (height, width); exact. The number of samples along a pixel must be odd.
+        Shape (height, width); exact, and negative beside and behind a fisheye. The number of
+        samples along a pixel must be odd.
         """
         if self._samples % 2 == 0:
             raise ArgumentError('A depth map needs an odd supersampling: only then does a '
                                 'sample lie at the centre of the pixel.')
-        image = np.empty((self.camera.height, self.camera.width))
+        image = np.full((self.camera.height, self.camera.width), np.nan)
         n = self._samples
-        for (rows, columns), rays, surfaces, inverse in self._candidates(cam_from_world):
+        for (rows, columns), rays, _, surfaces, inverse in self._candidates(cam_from_world):
             high, wide = rows.stop - rows.start, columns.stop - columns.start
             centre = rays.reshape(3, high, n, wide, n)[:, :, n // 2, :, n // 2].reshape(3, -1)
             _, _, _, w = _nearest(centre, inverse)
             with np.errstate(divide='ignore'):
-                image[rows, columns] = np.where(w > 0, 1 / w, np.nan).reshape(high, wide)
+                depth = np.where(w > 0, centre[2] / w, np.nan)
+            image[rows, columns] = depth.reshape(high, wide)
         return image
 
     def _candidates(self, cam_from_world):
-        """Yield (slices, rays, surfaces, their A) for every tile, hidden surfaces left out."""
+        """Yield (slices, rays, step, surfaces, their A) by tile, hidden surfaces left out."""
         pose = np.asarray(cam_from_world, dtype=float)
         pose = np.broadcast_to(pose, (self.scene.body.max() + 1, 3, 4))[self.scene.body]
         frames = pose[:, :, :3] @ self.scene.frames
@@ -264,12 +298,12 @@ class Renderer:
         seen = (most >= 0).all(axis=0)
         covering = np.where((least >= 0).all(axis=0), least[0], 0.0).max(axis=0, initial=0.0)
         seen &= most[0] >= covering
-        for (slices, rays), chosen in zip(self._tiles, seen.T):
-            yield slices, rays, facing[chosen], inverse[chosen]
+        for (slices, rays, step), chosen in zip(self._tiles, seen.T):
+            yield slices, rays, step, facing[chosen], inverse[chosen]
 
-    def _shade(self, rays, surfaces, inverse):
+    def _shade(self, rays, step, surfaces, inverse):
         """Grey level of every ray, shape (N,)."""
-        grey = np.full(rays.shape[1], self.background)
+        grey = np.where(np.isfinite(rays[0]), self.background, 0.0)
         if not len(surfaces):
             return grey
         best, a, b, w = _nearest(rays, inverse)
@@ -280,10 +314,9 @@ class Renderer:
         surface = surfaces[best]
         # texels that one sample's spacing covers, along the longer side of its footprint
         sides = self.scene.sides[surfaces]
-        spacing = 1 / (self._samples * self.camera.K[[0, 1], [0, 1]])
         squared = 0.0
         for axis in range(2):
-            slope = inverse[:, :, axis] * spacing[axis]
+            slope = inverse @ step[:, axis]
             slope = np.column_stack([slope[:, :2] * sides, slope[:, 2]])
             du, dv, dw = slope[best].T
             du -= u * dw * sides[best, 0]

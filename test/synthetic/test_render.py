@@ -19,8 +19,9 @@ import pytest
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.synthetic import recordings
+from selfcal_ros.synthetic import recordings, worlds
 from selfcal_ros.synthetic.render import quantise, Renderer, Scene, Surface
+from selfcal_ros.synthetic.wide_recordings import hand_walk, wide_camera
 
 IDENTITY = np.eye(3, 4)
 DISTORTION = [-0.12, 0.05, 0.001, -0.002]
@@ -36,6 +37,18 @@ def _slanted(texture, body=0):
     origin = np.array([0.05, 0.02, 2.5]) - (edge_u + edge_v) / 2
     # the visible side is the one to which U x V points: let u run from right to left
     return Surface(origin + edge_u, -edge_u, edge_v, texture, body)
+
+
+def _fisheye(circle_deg=185.0):
+    return wide_camera(circle_deg, (160, 120), filled='height', off_centre_px=(2, -1))
+
+
+def _room(grey):
+    """Return the six walls of a room around the camera, brighter one after the other."""
+    wall = np.ones((64, 64))
+    return [Surface(s.origin, s.edge_u, s.edge_v, (k + 1) * grey * wall) for k, s in
+            enumerate(worlds.room(np.random.default_rng(0), [-2, -2, -2], [2, 2, 2],
+                                  worlds.Style(texel_m=0.1), worlds.Style(texel_m=0.1)))]
 
 
 def _pixel_rays(camera):
@@ -175,3 +188,62 @@ def test_impossible_scenes_are_refused():
         Renderer(scene, Camera(np.eye(3)))
     with pytest.raises(ArgumentError):
         Renderer(scene, _camera(), supersampling=2).depth(IDENTITY)
+
+
+def test_a_fisheye_sees_beside_and_behind_itself_and_is_black_beyond_its_circle():
+    camera = _fisheye()
+    pixels = np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)), axis=-1)
+    rays = camera.rays(pixels)
+    angle = np.arccos(rays[..., 2])
+    walls = Scene(_room(30.0))
+    renderer = Renderer(walls, camera, circle_rad=np.deg2rad(185))
+    image, depth = renderer.intensity(IDENTITY), renderer.depth(IDENTITY)
+    outside = ~(angle <= np.deg2rad(92.5))
+    black = cv2.erode(outside.astype(np.uint8), np.ones((3, 3))) > 0
+    assert 0.3 < black.mean() < 0.5 and (image[black] == 0).all()
+    assert np.isnan(depth[black]).all()
+    # the wall that a ray hits first is the one along its largest component
+    inside = angle < np.deg2rad(92)
+    expected = 2 * rays[..., 2] / np.abs(rays).max(axis=-1)
+    np.testing.assert_allclose(depth[inside], expected[inside], rtol=1e-9)
+    assert (depth[inside] < 0).any()
+
+
+@pytest.mark.parametrize('axis', [0, 1])
+def test_grey_ramp_far_from_the_axis_of_a_fisheye(axis):
+    # centred 80 degrees from the axis: most of it is seen, a part of it behind the camera
+    camera = _fisheye()
+    turn = cv2.Rodrigues(np.array([0.0, np.deg2rad(80), 0.0]))[0]
+    ramp = np.broadcast_to(np.arange(256.0), (256, 256))
+    flat = _slanted(ramp if axis == 0 else ramp.T)
+    surface = Surface(*(turn @ v for v in (flat.origin, flat.edge_u, flat.edge_v)), flat.texture)
+    image = Renderer(Scene([surface]), camera, background=-100).intensity(IDENTITY)
+    frame = np.column_stack([surface.edge_u, surface.edge_v, surface.origin])
+    pixels = np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)), axis=-1)
+    rays = camera.rays(pixels)
+    a, b, w = np.moveaxis(rays @ np.linalg.inv(frame).T, -1, 0)
+    seen = (a > 0.02) & (b > 0.02) & (a < w - 0.02) & (b < w - 0.02) & (rays[..., 2] < 0.2)
+    assert seen.sum() > 300 and (rays[..., 2][seen] < -0.02).sum() > 20
+    expected = (a, b)[axis][seen] / w[seen] * 256 - 0.5
+    # two hundredths of a pixel, of which each is several grey levels wide
+    assert np.abs(image[seen] - expected).max() < 0.35
+
+
+def test_wide_recordings_fill_their_circle_and_tell_their_lens():
+    camera = _fisheye(170.0)
+    walk = hand_walk(3, 170.0, camera, noise_sigma=0)
+    reach = np.arccos(camera.rays(np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)),
+                                           axis=-1))[..., 2])
+    image = walk.frame(1)
+    assert (image[reach < np.deg2rad(84)] > 0).all()
+    assert (image[~(reach < np.deg2rad(87))] == 0).all()
+    assert walk.truth()['distortion_model'] == 'equidistant'
+    # by hand it turns about every axis
+    turns = [cv2.Rodrigues(R @ walk.cam_from_world[0, :, :3].T)[0].ravel()
+             for R in walk.cam_from_world[1:, :, :3]]
+    assert np.abs(turns).max(axis=0).min() > 0.1
+
+
+def test_a_circle_that_the_lens_does_not_reach_is_refused():
+    with pytest.raises(ArgumentError, match='at most'):
+        wide_camera(170, coefficients=[-0.3], model='plumb_bob')
