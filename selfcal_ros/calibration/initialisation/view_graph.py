@@ -165,7 +165,11 @@ def _candidate_pairs(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     pairs = np.column_stack([a, b])
     enough = wanted & (common[a, b] >= MINIMUM_MATCHES)
     label = _components(pairs[enough], len(frames))
-    joining = wanted & (common[a, b] >= FEWEST_MATCHES) & (label[a] != label[b])
+    # photographs in no order: what neighbours leave apart, any pair may join
+    across = (common[a, b] >= MINIMUM_MATCHES) & (label[a] != label[b])
+    label = _components(pairs[enough | across], len(frames))
+    enough |= across
+    joining = (common[a, b] >= FEWEST_MATCHES) & (label[a] != label[b])
     return frames, pairs[enough | joining]
 
 
