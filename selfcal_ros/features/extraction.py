@@ -28,7 +28,8 @@ from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.matching import detect, match_pairs, propose_pairs
+from selfcal_ros.features.matching import detect, match_pairs
+from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.findings.finding import Finding, sentences

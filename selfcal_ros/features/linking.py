@@ -21,6 +21,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.features.matching import Features, ImagePairMatches
+from selfcal_ros.features.neighbours import local_turns
 from selfcal_ros.features.registration import PatchRegistration
 
 _REGISTRATION = PatchRegistration(half_px=7)
@@ -121,6 +122,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     registered[reference] = True
     sigma = np.zeros(len(xy))
     smooth = [_pyramid(grey) for grey in images]
+    turns = local_turns(image, xy, reference[track])
     for level in range(_LEVELS):
         scale = 2.0 ** level
         tracks = np.flatnonzero(coarseness == level)
@@ -139,7 +141,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
                 continue
             at = slot[track[rows]]
             ratio = np.clip(size_px[rows] / size_px[reference[track[rows]]], 0.5, 2.0)
-            start = np.eye(2) * ratio[:, None, None]
+            start = turns[rows] * ratio[:, None, None]
             begin = xy[rows] / scale - (start @ residue[at][:, :, None])[:, :, 0]
             found, affine, correlation, step = _REGISTRATION.register(
                 templates.select(at), smooth[k][level], begin, start)

@@ -22,9 +22,9 @@ import os
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
+from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.features.mask import ImageMask
 
 #: Ratio of the distances to the best and the second best descriptor (Lowe, 2004, section 7.1).
@@ -276,59 +276,6 @@ def _twin_on_curve(features: Features, epipolar: EpipolarImages, curves, chosen,
     return most[chosen]
 
 
-def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3):
-    """
-    Choose the image pairs worth matching.
-
-    Neighbours in time, and for every image the few others that share most distinctive features
-    with it (loops, photographs in any order), judged by a few hundred coarse features.
-
-    Parameters
-    ----------
-    features : list of Features
-    neighbours : int
-        Steps in time.
-    relatives : int
-        Further images for each.
-
-    Returns
-    -------
-    list of (int, int)
-        First before second.
-
-    """
-    count = len(features)
-    pairs = {(i, i + gap) for gap in range(1, neighbours + 1) for i in range(count - gap)}
-    if count <= 8:
-        return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    coarse = [feature.coarsest(300) for feature in features]
-    shared = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i + neighbours + 1, count):
-            product = coarse[i] @ coarse[j].T
-            if not product.size:
-                continue
-            a, b = np.arange(len(product)), product.argmax(axis=1)
-            best = product[a, b]
-            product[a, b] = -1
-            clear = (1 - best) < RATIO ** 2 * (1 - product.max(axis=1))
-            shared[i, j] = shared[j, i] = len(np.unique(b[clear]))
-    for i in range(count):
-        nearest = np.argsort(-shared[i], kind='stable')[:relatives]
-        pairs |= {(min(i, j), max(i, j)) for j in nearest.tolist() if shared[i, j] >= 12}
-    return sorted(pairs)
-
-
-def _agrees_with_neighbours(xy_a, xy_b, neighbours: int = 8, agreeing: int = 2):
-    """Tell which matches move like some of those next to them; on a line chance has its way."""
-    if len(xy_a) <= neighbours:
-        return np.ones(len(xy_a), bool)
-    distance, near = cKDTree(xy_a).query(xy_a, neighbours + 1)
-    motion = xy_b - xy_a
-    differs = np.linalg.norm(motion[near[:, 1:]] - motion[:, None], axis=2)
-    return (differs < 5 + 0.4 * distance[:, 1:]).sum(axis=1) >= agreeing
-
-
 def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
     """
     Tell which matches may take part in an estimate of F, shape (N,) of bool.
@@ -419,7 +366,7 @@ def _verified(first: Features, second: Features, a, b, candidates, epipolar: Epi
         return None
     good = np.abs(epipolar.distance(refined, first.xy[a], second.xy[b])) < 1.5
     a, b = a[good], b[good]
-    good = _agrees_with_neighbours(first.xy[a], second.xy[b])
+    good = agrees_with_neighbours(first.xy[a], second.xy[b])
     return (a[good], b[good], refined) if good.sum() >= 16 else None
 
 

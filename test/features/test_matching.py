@@ -20,7 +20,9 @@ from selfcal_ros.features.epipolar import (choose_division, EpipolarImages, esti
                                            sampson_distance)
 from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import (detect, Features, ImagePairMatches, match_pairs,
-                                           moving_part, propose_pairs)
+                                           moving_part)
+from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
+from selfcal_ros.features.pairs import propose_pairs
 from test_support.feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
 
 SIZE = (WIDTH, HEIGHT)
@@ -119,6 +121,22 @@ def test_link_joins_pairs_and_drops_contradictions():
     assert ((0, 0), (1, 0), (2, 0)) in rows and ((0, 2), (1, 2), (2, 2)) in rows
     for row in rows:
         assert len({i for i, _ in row}) == len(row)
+
+
+@pytest.mark.parametrize('degrees', [0, 40, 110, 180])
+def test_neighbours_agree_however_the_camera_is_rolled(degrees):
+    rng = np.random.default_rng(8)
+    a = rng.uniform([0, 0], SIZE, (120, 2))
+    turn = cv2.Rodrigues(np.array([0, 0, np.deg2rad(degrees)]))[0][:2, :2]
+    b = a @ turn.T + rng.normal(0, 1, a.shape)
+    b[:20] = rng.uniform([0, 0], SIZE, (20, 2))
+    agrees = agrees_with_neighbours(a, b)
+    assert agrees[20:].all() and agrees[:20].mean() < 0.3
+
+    image, reference = np.repeat([0, 1], 120), np.tile(np.arange(120), 2)
+    turns = local_turns(image, np.vstack([a, b]), reference)
+    assert np.array_equal(turns[:120], np.tile(np.eye(2), (120, 1, 1)))
+    assert np.median(np.abs(turns[120:] - turn)) < 0.05
 
 
 def test_images_without_features_match_nothing():
