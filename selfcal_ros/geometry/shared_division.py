@@ -24,11 +24,12 @@ from selfcal_ros.geometry.division import DivisionModel, refine_division, residu
 from selfcal_ros.geometry.lifted_ransac import lifted_ransac
 from selfcal_ros.geometry.robust_scale import robust_sigma
 
-#: Values of lambda to begin with, half diagonals: every second one, then next to the best.
-#: Lenses of 185 degrees whose circle fits into the height of the image have -1.7 (square image)
-#: to -4 (16:9).
-LADDER = (0.08, 0.0, -0.06, -0.14, -0.26, -0.42, -0.65, -0.95, -1.4, -2.0, -2.8, -4.0)
-_STRAIGHT = LADDER.index(0.0)
+#: Values of lambda and kappa to begin with, half diagonals: every second one, then next to the
+#: best. Lenses of 185 degrees whose circle fits into the height of the image have lambda from
+#: -1.4 (square image) to -3 (16:9). With one number alone wide lenses differ by pixels.
+LADDER = ((0.08, 0.0), (0.0, 0.0), (-0.06, 0.0), (-0.14, 0.0), (-0.25, -0.02), (-0.38, -0.05),
+          (-0.57, -0.11), (-0.85, -0.25), (-1.2, -0.6), (-1.6, -1.3), (-2.3, -1.8), (-3.2, -4.0))
+_STRAIGHT = LADDER.index((0.0, 0.0))
 #: Threshold of the first comparison, half diagonals: neighbours in the grid differ by so much.
 _COARSE = 0.006
 #: The first comparison draws so many samples a pair; so many of its best are refined.
@@ -39,8 +40,10 @@ _MATCHES = 200
 _CLEAR_GAIN = 0.93
 #: A coefficient is there if it is so many of its standard deviations from zero.
 _SIGNIFICANT = 5.0
-#: Straight lines with this share of inliers are at most a little bent.
-_NEARLY_ALL = 0.9
+#: Straight lines with this share of inliers are at most a little bent, if a pair has so many.
+_NEARLY_ALL, _MANY = 0.9, 60
+#: Square of the radius about which one coefficient stands for two.
+_USUAL_SQUARE = 0.35
 #: The last refinement keeps what lies within so many times the noise, or so much of the limit.
 _NOISES, _LEAST_LIMIT = 3.0, 0.1
 
@@ -126,39 +129,40 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
 
     def start(step: int) -> None:
         if 0 <= step < len(LADDER):
-            division = np.array([LADDER[step]])
-            F = _sampled(data, division, coarse, rng)
-            starts[step] = _cost(data, F, division, coarse), F
+            coefficients = np.array(LADDER[step])
+            F = _sampled(data, coefficients, coarse, rng)
+            starts[step] = _cost(data, F, coefficients, coarse), F
 
     start(_STRAIGHT)
-    flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, held=True)
+    flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, True, True)
     # where straight lines leave nothing to explain, refinement goes far enough
-    explained = np.sum(_distances(data, flat.F, np.zeros(1)) < limit) > _NEARLY_ALL * data[2].sum()
+    inliers, there = np.sum(_distances(data, flat.F, np.zeros(1)) < limit), data[2].sum()
+    explained = inliers > _NEARLY_ALL * there and there > _MANY * len(pairs)
     for step in range(_STRAIGHT + 2, len(LADDER), 2) if not explained else ():
         start(step)
     middle = best_step()
-    for step in () if middle == _STRAIGHT else (middle - 1, middle + 1):
+    for step in (middle - 1, middle + 1) if middle != _STRAIGHT else ():
         start(step)
-    order = sorted(starts, key=lambda step: starts[step][0])[:_FINALISTS]
-    found = [_descended(data, starts[step][1], np.array([LADDER[step]]), coarse, limit)
-             for step in (order if middle != _STRAIGHT else (_STRAIGHT,))]
-    one = min(found, key=lambda fit: fit.cost)
-    best, bent = one, one.cost < clear_gain * flat.cost or middle != _STRAIGHT
+    one = _descended(data, flat.F, np.zeros(1), coarse, limit, quick=True)
+    order = [step for step in sorted(starts, key=lambda step: starts[step][0])
+             if step != _STRAIGHT or explained][:_FINALISTS]
+    two = min((_descended(data, starts[step][1], np.array(LADDER[step]), coarse, limit, quick=True)
+               for step in order), key=lambda fit: fit.cost)
+    best, bent = one, min(one.cost, two.cost) < clear_gain * flat.cost
     if bent:
-        # a pair caught by wrong matches would pull the others along
-        again = _better_of(data, one.F, _sampled(data, one.coefficients, coarse, rng),
-                           one.coefficients, coarse)
-        one = min((one, _descended(data, again, one.coefficients, coarse, limit)),
+        two = _descended(data, two.F, two.coefficients, coarse, limit)
+        two = _again(data, two, coarse, limit, rng)
+        usual = two.coefficients[:1] + _USUAL_SQUARE * two.coefficients[1]
+        one = min((one, _descended(data, two.F, usual, coarse, limit)),
                   key=lambda fit: fit.cost)
-        # a wide lens is far from any with one coefficient
-        lam = one.coefficients[0]
-        two = min((_descended(data, one.F, np.array(second), coarse, limit)
-                   for second in ((lam, 0.0), (0.9 * lam, -0.2 * lam ** 2))),
-                  key=lambda fit: fit.cost)
+        one = _again(data, one, coarse, limit, rng)
         significant = abs(two.coefficients[1]) > _SIGNIFICANT * two.sigmas[1]
         best = two if two.cost < one.cost and significant else one
+        if best is two and two.cost < clear_gain * one.cost:
+            # one number is far off: the nearest to the two
+            one = _Descent(two.F, usual, two.sigmas[:1], two.cost)
         bent = best.cost < clear_gain * flat.cost
-        bent &= abs(one.coefficients[0]) > _SIGNIFICANT * one.sigmas[0]
+        bent &= abs(best.coefficients[0]) > _SIGNIFICANT * best.sigmas[0]
     model = DivisionModel(tuple(best.coefficients.tolist()) if bent else (0.0,), image_size)
     return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
                           flat.cost)
@@ -186,13 +190,15 @@ def _sampled(data: _Data, coefficients: np.ndarray, limit: float,
     return F
 
 
-def _better_of(data: _Data, F: np.ndarray, other: np.ndarray, coefficients: np.ndarray,
-               limit: float) -> np.ndarray:
-    """Of two F for every pair (n, 3, 3) the one that fits better."""
-    costs = [np.minimum(_distances(data, some, coefficients) / limit, 1.0).sum(axis=1)
-             for some in (F, other)]
-    better: np.ndarray = np.where((costs[1] < costs[0])[:, None, None], other, F)
-    return better
+def _again(data: _Data, fit: _Descent, coarse: float, limit: float,
+           rng: np.random.Generator) -> _Descent:
+    """Refine once more: a pair caught by wrong matches would pull the others along."""
+    F = _sampled(data, fit.coefficients, coarse, rng)
+    costs = [np.minimum(_distances(data, some, fit.coefficients) / coarse, 1.0).sum(axis=1)
+             for some in (fit.F, F)]
+    F = np.where((costs[1] < costs[0])[:, None, None], F, fit.F)
+    return min((fit, _descended(data, F, fit.coefficients, coarse, limit)),
+               key=lambda fit: fit.cost)
 
 
 def _distances(data: _Data, F: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -210,10 +216,10 @@ def _cost(data: _Data, F: np.ndarray, coefficients: np.ndarray, limit: float) ->
 
 
 def _descended(data: _Data, F: np.ndarray, coefficients: np.ndarray, coarse: float,
-               limit: float, held: bool = False) -> _Descent:
+               limit: float, held: bool = False, quick: bool = False) -> _Descent:
     """Refine on the inliers, from the coarse limit down to the fine one."""
     best = None
-    for width in (coarse, float(np.sqrt(coarse * limit)), limit, limit, 0.0):
+    for width in (coarse, limit) if quick else (coarse, limit, limit, 0.0):
         distance = _distances(data, F, coefficients)
         if not width:
             # a wrong match next to an epipole pulls hard: keep no more than the noise asks for
@@ -225,7 +231,7 @@ def _descended(data: _Data, F: np.ndarray, coefficients: np.ndarray, coarse: flo
         if not enough.any():
             break
         fit = refine_division(data[0][enough], data[1][enough], near[enough], F[enough],
-                              coefficients, held)
+                              coefficients, held, 4 if quick else 8, 1e-2 if quick else 1e-4)
         F = F.copy()
         F[enough] = fit.F
         coefficients = fit.coefficients

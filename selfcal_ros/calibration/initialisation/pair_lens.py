@@ -35,7 +35,7 @@ from selfcal_ros.geometry.shared_division import LADDER, shared_division
 from selfcal_ros.geometry.two_view_tests import homography_cost, PARALLAX_RATIO
 
 #: So many pairs decide on the lens, each with so many matches at least.
-_JUDGES, _LEAST_MATCHES = 6, 30
+_JUDGES, _LEAST_MATCHES = 6, 20
 #: A bent lens leaves at most this share of the truncated squares of straight lines.
 _CLEAR_GAIN = 0.85
 #: A lens found by homographies leaves at most this share of what they left before; and the best
@@ -166,6 +166,8 @@ def choose_lens(compared: list[Sample], image_size: tuple[int, int] | None,
     rich = [pair for pair in compared if len(pair[0]) >= _LEAST_MATCHES]
     if image_size is None or not rich:
         return PairLens()
+    # of the better half, for pairs with few matches say little
+    rich = sorted(rich, key=lambda pair: -len(pair[0]))[:max((len(rich) + 1) // 2, _JUDGES)]
     judges = np.unique(np.linspace(0, len(rich) - 1, _JUDGES).astype(int))
     found = shared_division([rich[k] for k in judges], image_size, rng, threshold_px,
                             _CLEAR_GAIN)
@@ -209,7 +211,7 @@ def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
         model = DivisionModel(tuple(coefficients), image_size)
         return float(np.sqrt(lifted_homography_cost(model, *worst) / (4 * count)))
 
-    start = min(((division, -0.1 * division ** 2) for division in LADDER), key=left_px)
+    start = min(LADDER, key=left_px)
     if left_px(start) > _HOMOGRAPHY_HOPE * left.max():
         return lens
     found = minimize(left_px, start, method='Nelder-Mead', options={
