@@ -29,7 +29,7 @@ import numpy as np
 from selfcal_ros.geometry.fundamental import general_model, general_state, general_step
 
 #: Halvings of the step of a refinement that does not gain before it ends.
-_MOST_FAILURES = 6
+_MOST_FAILURES = 5
 
 
 @dataclass(frozen=True)
@@ -342,7 +342,7 @@ def refine_division(xy_a: np.ndarray, xy_b: np.ndarray, weight: np.ndarray, F: n
             if gain <= tolerance * here.cost:
                 break
         else:
-            failures, damping = failures + 1, 10 * damping
+            failures, damping = failures + 1, max(10 * damping, 1e-3)
             if failures > _MOST_FAILURES:
                 break
     return DivisionFit(general_model(state)[0], shared, here.covariance(), here.cost)

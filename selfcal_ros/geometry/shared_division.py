@@ -231,7 +231,7 @@ def _descended(data: _Data, F: np.ndarray, coefficients: np.ndarray, coarse: flo
         if not enough.any():
             break
         fit = refine_division(data[0][enough], data[1][enough], near[enough], F[enough],
-                              coefficients, held, 4 if quick else 8, 1e-2 if quick else 1e-4)
+                              coefficients, held, 7 if quick else 12, 1e-2 if quick else 1e-4)
         F = F.copy()
         F[enough] = fit.F
         coefficients = fit.coefficients
