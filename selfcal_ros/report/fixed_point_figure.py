@@ -21,7 +21,8 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
-from selfcal_ros.report.pair_geometry import pair_geometry, PairGeometry, single_pairs
+from selfcal_ros.report.pair_geometry import (flat_enough, pair_geometry, PairGeometry,
+                                              single_pairs)
 from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_panel,
                                       ORANGE, PAPER, PURPLE, RED, styled)
 
@@ -97,13 +98,13 @@ def _distances(result: Calibration, fixed: FixedPoints, pairs: PairGeometry) -> 
 
 
 def outline(camera: Camera, steps: int = 40) -> np.ndarray:
-    """Return the border of the image in undistorted pixels, closed, shape (n, 2)."""
+    """Return the border of the image in undistorted pixels, closed, (n, 2); NaN far out."""
     s = np.linspace(0, 1, steps, endpoint=False)
     zero, one = np.zeros(steps), np.ones(steps)
     border = np.concatenate([np.stack(side, axis=1) for side in
                              ((s, zero), (one, s), (1 - s, one), (zero, 1 - s))])
     border = border * [camera.width, camera.height] - 0.5
-    xy = camera.normalised(np.concatenate([border, border[:1]]))
+    xy = flat_enough(camera.normalised(np.concatenate([border, border[:1]])))
     return xy @ camera.K[:2, :2].T + camera.K[:2, 2]
 
 

@@ -33,6 +33,8 @@ from selfcal_ros.report.observations import ObservationTable
 MIN_TURN_RAD = np.radians(2.0)
 #: Pairs this many views apart are looked at singly, if they share so many points.
 STEPS, MIN_COMMON = (1, 2, 3, 5, 8), 30
+#: Normalised points farther out, 76 degrees from the axis, have no place in a flat image.
+FLAT = 4.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class PairGeometry:
     pairs: np.ndarray
     epipoles: np.ndarray
     screw_axes: np.ndarray
+
+
+def flat_enough(xy: np.ndarray) -> np.ndarray:
+    """Return normalised points (N, 2) with NaN for those that a flat image cannot show."""
+    return np.where((np.abs(xy) < FLAT).all(axis=1)[:, None], xy, np.nan)
 
 
 def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
@@ -107,7 +114,7 @@ def single_pairs(result: Calibration, seen: ObservationTable,
     """
     K = result.camera.K
     poses = np.asarray(result.reconstructed.cam_from_world, float)
-    xy = result.camera.normalised(seen.xy) @ K[:2, :2].T + K[:2, 2]
+    xy = flat_enough(result.camera.normalised(seen.xy)) @ K[:2, :2].T + K[:2, 2]
     usable = np.flatnonzero(seen.used & np.isfinite(xy).all(axis=1))
     rows = [usable[seen.view[usable] == view] for view in range(len(poses))]
     candidates = [(a, a + step) for step in STEPS for a in range(len(poses) - step)]

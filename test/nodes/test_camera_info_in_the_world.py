@@ -205,6 +205,30 @@ def test_a_file_is_served_with_the_stamp_and_the_window_of_the_driver(graph, tmp
     assert (info.width, info.height) == (640, 480)
 
 
+@pytest.mark.parametrize('model, d', [
+    ('equidistant', [-0.02, 0.006, -0.004, 5e-4]),
+    ('rational_polynomial', [0.78, 0.07, 1e-3, -2e-3, 0.001, 1.11, 0.24, 0.002])])
+def test_wide_lenses_are_served_and_set(graph, tmp_path, model, d):
+    camera = Camera(CAMERA.K, d, 640, 480, model)
+    camera_file(tmp_path, camera)
+    graph = graph()
+    infos = graph.listen(CameraInfo, 'camera_info')
+    driver = graph.probe.create_publisher(CameraInfo, 'driver/camera_info', 10)
+    graph.add(CameraInfoPublisher())
+    message = camera_info_message(None, header(5), TYPES, (640, 480))
+    served = exchange(graph, driver, message, infos)
+    assert served.distortion_model == model and list(served.d) == d
+    client = graph.probe.create_client(SetCameraInfo, 'camera_info_publisher/set_camera_info')
+    graph.wait_for(client.service_is_ready)
+    for info, words in ((camera_info_message(camera, header(6), TYPES), 'in force'),
+                        (CameraInfo(width=640, height=480, distortion_model=model, d=[*d, 0.1],
+                                    k=CAMERA.K.ravel()), f'not {len(d) + 1}')):
+        future = client.call_async(SetCameraInfo.Request(camera_info=info))
+        graph.wait_for(future.done)
+        assert words in future.result().status_message
+    assert read_camera_yaml(tmp_path / 'ros_home/camera_info/camera.yaml')[0].model == model
+
+
 def test_a_size_that_the_file_is_not_for_is_refused_by_zeros(graph, tmp_path):
     camera_file(tmp_path)
     graph = graph('-p', 'source:=image')
