@@ -22,6 +22,9 @@ from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.errors import InputError
 
+#: What scales with the focal length.
+_FOCAL = ('fx', 'fy', 'skew')
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal compare`."""
@@ -96,16 +99,20 @@ def _rows(a, b, covariances) -> list[dict]:
     """Compare parameter by parameter, as far as both have the same ones."""
     import numpy as np
     from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+    from selfcal_ros.report.projection_uncertainty import axis_scale
     plumb = [camera.distortion_as('plumb_bob') for camera in (a, b)]
     if plumb[0] is not None and plumb[1] is not None:
         # rational lenses with a denominator of one are plumb bobs
         a, b = a.as_model('plumb_bob'), b.as_model('plumb_bob')
     # coefficients of different models have nothing but their names in common
     names = a.parameter_names if a.model == b.model else MATRIX_PARAMETERS
+    # nor have focal lengths that do not hold on the axis
+    scales = [axis_scale(camera) if a.model != b.model else 1.0 for camera in (a, b)]
     variances = [np.diag(C)[:len(names)].tolist() for C in covariances if C is not None]
     rows = []
     for k, name in enumerate(names):
-        first, second = float(a.parameters[k]), float(b.parameters[k])
+        first, second = (float(camera.parameters[k]) * (scale if name in _FOCAL else 1.0)
+                         for camera, scale in zip((a, b), scales))
         sigma = max(sum(variance[k] for variance in variances), 0.0)**0.5
         rows.append({'name': name, 'a': first, 'b': second, 'difference': second - first,
                      'sigma': sigma or None,
@@ -134,8 +141,8 @@ def _text(args, found, rows, covariances) -> str:
         lines.append(f'That is {found.sigmas[found.worst]:.1f} sigmas there, and '
                      f'{np.nanmedian(found.sigmas):.1f} in the median.')
     if not found.one_model:
-        lines.append('Their lens models differ, so their coefficients are not compared one by '
-                     'one.')
+        lines.append('Their lens models differ: focal lengths are those on the axis, and '
+                     'coefficients are not compared one by one.')
     lone = [letter for letter, C in zip('AB', covariances) if C is None]
     if len(lone) == 1:
         lines.append(f'{lone[0]} has no covariance and counts as exact.')

@@ -28,13 +28,11 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
-from selfcal_ros.report.projection_uncertainty import parameter_effect
+from selfcal_ros.report.projection_uncertainty import axis_scale, parameter_effect
 from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, ORANGE, PALE, styled
 
 #: Points of the curve.
 _POINTS = 160
-#: An angle so near to the axis that the lens is ideal there, radians.
-_PARAXIAL = 1e-5
 #: A lens is followed to this share of its widest angle.
 _NEARLY = 0.9999
 #: A pinhole is drawn as far as this many times the radius of the lens.
@@ -101,8 +99,8 @@ def lens_curve(camera: Camera, covariance: np.ndarray, seen: np.ndarray | None =
     along = corner / length
     focal = 1 / float(np.linalg.norm(np.linalg.solve(camera.K[:2, :2], along)))
     widest = camera.lens.widest_angle(camera.distortion) * _NEARLY
-    ends = np.array([[np.sin(angle), 0, np.cos(angle)] for angle in (_PARAXIAL, widest)])
-    paraxial, last = camera.lens.image(ends, camera.distortion).xy[:, 0]
+    end = np.array([[np.sin(widest), 0, np.cos(widest)]])
+    last = camera.lens.image(end, camera.distortion).xy[0, 0]
     if last > 0:
         length = min(length, focal * float(last))
     # the axis itself is first: what moves it moves the principal point
@@ -120,7 +118,7 @@ def lens_curve(camera: Camera, covariance: np.ndarray, seen: np.ndarray | None =
     if seen is not None and len(seen):
         reached = float(np.nanquantile(_angles(camera, seen), _REACHED))
     return LensCurve(angle[known], radius[known], np.sqrt(np.maximum(variance, 0)),
-                     focal * float(paraxial) / _PARAXIAL, camera.lens.is_perspective, reached)
+                     focal * axis_scale(camera), camera.lens.is_perspective, reached)
 
 
 def _angles(camera: Camera, pixels: np.ndarray) -> np.ndarray:

@@ -29,6 +29,9 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.geometry.camera import Camera
 
+#: An angle so near to the axis that every lens is ideal there, radians.
+_PARAXIAL = 1e-5
+
 
 @dataclass(frozen=True)
 class ProjectionUncertainty:
@@ -87,6 +90,17 @@ def projection_uncertainty(camera: Camera, covariance: np.ndarray, columns: int 
     J = parameter_effect(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2), rotate)
     C = J @ np.asarray(covariance, float) @ J.transpose(0, 2, 1)
     return ProjectionUncertainty(u, v, C.reshape(rows, columns, 2, 2))
+
+
+def axis_scale(camera: Camera) -> float:
+    """
+    Return what the focal lengths of a camera have to be multiplied by to hold on its axis.
+
+    One for every lens that is estimated; lenses that look at a sphere from off its centre have
+    focal lengths of another scale.
+    """
+    ray = np.array([[np.sin(_PARAXIAL), 0, np.cos(_PARAXIAL)]])
+    return float(camera.lens.image(ray, camera.distortion).xy[0, 0]) / _PARAXIAL
 
 
 def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) -> np.ndarray:

@@ -103,3 +103,18 @@ def test_the_black_rim_of_a_fisheye_is_no_fold():
     Path('rim.yaml').write_text(camera_yaml(rim, 'rim'), encoding='utf-8')
     assert np.isnan(rim.rays([[0.0, 0.0]])).all()
     assert read_known_camera('rim.yaml').model == 'equidistant'
+
+
+def test_calibrations_of_two_families_are_compared_in_pixels(capsys):
+    """The unified and the extended model are one lens where beta is 1, at another scale."""
+    xi = 0.9
+    eucm = Camera(K, [xi / (1 + xi), 1], 640, 480, 'eucm')
+    matrix = K.copy()
+    matrix[[0, 1], [0, 1]] *= 1 + xi
+    write_camera('eucm.yaml', 'kalibr', eucm)
+    write_camera('ucm.yaml', 'kalibr', Camera(matrix, [xi], 640, 480, 'ucm'))
+    assert main(['compare', 'eucm.yaml', 'ucm.yaml']) == 0
+    said = capsys.readouterr().out
+    assert 'practically the same' in said and 'focal lengths are those on the axis' in said
+    row = next(line for line in said.splitlines() if line.split()[:1] == ['fx'])
+    assert row.split()[1:3] == ['260', '260'] and 'alpha' not in said
