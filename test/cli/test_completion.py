@@ -62,7 +62,7 @@ def ask_bash(text, line, folder):
     ('selfcal c', ['calibrate', 'compare', 'convert', 'completion']),
     ('selfcal calibrate --motion p', ['planar']),
     ('selfcal calibrate x.mcap --cam', ['--camera', '--camera-name']),
-    ('selfcal convert --to ', ['ros', 'opencv', 'kalibr', 'colmap']),
+    ('selfcal convert --to ', ['ros', 'opencv', 'kalibr', 'colmap', 'mrcal']),
     ('selfcal convert d', ['drive.mcap', 'drives/']),
     ('selfcal calibrate --report dr', ['drive.mcap', 'drives/']),
     ('selfcal calibrate --skew ', []),
