@@ -51,7 +51,7 @@ def test_camera_and_distortion_within_their_sigmas(k1, distortion):
         sigma = np.array(list(found.sigma.values()))
         free = sigma > 0
         # 'auto' is the richest lens that the images determine, as for every motion
-        assert free.sum() == (5 if distortion == 'none' else 7)
+        assert free.sum() == {'none': 5, 'radial2': 7, 'auto': 10}[distortion]
         scores.append(error[free] / sigma[free])
         assert abs(error[0]) < 1.5
         assert found.noise_sigma_px == pytest.approx(0.2, rel=0.1)

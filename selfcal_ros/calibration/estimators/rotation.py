@@ -30,8 +30,10 @@ from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.motion import ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
+                                                       OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
@@ -56,9 +58,8 @@ MAX_FOCAL_FRACTION = 30.0
 MAX_SKEW_FRACTION = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
-#: Distortion models that are tried where none is stated, the richest first.
+#: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
-_LENSES = ('radial2', 'radial1', 'none')
 
 
 def epipolar_noise(tracks: Tracks, frames) -> float:
@@ -123,30 +124,31 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
             best, least = state, cost
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
-    facts, state = _richest_lens(best, observed, facts, size)
-    return _assess(state, observed, priors_from_facts(facts), facts, frames, size, conic,
-                   epipolar_noise(tracks, frames))
+    lens = _richest_lens(best, observed, facts, size)
+    return _assess(lens, observed, frames, size, conic, epipolar_noise(tracks, frames))
 
 
-def _richest_lens(state, observed, facts, size):
-    """Choose the richest lens with which the images determine the camera, if none is stated."""
-    for name in _LENSES if facts.distortion == 'auto' else (facts.distortion,):
-        stated = replace(facts, distortion=name)
-        priors = priors_from_facts(stated)
-        bundle = bundle_of(observed, ROTATION, priors, 1.0)
-        state = with_fixed(state, priors)
-        bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
-        found = bundle.optimise(state, iterations=30, tolerance=0.1)
-        bundle = bundle.with_sigma(max(bundle.noise_sigma(found), MIN_NOISE_PX))
-        covariance = to_parameters(bundle.covariance(found), found.lens)
-        if found.lens['f'] > 0 and 'unobservable' not in parameter_status(
-                found.camera(*size), covariance, stated).values():
-            break
-    return stated, found
+def _richest_lens(state: SceneState, observed: Observations, facts: CameraFacts,
+                  size: tuple[int, int]) -> LensDecision:
+    """Choose the lens, if none is stated; see `choose_lens`."""
+    priors = priors_from_facts(facts)
+    bundle = bundle_of(observed, ROTATION, priors, 1.0)
+    state = with_fixed(state, priors)
+    bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
+    state = bundle.optimise(state, iterations=30, tolerance=0.1)
+    bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
+
+    def determined(trial: RobustFit, stated: CameraFacts) -> bool:
+        covariance = to_parameters(trial.covariance, trial.state.lens)
+        return trial.state.lens['f'] > 0 and 'unobservable' not in parameter_status(
+            trial.state.camera(*size), covariance, stated).values()
+
+    return choose_lens(RobustFit(bundle, state, observed, 0), facts, size, 1.0, determined)
 
 
-def _assess(state, observed, priors, facts, frames, size, conic, noise_px):
+def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
     """Drop gross errors, estimate the noise, and judge the optimum."""
+    state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
     total = len(observed.view)
     bundle = bundle_of(observed, ROTATION, priors, max(noise_px, 0.02))
     for _ in range(3):
@@ -173,7 +175,7 @@ def _assess(state, observed, priors, facts, frames, size, conic, noise_px):
     camera = state.camera(*size)
     dependence = cluster_robust_covariance(
         bundle.information(state), observed.point, observed.xy, size)
-    covariance = to_parameters(dependence.covariance, state.lens)
+    covariance = to_parameters(dependence.covariance + lens.excess, state.lens)
     held = held_facts(facts)
     for name in held:
         k = camera.parameter_names.index(name)
