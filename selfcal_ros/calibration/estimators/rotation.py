@@ -124,6 +124,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
             best, least = state, cost
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
+    assert best is not None     # a range of focal lengths is always supposed
     lens = _richest_lens(best, observed, facts, size)
     return _assess(lens, observed, frames, size, conic, epipolar_noise(tracks, frames))
 
