@@ -116,7 +116,7 @@ def thesis_grid(report: Report) -> None:
 
 
 def recorded(report: Report) -> None:
-    """Three recorded sets with known cameras."""
+    """Recorded sets with known cameras."""
     for name, read, limit in (('opencv_left', _left, 0.2), ('vamr_tags3d', _tags, 1.0),
                               ('kuka_chess', _kuka, 0.1)):
         folder = data_folder(name)
@@ -126,6 +126,52 @@ def recorded(report: Report) -> None:
             report.say(f'Left out: ../shared/data/{name} is not there.')
             continue
         compare(report, truth_of(folder), *read(folder), limit)
+    fisheye(report)
+
+
+def fisheye(report: Report) -> None:
+    """Compare a board before a full-circle fisheye with `cv2.fisheye.calibrate`."""
+    name = 'fisheye_room'
+    report.section(name, 'Facts: skew 0, lens auto. Corners found in the images by '
+                   'Chessboard.find, the same for both.')
+    folder = data_folder(name)
+    if folder is None or not hasattr(cv2, 'fisheye'):
+        report.say(f'Left out: ../shared/data/{name} or cv2.fisheye is not there.')
+        return
+    board, seen = Chessboard(8, 6, 0.117), []
+    # the last image is a copy of the first
+    for _, image, _ in grey_frames(image_files(folder)[:-1]):
+        identity, xy = board.find(image)
+        if len(identity):
+            seen.append(xy)
+    tracks = _tracks(seen, (748, 480))
+    began = time.perf_counter()
+    result = calibrate_known_object(tracks, board.known, facts=FREE_ASPECT)
+    seconds = time.perf_counter() - began
+    if not report.judge(bool(result) and result.facts.distortion == 'equidistant',
+                        f'lens {result.facts.distortion}' if result else str(result)):
+        return
+    flags = sum(getattr(cv2, f'CALIB_{what}', 0) or getattr(cv2.fisheye, f'CALIB_{what}')
+                for what in ('RECOMPUTE_EXTRINSIC', 'FIX_SKEW', 'USE_INTRINSIC_GUESS'))
+    points = board.known.points[None]
+    # without a guess it stops with an error
+    start = np.array([[230.0, 0, 373.5], [0, 230.0, 239.5], [0, 0, 1]])
+    began = time.perf_counter()
+    rms, K, _, _, _ = cv2.fisheye.calibrate(
+        [points] * len(seen), [xy[None] for xy in seen], (748, 480), start,
+        np.zeros((4, 1)), flags=flags)
+    peer_s = time.perf_counter() - began
+    rows = [(what, f'{value:.3f} ± {result.sigma[what]:.3f}', f'{peer:.3f}',
+             f'{(value - peer) / result.sigma[what]:+.1f}')
+            for what, value, peer in zip(('fx', 'fy', 'cx', 'cy'), result.camera.parameters,
+                                         K[[0, 1, 0, 1], [0, 1, 2, 2]])]
+    report.table(('', 'ours', 'cv2.fisheye', 'apart in σ'), rows)
+    report.say(f'{len(seen)} views, {result.observation_count} points, '
+               f'{result.outlier_count} left out; rms {result.reprojection_rms_px:.3f} px, '
+               f'cv2.fisheye {rms:.3f} px; {seconds:.2f} s, cv2.fisheye {peer_s:.2f} s.')
+    for k, what in enumerate(('fx', 'fy')):
+        report.verdict(f'{what} beside cv2.fisheye',
+                       percent(result.camera.parameters[k], K[k, k]), 0.1, '%')
 
 
 def _left(folder):

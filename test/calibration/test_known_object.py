@@ -11,6 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+import json
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from selfcal_ros.calibration.known_object.point_calibration import calibrate_kno
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.synthetic.wide_recordings import wide_camera
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 
@@ -281,3 +283,79 @@ def test_boards_before_an_arm():
     error = result.camera.parameters[:4] - true
     assert np.abs(error[:2]).max() < 0.001 * 2058 and np.abs(error[2:]).max() < 1
     assert (np.abs(error) < 3 * np.array(list(result.sigma.values())[:4])).all()
+
+
+def before_a_fisheye(rng, count=12, camera=None, reach_deg=75.0, noise_px=0.2):
+    """Tracks of the board all over a 150 degree equidistant lens, and the lens."""
+    camera = camera or wide_camera(150.0)
+    middle = BOARD.points.mean(axis=0)
+    seen_px: list[np.ndarray] = []
+    while len(seen_px) < count:
+        angle, about = np.deg2rad(rng.uniform(0, reach_deg - 10)), rng.uniform(0, 2 * np.pi)
+        axis = np.array([-np.sin(about), np.cos(about), 0.0])
+        towards = rotation_matrix(angle * axis)
+        R = towards @ rotation_matrix(rng.uniform(-0.6, 0.6, 3))
+        X = (BOARD.points - middle) @ R.T + rng.uniform(0.2, 0.5) * towards[:, 2]
+        xy = camera.project(X)
+        from_axis = np.arctan2(np.hypot(X[:, 0], X[:, 1]), X[:, 2])
+        if (from_axis < np.deg2rad(reach_deg)).all() and (xy > 0).all() and (xy < SIZE).all():
+            seen_px.append(xy + noise_px * rng.standard_normal(xy.shape))
+    return Tracks(np.repeat(np.arange(count), len(BOARD)), np.tile(BOARD.identity, count),
+                  np.concatenate(seen_px), SIZE), camera
+
+
+def test_a_board_before_a_fisheye_shows_the_family_and_the_lens():
+    inside = []
+    for seed in range(6):
+        tracks, camera = before_a_fisheye(np.random.default_rng(seed))
+        result = calibrate_known_object(tracks, BOARD, facts=NO_SKEW)
+        assert result, result
+        assert result.facts.distortion == 'equidistant'
+        known = np.flatnonzero(np.diag(result.covariance) > 0)
+        off = (result.camera.parameters - camera.parameters)[known]
+        assert abs(off[0]) < 4 * result.sigma['fx'] < 0.03 * camera.K[0, 0]
+        C = result.covariance[np.ix_(known, known)]
+        scale = np.sqrt(np.diag(C))
+        inside.append(off / scale @ np.linalg.solve(C / np.outer(scale, scale), off / scale))
+    # of chi square with eight degrees of freedom, the mean of six
+    assert 3.5 < np.mean(inside) < 14
+
+
+def test_a_board_that_reaches_behind_the_camera():
+    # of a circle of 220 degrees; the outer corners lie up to 105 degrees from the axis
+    camera = wide_camera(220.0, SIZE, (), filled='height', off_centre_px=(0, 0))
+    tracks, _ = before_a_fisheye(np.random.default_rng(3), 14, camera, 105.0, 0.0)
+    assert (camera.rays(tracks.xy)[:, 2] < -0.1).any()
+    result = calibrate_known_object(tracks, BOARD,
+                                    facts=CameraFacts(skew=0.0, distortion='equidistant'))
+    assert result, result
+    np.testing.assert_allclose(result.camera.parameters, camera.parameters, atol=1e-4)
+
+
+def test_a_narrow_board_stays_with_the_perspective_family():
+    tracks = seen(BOARD, BOARD_POSES, CAMERA, 0.2, np.random.default_rng(1))
+    result = calibrate_known_object(tracks, BOARD, facts=NO_SKEW)
+    assert result.camera.model == 'plumb_bob'
+
+
+def test_recorded_fisheye_agrees_with_its_published_lens():
+    truth = json.loads((data('fisheye_room') / 'truth.json').read_text())
+    seen_by = [(k, np.array(frame['corners'])) for k, frame in enumerate(truth['frames'])
+               if frame.get('corners')]
+    rows = np.concatenate([c for _, c in seen_by])
+    place = (8 * rows[:, 1] + rows[:, 0]).astype(int)
+    y, x = np.mgrid[:6, :8].reshape(2, -1)
+    target = KnownObject(np.arange(48), 0.117 * np.column_stack([x, y, 0 * x]))
+    tracks = Tracks(np.concatenate([np.full(len(c), k) for k, c in seen_by]), place, rows[:, 2:],
+                    (748, 480))
+    result = calibrate_known_object(tracks, target, facts=NO_SKEW)
+    assert result, result
+    assert result.facts.distortion == 'equidistant'
+    np.testing.assert_allclose(np.diag(result.camera.K)[:2], np.diag(truth['K'])[:2], rtol=1e-3)
+    grid = np.stack(np.meshgrid(np.arange(150.0, 620, 40), np.arange(20.0, 470, 40)), axis=-1)
+    true = Camera(truth['K'], truth['dist'], 748, 480, 'equidistant')
+    rays = true.rays(grid)
+    # farther out there was no corner in the images
+    rays = np.where(rays[..., 2:] > np.cos(np.deg2rad(70)), rays, np.nan)
+    cosine = np.einsum('...i,...i', rays, result.camera.rays(grid))
+    assert np.nanmax(np.arccos(np.clip(cosine, -1, 1))) < np.deg2rad(0.15)

@@ -22,11 +22,14 @@ images of orthogonal directions of one length:
 
 Five equations a view of a solid, two a view of a plane (Zhang 2000); facts about the camera are
 further rows.
+
+A fisheye's image shows none of these. Its rays do, once a focal length is supposed: a few of them
+are, and the best is kept. Rays carry their own sign, so that a board may reach behind the camera.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +48,8 @@ from selfcal_ros.geometry.resection import resect_linear
 FLAT, NARROW = 0.02, 1e-3
 #: Supposed focal lengths as shares of the longer side, where the linear equations give none.
 FOCAL_FRACTIONS = (1.0, 0.65, 1.6, 2.6, 0.45, 4.2)
+#: The same of fisheyes, whose linear equations need one.
+FISHEYE_FRACTIONS = (0.3, 0.4, 0.22, 0.55, 0.9)
 
 
 @dataclass(frozen=True)
@@ -220,6 +225,63 @@ def _fact_rows(skew, aspect, point) -> list[np.ndarray]:
 
 def start_state(K: np.ndarray, views: list[LinearView], lens: LensModel) -> ObjectState:
     """Return the camera, its coefficients zero, and each view's pose nearest to its linear one."""
+    return ObjectState(Lens.of(Camera(K, model=lens.name)), ObjectPoses(_poses(K, views)))
+
+
+def fisheye_cameras(size: tuple[int, int], facts: CameraFacts, lens: LensModel) -> list[Camera]:
+    """Cameras without coefficients to start from, the longer side 190 to 60 degrees wide."""
+    cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    aspect = facts.aspect_ratio or 1.0
+    return [Camera([[share * max(size), 0, cx], [0, share * max(size) * aspect, cy], [0, 0, 1]],
+                   model=lens.name) for share in FISHEYE_FRACTIONS]
+
+
+def fisheye_state(camera: Camera, views: list[LinearView], view: np.ndarray, points: np.ndarray,
+                  xy: np.ndarray) -> ObjectState:
+    """
+    Return a supposed camera with the poses that its rays show, as `linear_view` from pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+        With any lens; rays may point backwards.
+    views : list of LinearView
+        Of which the frame of the object is taken.
+    view : ndarray of int, shape (N,)
+        View of each observation, ascending.
+    points : ndarray, shape (N, 3)
+    xy : ndarray, shape (N, 2)
+        Pixels.
+
+    Returns
+    -------
+    ObjectState
+
+    """
+    rays = camera.rays(xy)
+    first = np.searchsorted(view, np.arange(len(views) + 1))
+    turned = [_on_rays(one, points[a:b], rays[a:b])
+              for one, a, b in zip(views, first, first[1:])]
+    return ObjectState(Lens.of(camera), ObjectPoses(_poses(np.eye(3), turned)))
+
+
+def _on_rays(view: LinearView, points: np.ndarray, rays: np.ndarray) -> LinearView:
+    """Solve r x (M p) = 0 for the matrix from the view's frame to rays, whatever their sign."""
+    seen = np.isfinite(rays).all(axis=1)
+    p = homogeneous((points[seen] - view.centre) @ view.frame.T)
+    if view.flat:
+        p = p[:, [0, 1, 3]]
+    r = rays[seen]
+    # rows of the cross product; the unknowns are the rows of M
+    cross = np.cross(np.eye(3)[None], r[:, None]).transpose(0, 2, 1)
+    A = np.einsum('nij,nk->nijk', cross, p).reshape(3 * len(p), -1)
+    M = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, -1)
+    M = M * np.sign(np.einsum('ni,ij,nj->', r, M, p) or 1.0)
+    return replace(view, matrix=np.insert(M, 2, 0.0, axis=1) if view.flat else M)
+
+
+def _poses(K: np.ndarray, views: list[LinearView]) -> np.ndarray:
+    """Pose (V, 3, 4) of each view nearest to its linear one."""
     poses = np.empty((len(views), 3, 4))
     for view, pose in zip(views, poses):
         A = np.linalg.solve(K, view.matrix)
@@ -231,4 +293,4 @@ def start_state(K: np.ndarray, views: list[LinearView], lens: LensModel) -> Obje
         t = A[:, 3] / (scale[:2].mean() if view.flat else scale.mean())
         pose[:, :3] = R @ view.frame
         pose[:, 3] = t - pose[:, :3] @ view.centre
-    return ObjectState(Lens.of(Camera(K, model=lens.name)), ObjectPoses(poses))
+    return poses

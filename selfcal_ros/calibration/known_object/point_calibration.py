@@ -32,7 +32,8 @@ from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, start_lens, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
-from selfcal_ros.calibration.known_object.object_start import (linear_view, LinearView,
+from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, fisheye_state,
+                                                               linear_view, LinearView,
                                                                start_state, supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
@@ -47,6 +48,11 @@ from selfcal_ros.version import __version__
 MOTION = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
 AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
+#: Points seen so far from the axis, radians, may belong to a fisheye: 'auto' tries one.
+WIDE_ANGLE = np.deg2rad(40.0)
+#: It is one where the sum of squared residuals, in units of the variance, falls by so much; each
+#: residual counts as an outlier's at most.
+FAMILY_MARGIN = 25.0
 #: Residuals beyond so many sigmas are outliers.
 OUTLIER_SIGMAS = 4.0
 #: An image noise beyond this share of the image's diagonal is no noise: points and object do not
@@ -212,6 +218,38 @@ def _gather(tracks: Tracks, target: KnownObject,
 
 def _fit(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
     """Return views, bundle, state, facts with their distortion model and judgement."""
+    found = _fit_family(views, size, facts)
+    if facts.distortion != 'auto' or not _may_be_wide(views, found):
+        return found
+    other = _fit_family(views, size, replace(facts, distortion='equidistant'))
+    if isinstance(other, NoEstimate):
+        return found
+    if isinstance(found, NoEstimate):
+        return other
+    sigma = min(found[1].sigma_px, other[1].sigma_px)
+    gain = _misfit(views, found, sigma) - _misfit(views, other, sigma)
+    return other if gain > FAMILY_MARGIN else found
+
+
+def _may_be_wide(views: _Views, fit: tuple | NoEstimate) -> bool:
+    """Tell whether points lie far from the axis of a fitted perspective, or do not fit it."""
+    if isinstance(fit, NoEstimate):
+        return True
+    used, state = fit[0], fit[2]
+    angle = np.arccos(np.clip(state.camera().rays(used.xy)[:, 2], -1, 1))
+    return len(used.view) < 0.9 * len(views.view) or not (angle < WIDE_ANGLE).all()
+
+
+def _misfit(views: _Views, fit: tuple, sigma_px: float) -> float:
+    """Sum of squared residuals over the variance, an outlier's share for what was left out."""
+    used, bundle, state = fit[:3]
+    square = np.sum(bundle.residuals(state)**2, axis=1) / sigma_px**2
+    most = OUTLIER_SIGMAS**2
+    return float(np.minimum(square, most).sum() + most * (len(views.view) - len(used.view)))
+
+
+def _fit_family(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
+    """Fit the richest member of one family that the views determine; see `_fit`."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
     found: tuple | NoEstimate = NoEstimate('no_fit_to_points')
@@ -246,9 +284,14 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     # a pixel or two for what the linear solution and the short adjustment leave
     bundle = few.bundle(priors, 0.002 * longer)
     best, least = None, np.inf
-    for number, K in enumerate(supposed_cameras(few.linear, size, facts)):
-        state = with_fixed(start_state(K, few.linear, priors.lens), priors)
-        state = bundle.optimise(state, iterations=25, tolerance=1e-2)
+    if priors.lens.is_perspective:
+        starts = (start_state(K, few.linear, priors.lens)
+                  for K in supposed_cameras(few.linear, size, facts))
+    else:
+        starts = (fisheye_state(camera, few.linear, few.view, few.points, few.xy)
+                  for camera in fisheye_cameras(size, facts, priors.lens))
+    for number, state in enumerate(starts):
+        state = bundle.optimise(with_fixed(state, priors), iterations=25, tolerance=1e-2)
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
