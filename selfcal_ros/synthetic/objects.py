@@ -40,6 +40,8 @@ __all__ = ['cube', 'MOTIONS', 'object_poses', 'ObjectRecording', 'SHAPES', 'Soli
 MOTIONS = ('general', 'translation', 'planar')
 #: Pixels around the object's outline that are rendered anew.
 _MARGIN_PX = 6
+#: The wall behind is seen up to this angle from the axis of a fisheye.
+_WALL_RAD = np.deg2rad(72.0)
 
 
 @dataclass(frozen=True)
@@ -127,20 +129,26 @@ class _WindowRenderer:
         return image
 
     def _background(self, camera, poses):
-        """Render what does not move: the object is put behind the camera."""
-        if poses.ndim == 2:
+        """Render what does not move, without the object."""
+        still = [surface for surface in self._recording.surfaces if surface.body]
+        if poses.ndim == 2 or not still:
             return np.full((camera.height, camera.width), 0.0)
-        away = np.array(poses)
-        away[0, 2, 3] = -10 * max(1.0, self._recording.model.diameter_m)
-        return Renderer(self._scene, camera, self._samples).intensity(away)
+        return Renderer(Scene(still), camera, self._samples).intensity(poses)
 
     def _window(self, camera, poses):
         """Pixels (left, top, right, bottom) around the object."""
         pose = poses[0] if poses.ndim == 3 else poses
         points = self._recording.model.extent @ pose[:, :3].T + pose[:, 3]
-        if points[:, 2].min() < 0.05 * self._recording.model.diameter_m:
-            return 0, 0, camera.width, camera.height
+        if camera.lens.is_perspective:
+            if points[:, 2].min() < 0.05 * self._recording.model.diameter_m:
+                return 0, 0, camera.width, camera.height
+        else:
+            # the image of an edge bulges: what is between the corners counts, too
+            share = np.linspace(0, 1, 9)[:, None, None, None]
+            points = (share * points + (1 - share) * points[:, None]).reshape(-1, 3)
         pixels = camera.project(points)
+        if not np.isfinite(pixels).all():
+            return 0, 0, camera.width, camera.height
         low = np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX
         high = np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1
         size = [camera.width, camera.height]
@@ -260,6 +268,10 @@ def _wall(rng, camera, depth, focal):
     """Fill the view at a depth with a wall of shapes 4 to 60 pixels large; body 1."""
     pixel = depth / focal
     width, height = 1.6 * camera.width * pixel, 1.6 * camera.height * pixel
+    if not camera.lens.is_perspective:
+        # farther out the wall is seen so slantingly that it shows nothing
+        across = [min(angle / 2, _WALL_RAD) for angle in camera.field_of_view()]
+        width, height = (2.2 * depth * np.tan(np.nan_to_num(across, nan=_WALL_RAD))).tolist()
     style = Style(texel_m=1.2 * pixel, smallest_m=6 * pixel, largest_m=60 * pixel, cover=0.8,
                   contrast=45.0)
     middle = (np.array([camera.width, camera.height]) / 2 - camera.K[:2, 2]) * pixel

@@ -181,7 +181,7 @@ class Renderer:
         self.scene, self.camera, self.background = scene, camera, float(background)
         self._samples = int(supersampling)
         self._circle = circle_rad
-        self._tiles = [tile for tile in self._cut() if np.isfinite(tile[1]).any()]
+        self._tiles = [tile for tile in self._cut() if np.isfinite(tile[1][0]).any()]
         boxes = [[np.nanmin(r, axis=1), np.nanmax(r, axis=1)] for _, r, _ in self._tiles]
         self._low, self._high = np.moveaxis(np.array(boxes), 1, 0)
 

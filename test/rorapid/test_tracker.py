@@ -25,6 +25,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.synthetic.objects import perturbed, tracked_object
+from selfcal_ros.synthetic.wide_recordings import wide_camera
 
 
 @lru_cache(maxsize=None)
@@ -65,6 +66,28 @@ def test_poses_are_those_of_the_truth(kwargs):
     assert angle.max() < 0.3 and offset.max() < 0.005
     assert np.sqrt(np.mean(angle**2)) < 0.12
     assert np.nanmax([f.rms_px for f in frames]) < 0.8
+
+
+#: Wider than a plumb bob can be, 93 degrees down the image.
+RATIONAL = Camera([[300, 0, 325], [0, 300, 236], [0, 0, 1]],
+                  [0.25, 0.02, 5e-4, -5e-4, 0, 0.55, 0.08, 0.002], 640, 480,
+                  'rational_polynomial')
+
+
+@pytest.mark.parametrize('camera', (wide_camera(150.0), RATIONAL), ids=lambda c: c.model)
+def test_poses_through_wide_lenses_are_those_of_the_truth_within_their_sigmas(camera):
+    made = tracked_object(24, supersampling=2, camera=camera, seed=11)
+    renderer = made.renderer()
+    images = [made.frame(k, renderer) for k in range(24)]
+    frames = follow(made, images)
+    angle, offset = errors(made, frames)
+    assert all(f.state is TrackerState.TRACKING and not f.reason for f in frames)
+    assert angle[4:].max() < 0.15 and offset[4:].max() < 0.002
+    away = [np.append(f.translation - t, rotation_vector(f.rotation @ R.T))
+            for f, R, t in zip(frames, made.rotations, made.translations)]
+    square = [e @ np.linalg.solve(f.covariance, e) for e, f in zip(away[4:], frames[4:])]
+    # six degrees of freedom; errors of neighbouring images are alike
+    assert 2 < np.mean(square) < 12
 
 
 @pytest.mark.parametrize('motion', ('translation', 'planar'))

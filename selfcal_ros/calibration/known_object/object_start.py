@@ -232,8 +232,9 @@ def fisheye_cameras(size: tuple[int, int], facts: CameraFacts, lens: LensModel) 
     """Cameras without coefficients to start from, the longer side 190 to 60 degrees wide."""
     cx, cy = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     aspect = facts.aspect_ratio or 1.0
-    return [Camera([[share * max(size), 0, cx], [0, share * max(size) * aspect, cy], [0, 0, 1]],
-                   model=lens.name) for share in FISHEYE_FRACTIONS]
+    focal = max(size) * np.array(FISHEYE_FRACTIONS)
+    return [Camera(np.array([[f, 0.0, cx], [0.0, f * aspect, cy], [0.0, 0.0, 1.0]]),
+                   model=lens.name) for f in focal]
 
 
 def fisheye_state(camera: Camera, views: list[LinearView], view: np.ndarray, points: np.ndarray,
