@@ -50,6 +50,8 @@ BENCHES = {
     'tracked_calibration': 'calibration from the edges of a tracked object against truth',
     'lens_population': 'prior over real lenses against brands it has not seen',
     'lenses': 'every lens, simulated: covariance, family, corners, decentring: hours',
+    'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
+    'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
@@ -57,7 +59,7 @@ BENCHES = {
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
 }
 #: Only when asked for by name.
-LONG = ('coverage', 'lenses')
+LONG = ('coverage', 'lenses', 'wide_lenses')
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -67,7 +69,7 @@ def main(argv: list[str] | None = None) -> int:
         prog='python -m bench', formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Print the figures that the project claims.', epilog=f'names:\n{names}')
     parser.add_argument('names', nargs='*', metavar='NAME',
-                        help='all but coverage and lenses by default')
+                        help=f'all but {", ".join(LONG)} by default')
     parser.add_argument('--runs', type=int, help='Monte Carlo runs, in place of the full number')
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--engine', choices=('processes', 'dask'),
@@ -76,6 +78,8 @@ def main(argv: list[str] | None = None) -> int:
                         help='run COLMAP on the recorded sets, too (minutes)')
     parser.add_argument('--no-peer', action='store_true',
                         help='leave COLMAP out of the rendered drives')
+    parser.add_argument('--cache', metavar='FOLDER',
+                        help='wide lenses: keep images, tracks and results here, and use them')
     args = parser.parse_args(argv)
     unknown = set(args.names) - set(BENCHES)
     if unknown or (args.runs is not None and args.runs < 2):

@@ -21,6 +21,7 @@ import shutil
 import time
 
 import numpy as np
+from selfcal_ros.geometry.camera import Camera
 
 #: Name in the tables, camera model, whether the principal point is refined.
 CONFIGURATIONS = (
@@ -89,3 +90,102 @@ def calibrate_with_colmap(files: list[Path], folder: Path, configurations=CONFIG
                      'cx': parameters['cx'] - 0.5, 'cy': parameters['cy'] - 0.5,
                      'k1': parameters.get('k1', parameters.get('k', 0.0)),
                      }, best.num_reg_images(), seconds
+
+
+#: Largest time that the mapping of one configuration may take.
+MAPPING_S = 900
+
+
+def calibrate_lenses_with_colmap(files: list[Path], folder: Path, configurations,
+                                 threads: int = 2):
+    """
+    Reconstruct images of one camera under several lens models.
+
+    Features and matches are computed once; each configuration verifies the matches anew with its
+    own lens and refines every parameter of it, the principal point included.
+
+    Parameters
+    ----------
+    files : list of Path
+    folder : Path
+        Empty or of an earlier run, whose features and matches are used again.
+    configurations : sequence of (str, str, Camera or None)
+        Name, camera model, and the camera that COLMAP starts from; None: its own guess, a focal
+        length of 1.2 times the width.
+    threads : int
+
+    Yields
+    ------
+    name : str
+    camera : Camera or None
+        None where there is no reconstruction.
+    registered : int
+        Number of images in it.
+    seconds : float
+        Features, matching, verification and mapping.
+
+    """
+    import pycolmap
+    pycolmap.logging.minloglevel = 2
+    database, images = folder / 'database.db', folder / 'images'
+    needed = folder / 'seconds'
+    if not needed.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        images.mkdir(parents=True)
+        for path in files:
+            shutil.copy(path, images / path.name)
+        began = time.perf_counter()
+        pycolmap.extract_features(
+            database, images, camera_mode=pycolmap.CameraMode.SINGLE,
+            extraction_options=pycolmap.FeatureExtractionOptions(num_threads=threads))
+        pycolmap.match_exhaustive(
+            database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=threads))
+        needed.write_text(str(time.perf_counter() - began), encoding='utf-8')
+    for number, (name, model, start) in enumerate(configurations):
+        began = time.perf_counter()
+        work = folder / f'run{number}'
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        own = shutil.copy(database, work / 'database.db')
+        _give_lens(own, model, start)
+        pycolmap.geometric_verification(
+            own, verifier_options=pycolmap.GeometricVerifierOptions(num_threads=threads))
+        options = pycolmap.IncrementalPipelineOptions()
+        options.ba_refine_principal_point = True
+        options.num_threads = threads
+        options.max_runtime_seconds = MAPPING_S
+        found = pycolmap.incremental_mapping(own, images, work, options)
+        seconds = time.perf_counter() - began + float(needed.read_text(encoding='utf-8'))
+        if not found:
+            yield name, None, 0, seconds
+            continue
+        best = max(found.values(), key=lambda one: one.num_reg_images())
+        yield (name, _camera_of(next(iter(best.cameras.values()))), best.num_reg_images(),
+               seconds)
+
+
+def _give_lens(database: Path, model: str, start: Camera | None) -> None:
+    """Change the model of the camera in a database, and forget what was verified with it."""
+    import pycolmap
+    with pycolmap.Database.open(database) as opened:
+        old = opened.read_all_cameras()[0]
+        new = pycolmap.Camera.create_from_model_name(
+            old.camera_id, model, 1.2 * max(old.width, old.height), old.width, old.height)
+        if start is not None:
+            K = start.K
+            new.params = [K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, *start.distortion]
+            new.has_prior_focal_length = True
+        opened.update_camera(new)
+        opened.clear_two_view_geometries()
+
+
+def _camera_of(found) -> Camera:
+    """Return COLMAP's camera as one of ours: pixel (0, 0) is the centre of the first pixel."""
+    named = dict(zip(found.params_info.replace(' ', '').split(','), found.params))
+    focal = named.get('f', np.nan)
+    K = [[named.get('fx', focal), 0, named['cx'] - 0.5],
+         [0, named.get('fy', focal), named['cy'] - 0.5], [0, 0, 1]]
+    names = ('k1', 'k2', 'k3', 'k4') if 'FISHEYE' in found.model_name else ('k1', 'k2', 'p1', 'p2')
+    values = [named.get(name, named.get('k', 0.0) if name == 'k1' else 0.0) for name in names]
+    return Camera(K, values, found.width, found.height,
+                  'equidistant' if 'FISHEYE' in found.model_name else 'plumb_bob')
