@@ -122,7 +122,7 @@ def calibrate_lenses_with_colmap(files: list[Path], folder: Path, configurations
     registered : int
         Number of images in it.
     seconds : float
-        Features, matching, verification and mapping.
+        Processor time of features, matching, verification and mapping.
 
     """
     import pycolmap
@@ -134,15 +134,15 @@ def calibrate_lenses_with_colmap(files: list[Path], folder: Path, configurations
         images.mkdir(parents=True)
         for path in files:
             shutil.copy(path, images / path.name)
-        began = time.perf_counter()
+        began = time.process_time()
         pycolmap.extract_features(
             database, images, camera_mode=pycolmap.CameraMode.SINGLE,
             extraction_options=pycolmap.FeatureExtractionOptions(num_threads=threads))
         pycolmap.match_exhaustive(
             database, matching_options=pycolmap.FeatureMatchingOptions(num_threads=threads))
-        needed.write_text(str(time.perf_counter() - began), encoding='utf-8')
+        needed.write_text(str(time.process_time() - began), encoding='utf-8')
     for number, (name, model, start) in enumerate(configurations):
-        began = time.perf_counter()
+        began = time.process_time()
         work = folder / f'run{number}'
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
@@ -155,7 +155,7 @@ def calibrate_lenses_with_colmap(files: list[Path], folder: Path, configurations
         options.num_threads = threads
         options.max_runtime_seconds = MAPPING_S
         found = pycolmap.incremental_mapping(own, images, work, options)
-        seconds = time.perf_counter() - began + float(needed.read_text(encoding='utf-8'))
+        seconds = time.process_time() - began + float(needed.read_text(encoding='utf-8'))
         if not found:
             yield name, None, 0, seconds
             continue

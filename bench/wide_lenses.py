@@ -63,7 +63,11 @@ class Measured:
 
 
 def run(report: Report, options) -> None:
-    """Print the tables; with --cache FOLDER, what is there is not computed again."""
+    """
+    Print the tables; with --cache FOLDER, what is there is not computed again.
+
+    Seconds are of the processor, all threads together, for the peer as for us.
+    """
     kept = getattr(options, 'cache', None)
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(kept or scratch)
@@ -78,21 +82,21 @@ def run(report: Report, options) -> None:
 
 
 def measure(name: str, files, work: Path, mask=None, keyframes: int = 40,
-            stamps=None) -> Measured:
+            stamps=None, facts: CameraFacts = SQUARE, mode: str = 'auto') -> Measured:
     """Make tracks and a calibration of images, or take those of an earlier run."""
     path = work / f'{name}.tracks.pkl'
     if not path.exists():
         frames = grey_frames(files) if stamps is None else (
             (index, grey, stamp) for (index, grey, _), stamp in zip(grey_frames(files), stamps))
         began = time.process_time()
-        made = extract_tracks(frames, max_keyframes=keyframes, mask=mask)
+        made = extract_tracks(frames, mode, max_keyframes=keyframes, mask=mask)
         path.write_bytes(pickle.dumps((made.tracks, made.mode, made.keyframes,
                                        time.process_time() - began)))
     tracks, mode, _, features_s = pickle.loads(path.read_bytes())
     path = work / f'{name}.result.pkl'
     if not path.exists():
         began = time.process_time()
-        result = calibrate(tracks, facts=SQUARE)
+        result = calibrate(tracks, facts=facts)
         path.write_bytes(pickle.dumps((result, time.process_time() - began)))
     result, estimate_s = pickle.loads(path.read_bytes())
     return Measured(tracks, mode, result, features_s, estimate_s)
@@ -182,7 +186,8 @@ def rendered(report: Report, make, circle: int, work: Path, options) -> None:
     held = say_result(report, found, len(files), true)
     report.say('')
     start = ('OPENCV_FISHEYE, from the truth', 'OPENCV_FISHEYE', true)
-    report.table(('method', 'fx error %', 'pp error px', 'angle rms °', 'largest °', 'views', 's'),
+    report.table(('method', 'fx error %', 'pp error px', 'angle rms °', 'largest °', 'views',
+                  'cpu s'),
                  rows_beside(report, options, files, work / f'{name}.colmap', found,
                              (FISHEYE, start), cells))
     report.say('')
@@ -230,9 +235,10 @@ def room(report: Report, work: Path, options) -> None:
         held = say_result(report, found, len(files), true)
         report.say('')
         start = ('OPENCV_FISHEYE, from the board', 'OPENCV_FISHEYE', true)
+        rows = rows_beside(report, options, files, work / f'{name}.colmap', found,
+                           (FISHEYE, start), cells)
         report.table(('method', 'fx error %', 'pp error px', 'FA-RE px', 'largest px', 'views',
-                      's'), rows_beside(report, options, files, work / f'{name}.colmap', found,
-                                        (FISHEYE, start), cells))
+                      'cpu s'), rows)
         report.say('')
         if held:
             camera = found.result.camera
@@ -279,9 +285,9 @@ def drone(report: Report, name: str, work: Path, options) -> None:
 
     held = say_result(report, found, len(files), true)
     report.say('')
+    rows = rows_beside(report, options, files, work / f'{name}.colmap', found, ON_DRONE, cells)
     report.table(('method', 'fx error %', 'pp error px', 'mapping error px', 'largest px',
-                  'views', 's'), rows_beside(report, options, files, work / f'{name}.colmap',
-                                             found, ON_DRONE, cells))
+                  'views', 'cpu s'), rows)
     report.say('')
     if held:
         camera = found.result.camera
@@ -352,17 +358,21 @@ def camera_centres(folder: Path, name: str, stamps) -> np.ndarray:
 def duration(report: Report, work: Path) -> None:
     """Compare a drive through a wide lens with one through a pinhole."""
     report.section(f'Time: {TIMED_VIEWS} views 640x480, a lens of 150° beside a pinhole',
-                   'Processor time, images to K.')
-    rows = []
+                   'Processor time, images to K; each way of following points by itself.')
+    folders = {}
     for name, recording in (('timed_pinhole', agv_drive(TIMED_VIEWS)),
                             ('timed_fisheye', fisheye_drive(TIMED_VIEWS))):
-        folder = work / name
-        if not (folder / 'done').exists():
-            write_image_folder(recording, folder / 'images')
-            (folder / 'done').touch()
-        found = measure(name, image_files(folder), work)
-        rows.append((name, len(found.tracks), found.mode, found.features_s, found.estimate_s,
-                     found.features_s + found.estimate_s))
-    report.table(('drive', 'observations', 'mode', 'features s', 'estimate s', 'together'), rows)
+        folders[name] = work / name
+        if not (folders[name] / 'done').exists():
+            write_image_folder(recording, folders[name] / 'images')
+            (folders[name] / 'done').touch()
+    rows = [(name, mode, measure(f'{name}_{mode}', image_files(folder), work, mode=mode))
+            for mode in ('wide', 'video') for name, folder in folders.items()]
+    report.table(('drive', 'mode', 'observations', 'features s', 'estimate s'),
+                 [(name, mode, len(found.tracks), found.features_s, found.estimate_s)
+                  for name, mode, found in rows])
     report.say('')
-    report.verdict('fisheye over pinhole', rows[1][-1] / rows[0][-1], 2.0)
+    for (_, mode, pinhole), (_, _, fisheye) in (rows[:2], rows[2:]):
+        ratio = ((fisheye.features_s + fisheye.estimate_s)
+                 / (pinhole.features_s + pinhole.estimate_s))
+        report.verdict(f'{mode}, fisheye over pinhole', ratio, 2.0)
