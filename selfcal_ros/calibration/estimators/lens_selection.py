@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES
-from selfcal_ros.calibration.bundle.priors import (Population, population_of, Priors,
+from selfcal_ros.calibration.bundle.priors import (Population, population_of, Prior, Priors,
                                                    priors_from_facts, with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -38,9 +38,11 @@ from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
 
 #: Members that are tried when the richest of a family leaves the camera open.
-POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': ()}
+POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'rational': ()}
 #: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
 DECENTRING = np.geomspace(2e-4, 5e-3, 9)
+#: That of a lens of which nothing is known, where it cannot be estimated.
+ORDINARY_DECENTRING = 1e-3
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12
@@ -101,7 +103,8 @@ REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 
 
 def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
-                determined: Callable[[RobustFit, CameraFacts], bool]) -> LensDecision:
+                determined: Callable[[RobustFit, CameraFacts], bool],
+                decentring: float | None = None) -> LensDecision:
     """
     Choose family and member of the lens on some of the tracks.
 
@@ -117,6 +120,8 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
         Variance of the estimate over that with independent errors.
     determined : callable
         Whether a fit under facts determines the camera.
+    decentring : float, optional
+        Sigma of p1 and p2 among lenses; as large as the images suggest by default.
 
     Returns
     -------
@@ -124,12 +129,12 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
 
     """
     if facts.distortion != 'auto':
-        found = _fitted(fit, facts, size, dependence)
+        found = _fitted(fit, facts, size, dependence, decentring)
         return LensDecision(found, facts, _nothing(found))
     tried = []
     for name in _families(fit, size):
         stated = replace(facts, distortion=name)
-        trial = _fitted(fit, stated, size, dependence)
+        trial = _fitted(fit, stated, size, dependence, decentring)
         tried.append((_evidence(trial, dependence), trial, stated))
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
@@ -137,8 +142,9 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
         excess = _between(found, tried[1][1], best - tried[1][0])
     for poorer in (None, *POORER[stated.distortion]):
         if poorer is not None:
-            stated, excess = replace(stated, distortion=poorer), None
-            found = _fitted(fit, stated, size, dependence)
+            stated = replace(stated, distortion=poorer)
+            found = _fitted(fit, stated, size, dependence, decentring)
+            excess = dependence * of_decentring(found)
         if determined(found, stated):
             break
     return LensDecision(found, stated, _nothing(found) if excess is None else excess)
@@ -152,19 +158,19 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     """Name the families that may have made the images, that of the fit first."""
     lens = fit.state.lens
     if not lens.model.is_perspective:
-        return 'equidistant', 'plumb_bob'
+        return 'equidistant', 'plumb_bob', 'rational'
     corner = float(np.hypot(*size)) / 2 / lens['f']
     barrel = -lens['k1'] * corner**2
-    return ('plumb_bob', 'equidistant') if barrel > BARREL else ('plumb_bob',)
+    return (('plumb_bob', 'equidistant', 'rational') if barrel > BARREL else ('plumb_bob',))
 
 
 def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
-            ) -> RobustFit:
+            decentring: float | None) -> RobustFit:
     """Fit a lens to the same observations, decentring as large as the images suggest."""
     state = with_lens(fit, facts.distortion)
-    priors = lens_priors(facts, size, state.lens['f'], DECENTRING[-1])
+    priors = lens_priors(facts, size, state.lens['f'], decentring or DECENTRING[-1])
     found = _refitted(fit, state, priors)
-    if facts.distortion == 'plumb_bob' and priors.population is not None:
+    if facts.distortion == 'plumb_bob' and priors.population is not None and decentring is None:
         places = found.state.lens.places(('p1', 'p2'))
         variance = dependence * found.lens_covariance[np.ix_(places, places)]
         decentring = likely_decentring(found.state.lens.values[places], variance)
@@ -225,6 +231,32 @@ def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
     log_probability = -0.5 * np.sum(free[:, None]**2 / total + np.log(total), axis=0)
     weight = np.exp(log_probability - log_probability.max())
     return float(np.sqrt(weight @ DECENTRING**2 / weight.sum()))
+
+
+def of_decentring(fit: RobustFit, sigma: float = ORDINARY_DECENTRING) -> np.ndarray:
+    """
+    Return what decentring that a lens may have, but that is not estimated, adds to a covariance.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        With p1 and p2 held.
+    sigma : float
+        Of either among lenses.
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        Zero for what is held.
+
+    """
+    loose = fit.bundle.priors.updated({name: Prior(0.0, sigma) for name in ('p1', 'p2')})
+    bundle = fit.bundle.with_priors(loose)
+    lens, free = bundle.unknowns.lens, fit.bundle.unknowns.free[bundle.unknowns.lens]
+    wider = bundle.covariance(fit.state)[lens, lens] - fit.lens_covariance
+    values, vectors = np.linalg.eigh(wider * np.outer(free, free))
+    excess: np.ndarray = (vectors * np.maximum(values, 0)) @ vectors.T
+    return excess * np.outer(free, free)
 
 
 def _evidence(fit: RobustFit, dependence: float) -> float:

@@ -33,7 +33,8 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
+from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, LensDecision,
+                                                               ORDINARY_DECENTRING)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status
@@ -113,7 +114,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     priors = priors_from_facts(facts)
     best, least = None, np.inf
     for K in _starting_cameras(conic, size, facts):
-        state = _start(K, homographies.H, observed)
+        state = _start(K, homographies.H, observed, priors.lens.name)
         bundle = bundle_of(observed, ROTATION, priors, max(sigma_px, 0.02))
         if bundle.degrees_of_freedom < MIN_FREEDOM:
             return NoEstimate('too_few_observations', points=len(names), images=len(frames),
@@ -144,7 +145,9 @@ def _richest_lens(state: SceneState, observed: Observations, facts: CameraFacts,
         return trial.state.lens['f'] > 0 and 'unobservable' not in parameter_status(
             trial.state.camera(*size), covariance, stated).values()
 
-    return choose_lens(RobustFit(bundle, state, observed, 0), facts, size, 1.0, determined)
+    # a step aside that goes with the turn looks like decentring: lenses have the last word
+    return choose_lens(RobustFit(bundle, state, observed, 0), facts, size, 1.0, determined,
+                       ORDINARY_DECENTRING)
 
 
 def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
@@ -209,9 +212,9 @@ def _starting_cameras(conic, size, facts):
                         [0, 0, 1]])
 
 
-def _start(K, H, observed) -> SceneState:
+def _start(K, H, observed, model: str) -> SceneState:
     """Rotations nearest to K^-1 H K, and mean directions of the points."""
-    camera = Camera(K)
+    camera = Camera(K, model=model)
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
     R = np.concatenate([np.eye(3)[None], U @ Vt])
     rays = camera.rays(observed.xy)
