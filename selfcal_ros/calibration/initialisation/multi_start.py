@@ -127,6 +127,10 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
                     and problem.division >= STRONG_BEND:
                 yield from closed_form(problem)
             yield supposed_camera(focal_px, problem.size, problem.facts, problem.division)
+        if problem.division < STRONG_BEND:
+            # far scenes show little of the bend, and it may be an illusion
+            for focal_px in likely_focal_lengths(problem.size, 0.0, FOCAL_SWEEP):
+                yield supposed_camera(focal_px, problem.size, problem.facts)
         # a principal point far off the middle, which the sweep does not suppose
         if not problem.motion.keeps_plane and problem.flat is None \
                 and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \

@@ -126,4 +126,4 @@ def likely_focal_lengths(size: tuple[int, int], division: float, sweep: tuple[fl
     if division >= STRONG_BEND:
         return usual
     fisheye = float(np.hypot(*size)) / 2 * float(np.sqrt(EQUIDISTANT_BEND / division))
-    return [fisheye, 0.8 * fisheye, 1.25 * fisheye, 0.6 * fisheye, 1.6 * fisheye, *usual]
+    return [factor * fisheye for factor in (1.0, 0.8, 1.25, 0.6, 1.6, 2.2)]
