@@ -34,6 +34,8 @@ _STRAIGHT = LADDER.index((0.0, 0.0))
 _COARSE = 0.006
 #: The first comparison draws so many samples a pair; so many of its best are refined.
 _SAMPLES, _FINALISTS = 300, 2
+#: Straight lines that leave a larger cost a match are far from a good fit: more are refined.
+_FITS_BADLY, _MANY_FINALISTS = 0.12, 6
 #: Matches of a pair used at most.
 _MATCHES = 200
 #: A curved geometry leaves at most this share of the cost of straight lines.
@@ -137,7 +139,8 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     flat = _descended(data, starts[_STRAIGHT][1], np.zeros(1), coarse, limit, True, True)
     # where straight lines leave nothing to explain, refinement goes far enough
     inliers, there = np.sum(_distances(data, flat.F, np.zeros(1)) < limit), data[2].sum()
-    explained = inliers > _NEARLY_ALL * there and there > _MANY * len(pairs)
+    explained = (inliers > _NEARLY_ALL * there and there > _MANY * len(pairs)
+                 and flat.cost < _FITS_BADLY * there)
     for step in range(_STRAIGHT + 2, len(LADDER), 2) if not explained else ():
         start(step)
     middle = best_step()
@@ -145,7 +148,9 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         start(step)
     one = _descended(data, flat.F, np.zeros(1), coarse, limit, quick=True)
     order = [step for step in sorted(starts, key=lambda step: starts[step][0])
-             if step != _STRAIGHT or explained][:_FINALISTS]
+             if step != _STRAIGHT or explained]
+    # where straight lines leave much, the coarse comparison does not decide
+    order = order[:_FINALISTS if flat.cost < _FITS_BADLY * there else _MANY_FINALISTS]
     two = min((_descended(data, starts[step][1], np.array(LADDER[step]), coarse, limit, quick=True)
                for step in order), key=lambda fit: fit.cost)
     best, bent = one, min(one.cost, two.cost) < clear_gain * flat.cost

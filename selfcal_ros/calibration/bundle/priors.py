@@ -201,7 +201,8 @@ def start_lens(facts: CameraFacts, model: LensModel | None = None) -> Priors:
 
     Decentring, and what bends the outermost image alone, wait until there is a start.
     """
-    if facts.distortion == 'auto' and model is not None and not model.is_perspective:
+    if model is not None and not model.is_perspective:
+        # a start of another family than the one that is stated
         facts = replace(facts, distortion=model.name)
     priors = priors_from_facts(facts)
     waiting = {name: Prior(0.0, 0.0) for name in priors.lens.coefficients

@@ -39,6 +39,9 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 
+#: A start, or an optimum, explains the images when it leaves less than so many times the noise
+#: of the epipolar geometry (which has more freedom, and absorbs distortion).
+EXPLAINED = 4.0
 #: A larger fraction of outliers than this, and the rest proves nothing.
 MAX_OUTLIERS = 1 / 3
 #: With its distortion free a lens deviates from its model by less than this fraction of the
@@ -64,6 +67,7 @@ class _Optimum:
     status: dict[str, str]
     held: dict[str, str]
     rejected: float
+    pair_noise_px: float
     field: DistortionMisfit | None
 
     @property
@@ -81,6 +85,15 @@ def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
     return (NoEstimate('too_many_outliers', rejected=float(found.rejected))
             if found.rejected > MAX_OUTLIERS else None)
+
+
+def _is_explained(found: _Optimum) -> NoEstimate | None:
+    """Refuse what leaves far more than pairs of images do, as a start does that led astray."""
+    noise_px = max(found.pair_noise_px, found.problem.noise_px)
+    if found.fit.bundle.sigma_px < EXPLAINED * noise_px:
+        return None
+    return NoEstimate('tracks_unexplained', left_px=float(found.fit.bundle.sigma_px),
+                      noise_px=float(noise_px))
 
 
 def _lens_fits(found: _Optimum) -> NoEstimate | None:
@@ -111,7 +124,7 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
-ACCEPTANCE_TESTS = (_most_agree, _lens_fits, _can_be_checked, _is_determined)
+ACCEPTANCE_TESTS = (_most_agree, _is_explained, _lens_fits, _can_be_checked, _is_determined)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
@@ -139,7 +152,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned)
     status = parameter_status(camera, covariance, facts)
     optimum = _Optimum(fit, model, problem, path, status, held,
-                       outliers / max(outliers + len(fit.observations.view), 1), field)
+                       outliers / max(outliers + len(fit.observations.view), 1), graph.noise_px,
+                       field)
     for accepted in ACCEPTANCE_TESTS:
         refusal = accepted(optimum)
         if refusal is not None:

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
 from selfcal_ros.calibration.uncertainty.profile_likelihood import profile_likelihood_excess
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.rotation import rotation_vector
 
 
@@ -75,7 +76,8 @@ def first_fit(problem: SelfCalibrationProblem, observations: Observations, state
               ) -> RobustFit:
     """Fit a fraction of the tracks with soft priors, the models still open."""
     facts = problem.facts
-    if facts.distortion == 'auto':
+    stated = LENS_CHOICES.get(facts.distortion)
+    if stated is None or stated[0] is not state.lens.model:
         # of the family that the start is of, with all that such lenses do
         facts = replace(facts, distortion='plumb_bob' if state.lens.model.is_perspective
                         else 'equidistant')

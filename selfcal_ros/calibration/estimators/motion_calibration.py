@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_P
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.acceptance import assess, unchecked
+from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 hold_parallel, ModelDecision)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
@@ -51,9 +51,6 @@ MOTION_MODELS = {
     'general': (GENERAL,),
     'auto': (NEARLY_PLANAR, GENERAL),
 }
-#: A start explains the images when it leaves less than so many times the noise of the epipolar
-#: geometry (which has more freedom, and absorbs distortion).
-EXPLAINED = 4.0
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
@@ -97,7 +94,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, 0.02), flat=plane,
-                                     division=graph.division)
+                                     bend=graph.bend)
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:

@@ -24,8 +24,8 @@ from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
-from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
-                                                                  STRONG_BEND, supposed_camera)
+from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
+                                                                  supposed_camera)
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -120,21 +120,21 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
     """
     def proposals():
         yield from first
-        for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.division,
+        for k, focal_px in enumerate(likely_focal_lengths(problem.size, problem.bend,
                                                           FOCAL_SWEEP)):
             # an ordinary lens is tried in less time than the closed form takes
             if k == 1 and problem.motion.keeps_plane and problem.flat is None \
-                    and problem.division >= STRONG_BEND:
+                    and not is_strong(problem.bend):
                 yield from closed_form(problem)
-            yield supposed_camera(focal_px, problem.size, problem.facts, problem.division)
-        if problem.division < STRONG_BEND:
+            yield supposed_camera(focal_px, problem.size, problem.facts, problem.bend)
+        if is_strong(problem.bend):
             # far scenes show little of the bend, and it may be an illusion
-            for focal_px in likely_focal_lengths(problem.size, 0.0, FOCAL_SWEEP):
+            for focal_px in likely_focal_lengths(problem.size, (), FOCAL_SWEEP):
                 yield supposed_camera(focal_px, problem.size, problem.facts)
         # a principal point far off the middle, which the sweep does not suppose
         if not problem.motion.keeps_plane and problem.flat is None \
                 and MIN_VIEWS <= problem.views <= MODULUS_MAX_VIEWS \
-                and problem.division >= STRONG_BEND:
+                and not is_strong(problem.bend):
             few = problem.observations
             yield from propose_camera(Tracks(few.view, few.point, few.xy, problem.size),
                                       problem.size, problem.facts)

@@ -27,7 +27,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import (planar_sta
                                                                       relative_rotations,
                                                                       spanning_order)
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
-from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
+from selfcal_ros.calibration.initialisation.supposed_lens import (Bend, likely_focal_lengths,
                                                                   supposed_camera)
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -49,8 +49,8 @@ class SelfCalibrationProblem:
     """
     What every start is judged on.
 
-    `flat` where the scene may be one plane; `division` is the bend that the pairs show, λ for
-    radii in half image diagonals.
+    `flat` where the scene may be one plane; `bend` is that of the lens which the pairs show,
+    for radii in half image diagonals.
     """
 
     observations: Observations
@@ -60,7 +60,7 @@ class SelfCalibrationProblem:
     noise_px: float
     motion: MotionModel = NEARLY_PLANAR
     flat: FlatScene | None = None
-    division: float = 0.0
+    bend: Bend = ()
 
     @property
     def views(self) -> int:
@@ -79,8 +79,8 @@ class SelfCalibrationProblem:
         if self.views <= WINDOW_VIEWS:
             return self
         camera = supposed_camera(
-            likely_focal_lengths(self.size, self.division, (1.0,))[0], self.size, self.facts,
-            self.division)
+            likely_focal_lengths(self.size, self.bend, (1.0,))[0], self.size, self.facts,
+            self.bend)
         near = [pair for pair in self.pairs if pair.second - pair.first == 1]
         turn = np.zeros(self.views - 1)
         turn[[pair.first for pair in near]] = np.linalg.norm(

@@ -15,8 +15,8 @@
 Cameras that are supposed, for starts: a focal length, and the bend that pairs of views show.
 
 Epipolar geometry shows how a lens bends before anything is known of its focal length: the
-division model, tan θ = (r / f) / (1 + λ r²) (Fitzgibbon 2001). A supposed focal length makes
-angles of it, and the lens model at hand is fitted to them.
+division model, tan θ = (r / f) / (1 + λ r² + κ r⁴) (Fitzgibbon 2001). A supposed focal length
+makes angles of it, and the lens model at hand is fitted to them.
 """
 
 from __future__ import annotations
@@ -30,17 +30,21 @@ from selfcal_ros.geometry.lenses.model import fitted_coefficients, LensModel
 #: A bend λ, in half image diagonals, beyond which a lens is started as a fisheye: its polynomial
 #: of the angle follows a barrel as well, and does not fold.
 STRONG_BEND = -0.15
+#: Square of the radius about which λ alone stands for λ and κ.
+_USUAL_SQUARE = 0.35
 #: λ f² of a fisheye without distortion of its own, about; a stereographic one has -1/4.
 EQUIDISTANT_BEND = -0.36
 #: Rays that a perspective is fitted to lie within this angle of the axis.
 WIDEST_PERSPECTIVE = np.radians(80.0)
 _RADII = 60
+#: λ, or λ and κ, for radii in half image diagonals; empty for straight lines.
+Bend = tuple[float, ...]
 #: Coefficients that starts leave zero: decentring, and what bends the outermost image alone.
 _WAITING = ('p1', 'p2', 'k3', 'k4', 'k5', 'k6')
 
 
 def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
-                    division: float = 0.0) -> Camera:
+                    bend: Bend = ()) -> Camera:
     """
     Suppose a focal length; what no fact states is what most cameras have.
 
@@ -50,8 +54,8 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
     size : (int, int)
         Width and height of the image.
     facts : CameraFacts
-    division : float
-        λ for radii in half image diagonals.
+    bend : tuple of float
+        λ, or λ and κ, for radii in half image diagonals; none for straight lines.
 
     Returns
     -------
@@ -60,28 +64,41 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
     """
     centre = facts.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     aspect = facts.aspect_ratio or 1.0
-    model, names = supposed_model(facts, division)
+    model, names = supposed_model(facts, bend)
     half = float(np.hypot(*size)) / 2
     coefficients = np.zeros(len(model.coefficients))
-    if division < STRONG_BEND:
-        coefficients = bent(model, names, division * (focal_px / half)**2, half / focal_px)
+    if is_strong(bend):
+        coefficients = bent(model, names, bend, half / focal_px)
     return Camera(np.array([[focal_px, facts.skew or 0.0, centre[0]],
                             [0, focal_px * aspect, centre[1]], [0, 0, 1]]), coefficients,
                   size[0], size[1], model.name)
 
 
-def supposed_model(facts: CameraFacts, division: float) -> tuple[LensModel, tuple[str, ...]]:
+def supposed_model(facts: CameraFacts, bend: Bend) -> tuple[LensModel, tuple[str, ...]]:
     """Return the lens model of starts, and the coefficients that they may give it."""
     stated = facts.distortion
     if stated == 'auto':
-        stated = 'equidistant' if division < STRONG_BEND else 'radial2'
+        stated = 'radial2'
+    # whatever is stated: a polynomial of the radius folds before it has found its place
+    if is_strong(bend) and len(LENS_CHOICES[stated][1]) > 1:
+        stated = 'equidistant'
     model, names = LENS_CHOICES[stated]
     if model.is_perspective:
         names = tuple(name for name in names if name not in _WAITING)
     return model, names
 
 
-def bent(model: LensModel, names: tuple[str, ...], bend: float, corner: float) -> np.ndarray:
+def is_strong(bend: Bend) -> bool:
+    """Tell whether a lens bends so much that it is started as a fisheye."""
+    return overall(bend) < STRONG_BEND
+
+
+def overall(bend: Bend) -> float:
+    """Return the one λ that is nearest to λ and κ."""
+    return float(sum(value * _USUAL_SQUARE**k for k, value in enumerate(bend)))
+
+
+def bent(model: LensModel, names: tuple[str, ...], bend: Bend, corner: float) -> np.ndarray:
     """
     Fit a lens model to a division model.
 
@@ -90,26 +107,27 @@ def bent(model: LensModel, names: tuple[str, ...], bend: float, corner: float) -
     model : LensModel
     names : tuple of str
         Coefficients that may differ from zero.
-    bend : float
-        λ for radii over the focal length.
+    bend : tuple of float
+        λ, or λ and κ, for radii in half image diagonals.
     corner : float
-        Largest radius over the focal length.
+        Half the diagonal over the focal length.
 
     Returns
     -------
     ndarray, shape (k,)
 
     """
-    radius = np.linspace(0, corner, _RADII + 1)[1:]
-    rays = np.column_stack([radius, np.zeros(_RADII), 1 + bend * radius**2])
+    radius = np.linspace(0, 1, _RADII + 1)[1:]
+    straightened = 1 + sum(value * radius**(2 * k) for k, value in enumerate(bend, 1))
+    rays = np.column_stack([corner * radius, np.zeros(_RADII), straightened])
     if model.is_perspective:
         seen = np.arctan2(rays[:, 0], rays[:, 2]) < WIDEST_PERSPECTIVE
         rays, radius = rays[seen], radius[seen]
     return fitted_coefficients(model, names, rays,
-                               np.column_stack([radius, np.zeros(len(radius))]))
+                               np.column_stack([corner * radius, np.zeros(len(radius))]))
 
 
-def likely_focal_lengths(size: tuple[int, int], division: float, sweep: tuple[float, ...],
+def likely_focal_lengths(size: tuple[int, int], bend: Bend, sweep: tuple[float, ...],
                          ) -> list[float]:
     """
     Return focal lengths to try, pixels, the likely ones first.
@@ -117,13 +135,13 @@ def likely_focal_lengths(size: tuple[int, int], division: float, sweep: tuple[fl
     Parameters
     ----------
     size : (int, int)
-    division : float
+    bend : tuple of float
     sweep : tuple of float
         Usual ones, in longer image sides.
 
     """
     usual = [share * max(size) for share in sweep]
-    if division >= STRONG_BEND:
+    if not is_strong(bend):
         return usual
-    fisheye = float(np.hypot(*size)) / 2 * float(np.sqrt(EQUIDISTANT_BEND / division))
+    fisheye = float(np.hypot(*size)) / 2 * float(np.sqrt(EQUIDISTANT_BEND / overall(bend)))
     return [factor * fisheye for factor in (1.0, 0.8, 1.25, 0.6, 1.6, 2.2)]

@@ -96,6 +96,13 @@ class ViewGraph:
     division_sigma: float = float('inf')
     lens: DivisionModel | None = None
 
+    @property
+    def bend(self) -> tuple[float, ...]:
+        """Coefficients of the lens that the pairs show; none where straight lines suffice."""
+        if self.lens is not None:
+            return self.lens.coefficients
+        return (self.division,) if self.division else ()
+
 
 def truncated_sigma(square: float, limit: float) -> float:
     """
