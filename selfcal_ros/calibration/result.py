@@ -30,6 +30,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.optimise import Elimination
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
@@ -236,6 +237,8 @@ class Calibration:
         What the images say and what the facts say.
     measured : StructureSample, optional
         What the uncertainty means for measurements in the structure.
+    population : Population, optional
+        What real lenses are like, where that counted as a measurement.
 
     Examples
     --------
@@ -270,6 +273,7 @@ class Calibration:
     residuals: np.ndarray | None = field(default=None, repr=False)
     identifiability: Identifiability | None = field(default=None, repr=False)
     measured: StructureSample | None = field(default=None, repr=False)
+    population: Population | None = field(default=None, repr=False)
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""

@@ -118,7 +118,7 @@ class Bundle:
             gradient[place] += deviation / prior.sigma
             diagonal[place] += 1 / prior.sigma**2
         if self.priors.population is not None:
-            more, slope, _ = self.priors.population.terms(state.lens)
+            more, slope, _ = self.priors.population.terms(*state.lens.named)
             cost += more
             gradient[self.unknowns.lens] += slope
         return cost, gradient, diagonal
@@ -182,7 +182,8 @@ class Bundle:
         system.matrix[np.diag_indices_from(system.matrix)] += diagonal
         system.diagonal += diagonal
         if self.priors.population is not None:
-            lens, (_, _, matrix) = self.unknowns.lens, self.priors.population.terms(state.lens)
+            lens = self.unknowns.lens
+            _, _, matrix = self.priors.population.terms(*state.lens.named)
             system.matrix[lens, lens] += matrix
             system.diagonal[lens] += np.diag(matrix)
         gauge = self.model.gauge(state, self.unknowns)

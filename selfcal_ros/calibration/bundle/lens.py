@@ -65,6 +65,11 @@ class Lens:
         """Names of the unknowns."""
         return intrinsic_names(self.model)
 
+    @property
+    def named(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and values of the unknowns."""
+        return self.names, self.values
+
     def __len__(self) -> int:
         """Count the unknowns."""
         return len(self.values)

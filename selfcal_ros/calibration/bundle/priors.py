@@ -27,7 +27,7 @@ from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
-from selfcal_ros.geometry.lenses.population import lens_population
+from selfcal_ros.geometry.lenses.population import lens_population, Population
 
 
 #: While starts are compared: standard deviation of the coefficients among ordinary lenses.
@@ -47,34 +47,6 @@ class Prior:
     def is_soft(self) -> bool:
         """Tell whether it is a measurement like any other, neither exact nor void."""
         return 0 < self.sigma < float('inf')
-
-
-@dataclass(frozen=True)
-class Population:
-    """
-    What lenses of a kind are like: a joint Gaussian over some unknowns.
-
-    Attributes
-    ----------
-    names : tuple of str
-    mean : ndarray, shape (k,)
-    information : ndarray, shape (k, k)
-        Inverse of the covariance.
-
-    """
-
-    names: tuple[str, ...]
-    mean: np.ndarray
-    information: np.ndarray
-
-    def terms(self, lens: Lens) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return cost, gradient (n,) and matrix (n, n) over the unknowns of a lens."""
-        places = lens.places(self.names)
-        off = lens.values[places] - self.mean
-        gradient, matrix = np.zeros(len(lens)), np.zeros((len(lens), len(lens)))
-        gradient[places] = self.information @ off
-        matrix[np.ix_(places, places)] = self.information
-        return float(0.5 * off @ self.information @ off), gradient, matrix
 
 
 @dataclass(frozen=True)

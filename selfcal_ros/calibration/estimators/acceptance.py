@@ -175,7 +175,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         fixed_points=_fixed_points(state.path, camera.K) if problem.motion.keeps_plane else None,
         findings=path.findings + findings, residuals=residuals, identifiability=known,
         measured=sample_structure(precision, fit.observations.track, state.points,
-                                  covariance))
+                                  covariance),
+        population=fit.bundle.priors.population)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

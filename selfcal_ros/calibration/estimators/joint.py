@@ -144,12 +144,11 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
         if name in priors:
             value[place] = priors[name].value / unit[place]
             weight[place] = (unit[place] / priors[name].sigma)**2
-    P = np.diag(weight)
-    if priors.population is not None:
-        places = [names.index(name) for name in priors.population.names]
-        P[np.ix_(places, places)] += priors.population.information
-        value[places] = priors.population.mean
-    shares = [_share(one, free, unit, P, value) for one in calibrations]
+    stated = np.diag(weight)
+    # what lenses are like counts in every one of them, and once in all
+    supposed = [_supposed(one, names, unit, stated, value) for one in calibrations]
+    P, value = supposed[0]
+    shares = [_share(one, free, unit, *own) for one, own in zip(calibrations, supposed)]
     used = np.ones(len(shares), bool)
     while True:
         x, information, total, freedom = _solve(shares, used, P, value)
@@ -169,6 +168,21 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
                          to_parameters(inner, lens))
     p_value = float(chi2.sf(total, freedom)) if freedom else 1.0
     return JointCalibration(found, used, deviation, total, freedom, p_value)
+
+
+def _supposed(one: Calibration, names: list[str], unit: np.ndarray, stated: np.ndarray,
+              value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information and values of the facts and of what lenses are like, in the units at hand."""
+    population = one.population
+    if population is None:
+        return stated, value
+    known = [k for k, name in enumerate(population.names) if name in names]
+    places = [names.index(population.names[k]) for k in known]
+    P, at = stated.copy(), value.copy()
+    P[np.ix_(places, places)] += (population.information[np.ix_(known, known)]
+                                  * np.outer(unit[places], unit[places]))
+    at[places] = population.mean[known] / unit[places]
+    return P, at
 
 
 def _share(one: Calibration, free, unit, P, value) -> _Share:

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES
-from selfcal_ros.calibration.bundle.priors import (Population, population_of, Prior, Priors,
+from selfcal_ros.calibration.bundle.priors import (population_of, Prior, Priors,
                                                    priors_from_facts, with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -261,7 +261,7 @@ def of_decentring(fit: RobustFit, sigma: float = ORDINARY_DECENTRING) -> np.ndar
 
 def _evidence(fit: RobustFit, dependence: float) -> float:
     """Log of the probability of the images under a lens, up to what all lenses share."""
-    population: Population | None = fit.bundle.priors.population
+    population = fit.bundle.priors.population
     cost = fit.cost / dependence
     if not np.isfinite(cost):
         return -np.inf

@@ -198,7 +198,7 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
         outlier_count=total - len(observed.view),
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points),
-        residuals=residuals)
+        residuals=residuals, population=priors.population)
 
 
 def _starting_cameras(conic, size, facts):

@@ -153,7 +153,8 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     system.matrix[place, place] += diagonal / known
     if bundle.priors.population is not None:
         inside = unknowns.lens
-        system.matrix[inside, inside] += bundle.priors.population.terms(state.lens)[2] / known
+        _, _, of_lenses = bundle.priors.population.terms(*state.lens.named)
+        system.matrix[inside, inside] += of_lenses / known
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
         system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])

@@ -137,7 +137,7 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
         matrix = matrix - np.diag(bundle.prior_terms(state)[2])
         if bundle.priors.population is not None:
             lens = bundle.unknowns.lens
-            matrix[lens, lens] -= bundle.priors.population.terms(state.lens)[2]
+            matrix[lens, lens] -= bundle.priors.population.terms(*state.lens.named)[2]
     free = np.flatnonzero(bundle.unknowns.free)
     matrix = matrix[np.ix_(free, free)]
     inner = len(bundle.unknowns.free_lens)

@@ -27,6 +27,8 @@ were measured with the rational model.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
@@ -52,6 +54,44 @@ _OTHER_NAMES = {'rational': 'rational_polynomial'}
 #: A drawn lens grows at least by this share of its slope on the axis, up to the corner.
 _LEAST_SLOPE = 0.1
 _TRIES = 1000
+
+
+@dataclass(frozen=True)
+class Population:
+    """
+    What lenses of a kind are like: a joint Gaussian over some unknowns.
+
+    Attributes
+    ----------
+    names : tuple of str
+    mean : ndarray, shape (k,)
+    information : ndarray, shape (k, k)
+        Inverse of the covariance.
+
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    information: np.ndarray
+
+    def terms(self, names: tuple[str, ...], values: np.ndarray,
+              ) -> tuple[float, np.ndarray, np.ndarray]:
+        """
+        Return cost, gradient (n,) and matrix (n, n) over the unknowns of a lens.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Of these unknowns.
+        values : ndarray, shape (n,)
+
+        """
+        places = [names.index(name) for name in self.names]
+        off = values[places] - self.mean
+        gradient, matrix = np.zeros(len(values)), np.zeros((len(values), len(values)))
+        gradient[places] = self.information @ off
+        matrix[np.ix_(places, places)] = self.information
+        return float(0.5 * off @ self.information @ off), gradient, matrix
 
 
 def lens_population(model: str, corner: float) -> tuple[np.ndarray, np.ndarray]:
