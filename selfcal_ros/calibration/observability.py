@@ -29,6 +29,8 @@ FOCAL_FRACTION = 0.15
 PRINCIPAL_POINT_FRACTION = 0.10
 SKEW_FRACTION = 0.10
 DISTORTION_FRACTION = 0.15
+#: The circle of a fisheye ends here at the latest, about: radius over focal length.
+WIDEST_SEEN_RAD = 1.6
 #: What exceeds these by such a factor on a share of the tracks does so with all of them, too.
 UNOBSERVABLE_FACTOR = 1.5
 
@@ -64,6 +66,9 @@ def observability_limits(camera: Camera) -> np.ndarray:
     diagonal = float(np.hypot(camera.width, camera.height))
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     corner, lens = diagonal / 2 / fx, camera.lens
+    if not lens.is_perspective:
+        # beyond the circle that a fisheye lights there is no image to be wrong
+        corner = min(corner, WIDEST_SEEN_RAD)
     return np.array([
         FOCAL_FRACTION * fx, FOCAL_FRACTION * fy, PRINCIPAL_POINT_FRACTION * diagonal,
         PRINCIPAL_POINT_FRACTION * diagonal, SKEW_FRACTION * fx,
