@@ -101,5 +101,5 @@ def test_what_bends_more_than_a_lens_is_no_calibration():
     result = calibrate(tracks, facts=FACTS)
 
     assert not result
-    assert 'smoothly over the image' in result.reason and '--distortion' in result.advice
+    assert 'smoothly over the image' in result.reason and '--lens' in result.advice
     assert not any(word in result.reason for word in ('nan', 'inf'))
