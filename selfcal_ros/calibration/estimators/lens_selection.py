@@ -39,6 +39,8 @@ from selfcal_ros.geometry.lenses.model import fitted_coefficients
 
 #: Members that are tried when the richest of a family leaves the camera open.
 POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'rational': ()}
+#: Lenses whose coefficients are weighed with those of real lenses.
+REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 #: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
 DECENTRING = np.geomspace(2e-4, 5e-3, 9)
 #: That of a lens of which nothing is known, where it cannot be estimated.
@@ -97,9 +99,6 @@ def lens_priors(facts: CameraFacts, size: tuple[int, int], f: float,
     return replace(priors, population=population_of(
         facts.distortion, priors.lens, float(np.hypot(*size)) / 2 / f, decentring))
 
-
-#: Lenses whose coefficients are weighed with those of real lenses.
-REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 
 
 def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
