@@ -100,7 +100,6 @@ def lens_priors(facts: CameraFacts, size: tuple[int, int], f: float,
         facts.distortion, priors.lens, float(np.hypot(*size)) / 2 / f, decentring))
 
 
-
 def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
                 determined: Callable[[RobustFit, CameraFacts], bool],
                 decentring: float | None = None) -> LensDecision:
