@@ -42,6 +42,9 @@ _MATCHES = 200
 _CLEAR_GAIN = 0.93
 #: A coefficient is there if it is so many of its standard deviations from zero.
 _SIGNIFICANT = 5.0
+#: One number that leaves more than this share of what straight lines leave says that there is no
+#: bend, where straight lines explain the matches.
+_HOPELESS = 0.97
 #: Straight lines with this share of inliers are at most a little bent, if a pair has so many.
 _NEARLY_ALL, _MANY = 0.9, 60
 #: Square of the radius about which one coefficient stands for two.
@@ -117,7 +120,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         None where no pair has an epipolar geometry.
 
     """
-    straight = DivisionModel((), image_size)
+    straight, straight_model = DivisionModel((), image_size), DivisionModel((0.0,), image_size)
     pairs = [pair for pair in pairs if len(pair[0]) >= 8]
     if not pairs:
         return None
@@ -147,6 +150,9 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     for step in (middle - 1, middle + 1) if middle != _STRAIGHT else ():
         start(step)
     one = _descended(data, flat.F, np.zeros(1), coarse, limit, quick=True)
+    if explained and one.cost > _HOPELESS * flat.cost:
+        return SharedDivision(straight_model, float(one.sigmas[0]), float(one.coefficients[0]),
+                              flat.cost, flat.cost)
     order = [step for step in sorted(starts, key=lambda step: starts[step][0])
              if step != _STRAIGHT or explained]
     # where straight lines leave much, the coarse comparison does not decide

@@ -217,7 +217,8 @@ def _fitted(compared: list[_Compared], image_size, rng: np.random.Generator,
     lens = choose_lens([pair.xy for pair in compared], image_size, rng.spawn(1)[0],
                        EPIPOLAR_THRESHOLD_PX)
     samples, matches = _agreeing(lens, compared, rng)
-    lens = lens.improved(samples, lens.refined(samples))
+    if lens.model is not None:
+        lens = lens.improved(samples, lens.refined(samples))
     F, threshold_px = _with_threshold(lens, samples, [pair.xy for pair in matches])
     return lens, F, matches, threshold_px
 
