@@ -140,6 +140,6 @@ def read_truth(bag: Path) -> dict | None:
     if not path.is_file():
         return None
     truth = json.loads(path.read_text(encoding='utf-8'))
-    K, d = truth['K'], list(truth.get('distortion', ())) + [0.0] * 4
+    K, d = truth['K'], list(truth.get('distortion', ())) + [0.0] * 5
     return {'fx': K[0][0], 'fy': K[1][1], 'cx': K[0][2], 'cy': K[1][2], 'skew': K[0][1],
-            'k1': d[0], 'k2': d[1], 'p1': d[2], 'p2': d[3]}
+            'k1': d[0], 'k2': d[1], 'p1': d[2], 'p2': d[3], 'k3': d[4]}
