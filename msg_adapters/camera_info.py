@@ -21,7 +21,7 @@ formula of image_geometry: fx_image = fx / b, cx_image = (cx - x_offset) / b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from msg_adapters.message_types import Message, MessageTypes
 from msg_adapters.stamps import copy_header
@@ -71,8 +71,7 @@ class ImageWindow:
         """Return the camera of the images, given that of the full sensor."""
         scale = self._scale()
         width, height = self.image_size(full.width, full.height)
-        return Camera(np.linalg.inv(scale) @ full.K, full.distortion, width, height,
-                      full.model)
+        return replace(full, K=np.linalg.inv(scale) @ full.K, width=width, height=height)
 
     def full_camera(self, image: Camera, width: int = 0, height: int = 0) -> Camera:
         """
@@ -85,8 +84,7 @@ class ImageWindow:
                 raise ArgumentError('The full size of a cropped sensor must be given.')
             width = image.width * max(self.binning_x, 1)
             height = image.height * max(self.binning_y, 1)
-        return Camera(self._scale() @ image.K, image.distortion, width, height,
-                      image.model)
+        return replace(image, K=self._scale() @ image.K, width=width, height=height)
 
     def _scale(self) -> np.ndarray:
         """Map image pixels to sensor pixels."""
@@ -197,8 +195,8 @@ def camera_from_info(msg: Message) -> Camera | None:
     try:
         camera = Camera(K.reshape(3, 3), ros_distortion(model, d), msg.width, msg.height, model)
         # a rational polynomial whose denominator is 1 is a plumb bob
-        plumb = camera.distortion_as('plumb_bob')
-        return camera if plumb is None else camera.as_model('plumb_bob')
+        is_plumb = camera.distortion_as('plumb_bob') is not None
+        return camera.as_model('plumb_bob') if is_plumb else camera
     except ArgumentError as error:
         raise InputError(f'The CameraInfo is wrong: {error}') from None
 

@@ -120,7 +120,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         None where no pair has an epipolar geometry.
 
     """
-    straight, straight_model = DivisionModel((), image_size), DivisionModel((0.0,), image_size)
+    straight = DivisionModel((0.0,), image_size)
     pairs = [pair for pair in pairs if len(pair[0]) >= 8]
     if not pairs:
         return None
@@ -151,7 +151,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
         start(step)
     one = _descended(data, flat.F, np.zeros(1), coarse, limit, quick=True)
     if explained and one.cost > _HOPELESS * flat.cost:
-        return SharedDivision(straight_model, float(one.sigmas[0]), float(one.coefficients[0]),
+        return SharedDivision(straight, float(one.sigmas[0]), float(one.coefficients[0]),
                               flat.cost, flat.cost)
     order = [step for step in sorted(starts, key=lambda step: starts[step][0])
              if step != _STRAIGHT or explained]
@@ -174,7 +174,7 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
             one = _Descent(two.F, usual, two.sigmas[:1], two.cost)
         bent = best.cost < clear_gain * flat.cost
         bent &= abs(best.coefficients[0]) > _SIGNIFICANT * best.sigmas[0]
-    model = DivisionModel(tuple(best.coefficients.tolist()) if bent else (0.0,), image_size)
+    model = DivisionModel(tuple(best.coefficients.tolist()), image_size) if bent else straight
     return SharedDivision(model, float(one.sigmas[0]), float(one.coefficients[0]), best.cost,
                           flat.cost)
 
