@@ -123,13 +123,8 @@ def parameter_effect(camera: Camera, pixels: np.ndarray, rotate: bool = True) ->
     rays = camera.rays(pixels)
     usable = np.isfinite(rays).all(axis=1)
     seen = Projection(Lens.of(camera), rays[usable])
-    by_lens = seen.by_intrinsics()
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    # of (f, aspect) by (fx, fy)
-    by_lens[:, :, 0] -= fy / fx**2 * by_lens[:, :, 1]
-    by_lens[:, :, 1] /= fx
-    J = np.full((len(rays), 2, by_lens.shape[2]), np.nan)
-    J[usable] = by_lens
+    J = np.full((len(rays), 2, len(camera.parameter_names)), np.nan)
+    J[usable] = seen.by_parameters()
     if rotate and usable.sum() >= 3:
         # a small rotation w moves a ray by w x ray
         turn = np.cross(seen.by_points(), rays[usable][:, None], axisa=2, axisb=2) * -1

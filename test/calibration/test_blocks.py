@@ -27,6 +27,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAM
 from selfcal_ros.calibration.bundle.priors import Prior, Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import ObjectState, SceneState
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -86,6 +87,11 @@ def test_lens_by_points_and_by_its_unknowns(name, rng):
     assert agrees(here.by_intrinsics(),
                   difference(lambda step: Projection(lens.moved(step), X).uv, len(lens),
                              lens_scale(lens)))
+    camera, scale = lens.camera(), lens_scale(lens)
+    scale[1] = scale[0]     # fy in place of the aspect ratio
+    assert agrees(here.by_parameters(),
+                  difference(lambda step: Projection(Lens.of(Camera.from_parameters(
+                      camera.parameters + step, model=camera.model)), X).uv, len(lens), scale))
 
 
 def test_path_by_its_axis_and_by_its_views(path, rng):

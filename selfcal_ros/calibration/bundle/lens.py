@@ -195,6 +195,14 @@ class Projection:
                 J[:, 1, index] = f * aspect * by
         return J
 
+    def by_parameters(self) -> np.ndarray:
+        """Differentiate by the parameters of the camera, fx and fy among them; (N, 2, k)."""
+        f, aspect = self.lens.values[:2]
+        J = self.by_intrinsics()
+        J[:, :, _F] -= aspect / f * J[:, :, _ASPECT]
+        J[:, :, _ASPECT] /= f
+        return J
+
 
 def to_parameters(covariance: np.ndarray, lens: Lens) -> np.ndarray:
     """

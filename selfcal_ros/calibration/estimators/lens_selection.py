@@ -190,14 +190,12 @@ def with_lens(fit: RobustFit, name: str) -> SceneState:
     if lens.model is model:
         return fit.state
     camera = lens.camera()
-    rays, pixels = camera.rays(fit.observations.xy), fit.observations.xy
+    rays = camera.rays(fit.observations.xy)
     seen = np.isfinite(rays).all(axis=1)
     if model.is_perspective:
         seen &= rays[:, 2] > np.cos(WIDEST_PERSPECTIVE)
-    K = camera.K
-    y = (pixels[seen, 1] - K[1, 2]) / K[1, 1]
-    xy = np.column_stack([(pixels[seen, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y])
-    values = fitted_coefficients(model, names, rays[seen], xy)
+    image = camera.pinhole.normalised(fit.observations.xy[seen])
+    values = fitted_coefficients(model, names, rays[seen], image)
     return replace(fit.state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
 
 

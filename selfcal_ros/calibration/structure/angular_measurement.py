@@ -111,13 +111,9 @@ def angles_between(camera: Camera, covariance: np.ndarray, first: np.ndarray, se
 
 def _directions(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit rays (N, 3) of pixels, and their derivatives (N, 3, k) by the camera's parameters."""
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
     rays = camera.rays(pixels)
     model = Projection(Lens.of(camera), rays)
-    by_camera = model.by_intrinsics()
-    # of (f, aspect) by (fx, fy)
-    by_camera[:, :, 0] -= fy / fx**2 * by_camera[:, :, 1]
-    by_camera[:, :, 1] /= fx
+    by_camera = model.by_parameters()
     # the pixel stays: what the parameters move, the ray has to make good
     seen = np.isfinite(rays).all(axis=1)
     change = np.full((len(rays), 3, by_camera.shape[2]), np.nan)
