@@ -61,6 +61,28 @@ def held_facts(facts: CameraFacts) -> dict[str, str]:
     return held
 
 
+def without_held(covariance: np.ndarray, camera: Camera, facts: CameraFacts) -> np.ndarray:
+    """
+    Return a covariance (k, k) of a camera's parameters with zeros for what facts hold.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (k, k)
+    camera : Camera
+    facts : CameraFacts
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+
+    """
+    held = held_facts(facts)
+    free = np.array([name not in held for name in camera.parameter_names])
+    # what is held may have come out infinite
+    cleared: np.ndarray = np.where(np.outer(free, free), covariance, 0.0)
+    return cleared
+
+
 def observability_limits(camera: Camera) -> np.ndarray:
     """Sigma beyond which each of the camera's parameters counts as unobservable, shape (k,)."""
     diagonal = float(np.hypot(camera.width, camera.height))

@@ -123,6 +123,33 @@ class Bundle:
             gradient[self.unknowns.lens] += slope
         return cost, gradient, diagonal
 
+    def add_priors(self, system: ReducedSystem, state: Any, at: np.ndarray | None = None,
+                   weight: float = 1.0) -> None:
+        """
+        Add all that is supposed to normal equations of the observations.
+
+        Parameters
+        ----------
+        system : ReducedSystem
+            Changed in place.
+        state : BundleState
+        at : ndarray of int, shape (n,), optional
+            Where the unknowns of this adjustment stand, if there are more.
+        weight : float
+            Of the priors; -1 takes them out again.
+
+        """
+        at = np.arange(len(self.unknowns)) if at is None else at
+        _, gradient, diagonal = self.prior_terms(state)
+        system.gradient[at] += weight * gradient
+        system.matrix[at, at] += weight * diagonal
+        system.diagonal[at] += weight * diagonal
+        if self.priors.population is not None:
+            lens = at[self.unknowns.lens]
+            _, _, matrix = self.priors.population.terms(*state.lens.named)
+            system.matrix[np.ix_(lens, lens)] += weight * matrix
+            system.diagonal[lens] += weight * np.diag(matrix)
+
     @property
     def degrees_of_freedom(self) -> int:
         """Measurements less unknowns; the scale of a scene is no unknown."""
@@ -177,15 +204,7 @@ class Bundle:
         system = self.blocks.reduce(linearisation.shared * wide, linearisation.view * wide,
                                     linearisation.eliminated * wide,
                                     linearisation.residual * root, damping)
-        _, gradient, diagonal = self.prior_terms(state)
-        system.gradient += gradient
-        system.matrix[np.diag_indices_from(system.matrix)] += diagonal
-        system.diagonal += diagonal
-        if self.priors.population is not None:
-            lens = self.unknowns.lens
-            _, _, matrix = self.priors.population.terms(*state.lens.named)
-            system.matrix[lens, lens] += matrix
-            system.diagonal[lens] += np.diag(matrix)
+        self.add_priors(system, state)
         gauge = self.model.gauge(state, self.unknowns)
         if gauge is not None:
             path = self.unknowns.path

@@ -27,7 +27,8 @@ from selfcal_ros.calibration.estimators.model_selection import ModelDecision, ro
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.observability import (held_facts, parameter_status,
+                                                   without_held)
 from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
@@ -143,11 +144,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
     camera = state.camera(*problem.size)
-    covariance = to_parameters(inner, state.lens)
+    covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     held = held_facts(facts)
-    for k, name in enumerate(camera.parameter_names):
-        if name in held:
-            covariance[k] = covariance[:, k] = 0
     outliers = fit.outliers + graph.rejected
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned)
     status = parameter_status(camera, covariance, facts)

@@ -37,7 +37,7 @@ from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, Lens
                                                                ORDINARY_DECENTRING)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
-from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.result import Calibration, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
@@ -179,11 +179,9 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
     camera = state.camera(*size)
     dependence = cluster_robust_covariance(
         bundle.information(state), observed.point, observed.xy, size)
-    covariance = to_parameters(dependence.covariance + lens.excess, state.lens)
+    covariance = without_held(to_parameters(dependence.covariance + lens.excess, state.lens),
+                              camera, facts)
     held = held_facts(facts)
-    for name in held:
-        k = camera.parameter_names.index(name)
-        covariance[k] = covariance[:, k] = 0
     status = parameter_status(camera, covariance, facts)
     missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
     if missing:

@@ -33,7 +33,7 @@ from selfcal_ros.calibration.bundle.object_model import KnownEdges
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
-from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     jackknife_excess,
@@ -301,13 +301,11 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
     by_stay = cluster_robust_covariance(information, within, views.xy, size)
     wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
     ratio, more = _segments(views, bundle, state, wider)
-    covariance = to_parameters(wider.covariance + more, state.lens)
-    for k, name in enumerate(state.camera().parameter_names):
-        if name in held_facts(facts):
-            covariance[k] = covariance[:, k] = 0
+    camera = state.camera(*size)
+    covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
     return (covariance, wider.inflation * ratio, findings,
-            parameter_status(state.camera(*size), covariance, facts))
+            parameter_status(camera, covariance, facts))
 
 
 def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):

@@ -35,7 +35,7 @@ from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, fisheye_state,
                                                                linear_view, LinearView,
                                                                start_state, supposed_cameras)
-from selfcal_ros.calibration.observability import held_facts, parameter_status
+from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
@@ -337,11 +337,9 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts,
 def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
     """Return how far errors are shared, the covariance, and every parameter's status."""
     dependence = cluster_robust_covariance(bundle.information(state), views.point, views.xy, size)
-    covariance = to_parameters(dependence.covariance, state.lens)
-    for k, name in enumerate(state.camera().parameter_names):
-        if name in held_facts(facts):
-            covariance[k] = covariance[:, k] = 0
-    status = parameter_status(state.camera(*size), covariance, facts)
+    camera = state.camera(*size)
+    covariance = without_held(to_parameters(dependence.covariance, state.lens), camera, facts)
+    status = parameter_status(camera, covariance, facts)
     return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
 

@@ -147,14 +147,7 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     # of the adjustment's unknowns, and of the field
     place = np.r_[:shared_count, shared_count + count:len(system.matrix)]
     field = np.arange(shared_count, shared_count + count)
-    _, gradient, diagonal = bundle.prior_terms(state)
-    assert system.gradient is not None
-    system.gradient[place] += gradient / known
-    system.matrix[place, place] += diagonal / known
-    if bundle.priors.population is not None:
-        inside = unknowns.lens
-        _, _, of_lenses = bundle.priors.population.terms(*state.lens.named)
-        system.matrix[inside, inside] += of_lenses / known
+    bundle.add_priors(system, state, place, 1 / known)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
         system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])

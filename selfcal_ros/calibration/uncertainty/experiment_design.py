@@ -132,14 +132,11 @@ def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, .
 
 def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> np.ndarray:
     """Information on the free internal parameters: poses, axis and points eliminated."""
-    matrix = bundle.normal_equations(state, robust=False).matrix
+    system = bundle.normal_equations(state, robust=False)
     if not with_facts:
-        matrix = matrix - np.diag(bundle.prior_terms(state)[2])
-        if bundle.priors.population is not None:
-            lens = bundle.unknowns.lens
-            matrix[lens, lens] -= bundle.priors.population.terms(*state.lens.named)[2]
+        bundle.add_priors(system, state, weight=-1.0)
     free = np.flatnonzero(bundle.unknowns.free)
-    matrix = matrix[np.ix_(free, free)]
+    matrix = system.matrix[np.ix_(free, free)]
     inner = len(bundle.unknowns.free_lens)
     rest = matrix[inner:, inner:]
     scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
