@@ -44,7 +44,8 @@ from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
-from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
+from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
+                                                      Interruption)
 from selfcal_ros.report.result_json import result_to_json
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
@@ -119,10 +120,8 @@ class Calibrator(Node):
             # a message without points does not tell the size
             self._size = frame.image_size or self._size
             if frame.image_size:
-                reason = self._session.add_tracks(frame.stamp_ns, frame.track, frame.xy,
-                                                  frame.image_size)
-                if reason:
-                    self._forgotten(reason)
+                self._interrupted(self._session.add_tracks(
+                    frame.stamp_ns, frame.track, frame.xy, frame.image_size))
                 self._watch.offer(frame.image_size)
         self._publish_camera_info(msg.header)
 
@@ -130,9 +129,7 @@ class Calibrator(Node):
         """Publish the CameraInfo of an image whose tracks will follow (`TracksListener`)."""
         self._watchdog.heard()
         self._size = image_size
-        reason = self._session.expect(stamp_ns(header.stamp), image_size)
-        if reason:
-            self._forgotten(reason)
+        self._interrupted(self._session.expect(stamp_ns(header.stamp), image_size))
         self._publish_camera_info(header)
 
     def take(self, header, image_size: tuple[int, int], ids, xy) -> None:
@@ -170,6 +167,12 @@ class Calibrator(Node):
         request, result, scene = done.job.request, done.value, done.prepared
         if not self._session.accept(request, result):
             return
+        kept = self._session.calibration
+        if result and kept is not result:
+            self.get_logger().info('the new calibration is less precise than the one in force, '
+                                   'which stays')
+            self._result.publish(String(data=result_to_json(kept)))
+            return
         if result:
             self._watch.watch(result, request)
         self._result.publish(String(data=result_to_json(result)))
@@ -195,6 +198,17 @@ class Calibrator(Node):
         camera = self._driver.full_camera(calibration.camera)
         written = f'written to {self._file.write(calibration, camera)}'
         return '; '.join(filter(None, (written, self._upload.send(camera))))
+
+    def _interrupted(self, interruption: Interruption | None):
+        """Tell why tracks begin anew; a calibration in force stays where it is still one."""
+        if interruption is None:
+            return
+        if interruption.forgets or self._session.calibration is None:
+            self._forgotten(interruption.reason)
+            return
+        self._watch.interrupt()
+        self.get_logger().info(f'{interruption.reason}: tracks begin anew, the calibration stays '
+                               'in force', throttle_duration_sec=5.0)
 
     def _begin_anew(self, reason: str):
         self._session.reset()

@@ -103,6 +103,10 @@ class ChangeWatch:
         self._watched = None
         self._monitoring.forget()
 
+    def interrupt(self) -> None:
+        """Go on with tracks that have nothing in common with those before."""
+        self._monitoring.interrupt()
+
     def release(self) -> None:
         """Let the session go on after an alarm, with views of the changed camera only."""
         if self._monitoring.change is not None:

@@ -52,13 +52,35 @@ class SessionSnapshot:
     failure: NotCalibrated | None
 
 
+@dataclass(frozen=True)
+class Interruption:
+    """
+    The tracks before and after have nothing in common.
+
+    Attributes
+    ----------
+    reason : str
+        A clause.
+    forgets : bool
+        Whether what was known is void: images of another size are those of another camera. A
+        step of the clock says nothing about the camera.
+
+    """
+
+    reason: str
+    forgets: bool
+
+
 class CalibrationSession:
     """
-    Keeps keyframes by parallax, says when an estimate is due, and holds the newest calibration.
+    Keeps keyframes by parallax, says when an estimate is due, and holds the calibration in force.
 
     Estimates follow one another while they are of use: until one rests on as many keyframes as
     are kept and is precise (`SETTLED_FRACTION`). From then on the calibration stays until it is
     told to go. What may follow what is a table: see `selfcal_ros.pipeline.session_state`.
+
+    Where the clock steps back, tracks begin anew, and with them the keyframes: a section ends.
+    The calibration stays in force until one of a later section is at least as precise.
 
     The session does no work of its own beyond bookkeeping: `request` packs what an estimate
     needs, `EstimateRequest.run` computes in whatever thread the caller likes, and `accept` takes
@@ -76,20 +98,27 @@ class CalibrationSession:
         self._clear()
 
     def _clear(self):
-        self._keyframes: list[Keyframe] = []
-        self._selector = None
+        self._section = 0
+        self._begin_section()
         self._image_size = None
         self._newest_ns = None
-        self._newest_points = 0
         self._frames = 0
-        self._new_keyframes = 0
         self._estimates = 0
         self._state = EstimateState.IDLE
         self._schedule = Schedule.AUTOMATIC
         self._calibration: Calibration | None = None
+        # what the calibration in force came from
+        self._source: EstimateRequest | None = None
         # where the next estimate starts: not from a calibration of other facts
         self._start: Calibration | None = None
         self._failure: NotCalibrated | None = None
+
+    def _begin_section(self):
+        """Forget the keyframes: what comes shares no tracks with them."""
+        self._keyframes: list[Keyframe] = []
+        self._selector = None
+        self._newest_points = 0
+        self._new_keyframes = 0
 
     def _happens(self, event: SessionEvent) -> None:
         self._state = after(ESTIMATE_TRANSITIONS, self._state, event)
@@ -108,7 +137,7 @@ class CalibrationSession:
         self._thin_out()
         if (old.motion, old.facts) != (settings.motion, settings.facts):
             self._new_keyframes = len(self._keyframes)
-            self._start = None
+            self._start = self._source = None
             self._happens(SessionEvent.OTHER_QUESTION)
         elif settings.max_keyframes > old.max_keyframes:
             self._happens(SessionEvent.MORE_ROOM)
@@ -120,7 +149,7 @@ class CalibrationSession:
 
     @property
     def calibration(self) -> Calibration | None:
-        """The newest calibration, None before the first."""
+        """The calibration in force, None before the first."""
         return self._calibration
 
     @property
@@ -129,7 +158,7 @@ class CalibrationSession:
         return tuple(self._keyframes)
 
     def add_tracks(self, stamp_ns: int, ids: np.ndarray, xy: np.ndarray,
-                   image_size: tuple[int, int]) -> str:
+                   image_size: tuple[int, int]) -> Interruption | None:
         """
         Take the points of one frame.
 
@@ -146,14 +175,14 @@ class CalibrationSession:
 
         Returns
         -------
-        str
-            Empty, or why the session was reset before the frame was taken: the images changed
-            size, or time jumped backward.
+        Interruption or None
+            Why tracks begin anew with this frame: the images changed size, or time jumped
+            backward.
 
         """
-        reason = self.expect(stamp_ns, image_size)
+        interruption = self.expect(stamp_ns, image_size)
         if stamp_ns < self._newest_ns:
-            return ''
+            return None
         self._frames += 1
         ids = np.asarray(ids, dtype=np.int64).ravel()
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
@@ -169,9 +198,9 @@ class CalibrationSession:
             self._keyframes.append(frame)
             self._new_keyframes += 1
             self._thin_out()
-        return reason
+        return interruption
 
-    def expect(self, stamp_ns: int, image_size: tuple[int, int]) -> str:
+    def expect(self, stamp_ns: int, image_size: tuple[int, int]) -> Interruption | None:
         """
         Take note of a frame, whose points will follow with `add_tracks`.
 
@@ -186,25 +215,34 @@ class CalibrationSession:
 
         Returns
         -------
-        str
-            Empty, or why the session was reset: see `add_tracks`.
+        Interruption or None
+            See `add_tracks`.
 
         """
-        reason = ''
         image_size = (int(image_size[0]), int(image_size[1]))
-        if self._image_size not in (None, image_size):
-            reason = (f'the images changed size from {self._image_size[0]}x{self._image_size[1]} '
-                      f'to {image_size[0]}x{image_size[1]}')
-        else:
-            order = stamp_order(stamp_ns, self._newest_ns)
-            if order is StampOrder.OVERTAKEN:
-                return ''
-            if order is StampOrder.JUMPED_BACK:
-                reason = f'time jumped back by {(self._newest_ns - stamp_ns) * 1e-9:.3f} s'
-        if reason:
+        interruption = self._interruption(int(stamp_ns), image_size)
+        if interruption is None and self._newest_ns is not None and stamp_ns < self._newest_ns:
+            # overtaken on the way
+            return None
+        if interruption is not None and interruption.forgets:
             self.reset()
+        elif interruption is not None:
+            self._section += 1
+            self._begin_section()
         self._image_size, self._newest_ns = image_size, int(stamp_ns)
-        return reason
+        return interruption
+
+    def _interruption(self, stamp_ns: int, image_size: tuple[int, int]) -> Interruption | None:
+        """Tell why what comes has nothing in common with what was before, if it has nothing."""
+        if self._image_size not in (None, image_size):
+            return Interruption(
+                f'the images changed size from {self._image_size[0]}x{self._image_size[1]} to '
+                f'{image_size[0]}x{image_size[1]}', forgets=True)
+        if stamp_order(stamp_ns, self._newest_ns) is StampOrder.JUMPED_BACK:
+            assert self._newest_ns is not None
+            back_s = (self._newest_ns - stamp_ns) * 1e-9
+            return Interruption(f'time jumped back by {back_s:.3f} s', forgets=False)
+        return None
 
     @property
     def _parallax_px(self) -> float:
@@ -251,11 +289,18 @@ class CalibrationSession:
             return kept >= 3
         if self._state is not EstimateState.IDLE or self._schedule is not Schedule.AUTOMATIC:
             return False
-        if kept < self.settings.first_estimate or not self._new_keyframes:
+        if kept < self._enough or not self._new_keyframes:
             return False
         if idle or self._estimates == 0:
             return True
         return self._new_keyframes >= max(2, self.settings.growth * kept)
+
+    @property
+    def _enough(self) -> int:
+        """Keyframes that make an estimate worthwhile: as many as an earlier section had."""
+        if self._source is None or self._source.section == self._section:
+            return self.settings.first_estimate
+        return max(self.settings.first_estimate, self._source.keyframes)
 
     def hold(self) -> None:
         """Keep the calibration until `keep_since` or `reset`: no estimate comes by itself."""
@@ -273,6 +318,8 @@ class CalibrationSession:
         """
         self._keyframes = [frame for frame in self._keyframes if frame.index >= index]
         self._new_keyframes = len(self._keyframes)
+        # how precise the camera was known that is no more does not count
+        self._source = None
         self._happens(SessionEvent.RELEASE)
 
     def request(self) -> EstimateRequest | None:
@@ -300,7 +347,7 @@ class CalibrationSession:
                         np.concatenate([f.xy for f in frames]), self._image_size,
                         {f.index: f.stamp_ns for f in frames})
         return EstimateRequest(tracks.with_at_least(2), self.settings, self._start,
-                               self._generation, len(frames))
+                               self._generation, len(frames), self._section)
 
     def accept(self, request: EstimateRequest, result: Calibration | NotCalibrated) -> bool:
         """
@@ -310,7 +357,8 @@ class CalibrationSession:
         -------
         bool
             Whether it was taken: not when the session was reset or held meanwhile, or asked
-            something else. A failure leaves the calibration that there is.
+            something else. A failure leaves the calibration that there is, and so does one of
+            another section that is less precise.
 
         """
         if request.generation != self._generation:
@@ -323,8 +371,13 @@ class CalibrationSession:
         if isinstance(result, NotCalibrated):
             self._failure = result
             return True
-        self._calibration = self._start = result
         self._failure = None
+        if self._calibration is not None and self._source is not None \
+                and self._source.section != request.section \
+                and imprecision_px(result) > imprecision_px(self._calibration):
+            return True
+        self._calibration = self._start = result
+        self._source = request
         all_kept = request.keyframes >= self.settings.max_keyframes
         self._happens(SessionEvent.PRECISE if all_kept and _is_precise(result)
                       else SessionEvent.IMPRECISE)
@@ -340,9 +393,14 @@ class CalibrationSession:
             calibration=self._calibration, failure=self._failure)
 
 
+def imprecision_px(calibration: Calibration) -> float:
+    """Largest sigma, in pixels, that focal length and principal point leave in the image."""
+    camera, sigma = calibration.camera, calibration.sigma
+    edge = sigma['fx'] / camera.K[0, 0] * float(np.hypot(camera.width, camera.height)) / 2
+    return max(edge, sigma['cx'], sigma['cy'])
+
+
 def _is_precise(calibration: Calibration) -> bool:
     """Tell whether the sigmas are below `SETTLED_FRACTION` all over the image."""
-    camera, sigma = calibration.camera, calibration.sigma
-    diagonal = float(np.hypot(camera.width, camera.height))
-    edge = sigma['fx'] / camera.K[0, 0] * diagonal / 2
-    return max(edge, sigma['cx'], sigma['cy']) <= SETTLED_FRACTION * diagonal
+    diagonal = float(np.hypot(calibration.camera.width, calibration.camera.height))
+    return imprecision_px(calibration) <= SETTLED_FRACTION * diagonal

@@ -99,13 +99,26 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class EstimateRequest:
-    """All that one estimate needs, independent of what the session does meanwhile."""
+    """
+    All that one estimate needs, independent of what the session does meanwhile.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    settings : SessionSettings
+    start : Calibration or None
+    generation, section : int
+        Resets of the session before, and steps of the clock since the last of them.
+    keyframes : int
+
+    """
 
     tracks: Tracks
     settings: SessionSettings
     start: Calibration | None
     generation: int
     keyframes: int
+    section: int = 0
 
     def run(self, calibrate: Callable | None = None) -> Calibration | NotCalibrated:
         """

@@ -120,6 +120,10 @@ class Monitoring:
         for first in range(0, len(frames) - count + 1, count // 2):
             self._waiting.append((tracks.in_frames(frames[first:first + count]), True))
 
+    def interrupt(self) -> None:
+        """Leave out the keyframes of a window that is not complete: their tracks end here."""
+        self._keyframes = []
+
     @property
     def change(self) -> CameraChange | None:
         """The alarm, if there is one."""

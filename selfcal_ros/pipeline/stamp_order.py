@@ -28,7 +28,7 @@ class StampOrder(Enum):
     IN_ORDER = 'in order'
     #: A little older: the message was overtaken by another, and comes too late.
     OVERTAKEN = 'overtaken'
-    #: Much older: time jumped back, as when a bag is played again; what was known is void.
+    #: Much older: time jumped back, as when a bag is played again; tracks begin anew.
     JUMPED_BACK = 'jumped back'
 
 

@@ -20,7 +20,7 @@ import pytest
 
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
                                                       SessionSettings)
 from selfcal_ros.synthetic.special_scenes import drive
@@ -49,7 +49,17 @@ def fed(settings=SessionSettings(), step_px=10, frames=100):
 class FakeCalibration:
     """Stands for a calibration; true."""
 
-    camera = 'a camera'
+    def __init__(self, sigma_px=1.0):
+        self.camera = Camera(np.diag([500.0, 500.0, 1.0]), width=640, height=480)
+        self.sigma = {'fx': sigma_px, 'cx': sigma_px, 'cy': sigma_px}
+
+
+def played(session, first_ns, frames=40, seed=0):
+    """Add a passage whose first image has this stamp; return what the first one interrupted."""
+    said = [session.add_tracks(first_ns + k * STEP_NS, ids + 10_000 * seed, xy, SIZE)
+            for k, (ids, xy) in enumerate(panning(10, frames, seed=seed))]
+    assert not any(said[1:])
+    return said[0]
 
 
 def test_keyframes_are_one_step_of_parallax_apart():
@@ -94,25 +104,86 @@ def test_points_that_are_not_finite_or_twice_there_are_left_out():
     assert session.keyframes[0].ids.tolist() == [i for i in range(20) if i not in (3, 5)]
 
 
-def test_time_that_jumps_back_starts_anew():
+def test_time_that_jumps_back_begins_tracks_anew():
     session = fed(frames=40)
     ids, xy = next(panning(10, 1))
-    assert 'jumped back' in session.add_tracks(0, ids, xy, SIZE)
-    assert session.snapshot().frames == 1
+    interruption = session.add_tracks(0, ids, xy, SIZE)
+    assert 'jumped back' in interruption.reason and not interruption.forgets
     assert len(session.keyframes) == 1
+
+
+@pytest.mark.parametrize('step_s', [-0.25, -10, 10, 3600])
+def test_a_step_of_the_clock_leaves_the_calibration_in_force(step_s):
+    session = CalibrationSession()
+    start = 10 ** 18
+    played(session, start)
+    calibration = FakeCalibration()
+    session.accept(session.request(), calibration)
+    newest = start + 39 * STEP_NS
+    interruption = played(session, newest + int(step_s * 1e9), seed=1)
+    assert (interruption is not None) == (step_s < 0)
+    assert session.calibration is calibration
+    # fewer views than the one in force rests on would hardly do better
+    assert session.is_due()
+    request = session.request()
+    assert request.start is calibration
+    known = {frame.index for frame in session.keyframes}
+    assert known == set(request.tracks.frames.tolist())
+    if step_s < 0:
+        assert min(known) >= 40, 'no view shares a track with those before the step'
+
+
+def test_one_stamp_that_is_wrong_costs_no_calibration():
+    session = CalibrationSession()
+    played(session, 0)
+    calibration = FakeCalibration()
+    session.accept(session.request(), calibration)
+    ids, xy = next(panning(10, 1))
+    assert session.add_tracks(39 * STEP_NS - 250_000_000, ids, xy, SIZE)
+    assert session.add_tracks(40 * STEP_NS, ids, xy, SIZE) is None
+    assert session.calibration is calibration and not session.is_due()
+
+
+def test_what_was_asked_for_before_the_clock_stepped_is_taken():
+    session = CalibrationSession()
+    for lap in range(3):
+        played(session, 0, seed=lap)
+        request = session.request()
+        assert played(session, 0, frames=3, seed=9)
+        better = FakeCalibration(3.0 - lap)
+        assert session.accept(request, better) and session.calibration is better
+        # of another section, and less precise
+        played(session, 0, seed=lap + 20)
+        assert session.accept(session.request(), FakeCalibration(5.0))
+        assert session.calibration is better and session.snapshot().failure is None
+
+
+def test_after_an_alarm_a_less_precise_calibration_is_in_force():
+    session = CalibrationSession()
+    played(session, 0)
+    session.accept(session.request(), FakeCalibration(0.1))
+    session.hold()
+    played(session, 0, seed=1)
+    session.keep_since(session.keyframes[1].index)
+    changed = FakeCalibration(1.0)
+    session.accept(session.request(), changed)
+    assert session.calibration is changed
 
 
 def test_a_message_that_was_overtaken_is_ignored():
     session = fed(frames=40)
     ids, xy = next(panning(10, 1))
-    assert session.add_tracks(38 * STEP_NS, ids, xy, SIZE) == ''
+    assert session.add_tracks(38 * STEP_NS, ids, xy, SIZE) is None
     assert session.snapshot().frames == 40
 
 
 def test_images_that_change_size_start_anew():
     session = fed(frames=40)
     ids, xy = next(panning(10, 1))
-    assert '640x480 to 320x240' in session.add_tracks(41 * STEP_NS, ids, xy, (320, 240))
+    session.accept(session.request(), FakeCalibration())
+    interruption = session.add_tracks(41 * STEP_NS, ids, xy, (320, 240))
+    assert '640x480 to 320x240' in interruption.reason and interruption.forgets
+    assert session.calibration is None
     assert session.snapshot().image_size == (320, 240)
 
 
@@ -241,7 +312,7 @@ def test_the_request_passes_on_facts_start_and_clean_tracks():
     request = session.request()
     assert isinstance(request, EstimateRequest)
     assert not request.run(calibrate)
-    assert asked['facts'] is facts and asked['start'] == 'a camera'
+    assert asked['facts'] is facts and asked['start'] is session.calibration.camera
     assert asked['tracks'].image_size == SIZE
     assert len(asked['tracks']) > 0.9 * len(request.tracks)
 
