@@ -164,7 +164,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
                       report=args.report, ply=args.ply, camera_name=args.camera_name)
     # before the long work, so that a mistyped folder costs a second and not the result
-    outputs.check()
+    outputs.check(path, args.mask, args.model, args.camera, args.object)
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings.facts, progress)

@@ -79,6 +79,7 @@ def _convert_camera(args: argparse.Namespace) -> int:
     """Turn one camera file into another."""
     from selfcal_ros.report.camera_files.formats import (chosen, FORMATS, read_cameras,
                                                          write_camera)
+    from selfcal_ros.report.files import check_outputs
     size = tuple(args.image_size) if args.image_size else None
     if size and min(size) <= 0:
         raise ArgumentError('The image size must be a positive width and height.')
@@ -91,6 +92,7 @@ def _convert_camera(args: argparse.Namespace) -> int:
     if args.output.exists() and not args.force:
         raise InputError(f'{args.output} exists already; choose another name, or replace it with '
                          '--force.')
+    check_outputs((args.output,), (args.input,))
     name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
     write_camera(args.output, kind, found.camera, name, args.topic or found.topic)
     if not args.quiet:

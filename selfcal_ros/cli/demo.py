@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
     outputs = Outputs(camera_yaml, result_json, folder / 'report.html')
-    outputs.check()
+    outputs.check(bag)
     for path in (camera_yaml, result_json):
         # of an earlier run
         path.unlink(missing_ok=True)

@@ -53,7 +53,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     0: every camera has a joint result; 1: one has none; 2: no recording can be used at all.
     """
     from selfcal_ros.pipeline.many_inputs import calibrate_many
-    from selfcal_ros.report.files import check_writable
+    from selfcal_ros.report.files import check_outputs
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
     for name in ('output', 'ply'):
         if getattr(args, name):
@@ -65,9 +65,9 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     except OSError as error:
         raise InputError(f'{folder} cannot be made: {error.strerror}.') from None
     page = args.report or folder / 'summary.html'
-    for path in (page, folder / 'summary.json', *([args.json] if args.json else ())):
-        if not is_standard_output(path):
-            check_writable(path)
+    check_outputs((page, folder / 'summary.json',
+                   None if is_standard_output(args.json) else args.json),
+                  (*paths, args.mask))
     quiet = args.quiet or is_standard_output(args.json)
     files = _RecordingFiles(folder / 'recordings')
     with ProgressBar(not (args.quiet or args.verbose)) as progress:

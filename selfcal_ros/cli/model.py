@@ -95,11 +95,9 @@ def run(args: argparse.Namespace) -> int:
 def _check_outputs(args) -> None:
     """Refuse outputs that cannot be, before the work."""
     from selfcal_ros.errors import ArgumentError
-    from selfcal_ros.report.files import check_writable
+    from selfcal_ros.report.files import check_outputs
     if args.output.suffix.lower() not in ('.cao', '.yaml', '.yml'):
         raise ArgumentError(f'The model {args.output} must be named .cao or .yaml.')
     if args.obj and args.obj.suffix.lower() != '.obj':
         raise ArgumentError(f'The drawing {args.obj} must be named .obj.')
-    for path in (args.output, args.obj):
-        if path:
-            check_writable(path)
+    check_outputs((args.output, args.obj), (args.input, args.camera, args.vertices))

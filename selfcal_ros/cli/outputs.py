@@ -22,9 +22,8 @@ from pathlib import Path
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
-from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.camera_yaml import write_camera_yaml
-from selfcal_ros.report.files import check_writable
+from selfcal_ros.report.files import check_outputs
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
 from selfcal_ros.report.result_json import result_to_json
@@ -50,22 +49,23 @@ class Outputs:
     ply: Path | None = None
     camera_name: str = 'camera'
 
-    def check(self) -> None:
+    def check(self, *inputs: str | Path | None) -> None:
         """
         Make sure that everything can be written.
+
+        Parameters
+        ----------
+        inputs : path or None
+            What is read, and must not be replaced.
 
         Raises
         ------
         InputError, ArgumentError
-            If a folder is missing or refuses, or two outputs are one file.
+            See `check_outputs`.
 
         """
-        paths = [path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
-                 if path and not is_standard_output(path)]
-        if len({path.absolute() for path in paths}) < len(paths):
-            raise ArgumentError('Two outputs have the same name; give each its own file.')
-        for path in paths:
-            check_writable(path)
+        check_outputs([path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
+                       if path and not is_standard_output(path)], inputs)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,

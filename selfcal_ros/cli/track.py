@@ -75,19 +75,16 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
 def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
     from selfcal_ros.cli.progress import ProgressBar
-    from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
-    from selfcal_ros.report.files import check_writable
+    from selfcal_ros.report.files import check_outputs
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
     from selfcal_ros.rorapid.options import TrackerOptions
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
-    if args.overlay and args.overlay.absolute() == args.output.absolute():
-        raise ArgumentError('Two outputs have the same name; give each its own file.')
-    check_writable(args.output)
+    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.clicks))
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)

@@ -62,9 +62,10 @@ def link(features: list[Features], matches: list[ImagePairMatches]):
                                (np.concatenate([a[dubious], b[dubious]]),
                                 np.concatenate([b[dubious], a[dubious]]))),
                               shape=(len(image), len(image))).tocsr()
-    confirmed = np.asarray((graph @ graph)[a[dubious], b[dubious]]).ravel() > 0
     keep = ~dubious
-    keep[np.flatnonzero(dubious)[confirmed]] = True
+    # SciPy answers a sparse matrix, which has no truth value, where nothing is asked for
+    if dubious.any():
+        keep[dubious] = np.asarray((graph @ graph)[a[dubious], b[dubious]]).ravel() > 0
     component, still_bad = _components(a[keep], b[keep], image)
     size = np.bincount(component)
     good = (size[component] >= 2) & ~still_bad[component]

@@ -15,12 +15,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import os
 from pathlib import Path
 import stat
 import tempfile
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
+
+#: In a folder that is an input, files named so are what is read; others may lie beside them.
+RECORDED = ('.mcap', '.db3', '.bag', '.zstd', '.zst', '.png', '.jpg', '.jpeg', '.bmp', '.tif',
+            '.tiff', '.pgm', '.ppm')
+
+
+def check_outputs(outputs: Iterable[str | os.PathLike | None],
+                  inputs: Iterable[str | os.PathLike | None]) -> None:
+    """
+    Make sure beforehand that outputs can be written, and that none replaces what is read.
+
+    Files are compared by what they are, not by name: links and `..` lead to the same one.
+
+    Parameters
+    ----------
+    outputs, inputs : iterable of path or None
+        None is passed over.
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If an output is an input, a part of one, or another output; see also `check_writable`.
+
+    """
+    read = [Path(path) for path in inputs if path is not None]
+    seen: list[str] = []
+    for output in (Path(path) for path in outputs if path is not None):
+        place = os.path.realpath(output)
+        if place in seen:
+            raise ArgumentError('Two outputs have the same name; give each its own file.')
+        seen.append(place)
+        for source in read:
+            if _is_part(output, source):
+                raise ArgumentError(f'{output} is the input {source}, or a part of it; choose '
+                                    'another name for the output.')
+        check_writable(output)
+
+
+def _is_part(output: Path, source: Path) -> bool:
+    """Tell whether writing to a file would replace what is read from a file or folder."""
+    try:
+        if not output.exists() or not source.exists():
+            return os.path.realpath(output) == os.path.realpath(source)
+        if not source.is_dir():
+            return output.samefile(source)
+        recorded = output.suffix.lower() in RECORDED or output.name == 'metadata.yaml'
+        return recorded and any(output.samefile(one) for one in source.iterdir())
+    except OSError:
+        # what cannot be looked at cannot be replaced either, or is refused when it is read
+        return False
 
 
 def check_writable(path) -> Path:

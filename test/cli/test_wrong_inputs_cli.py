@@ -46,6 +46,8 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['nan.csv'], 'line 2'),
     (['good.csv', '--output', 'no/such/folder/camera.yaml'], 'does not exist'),
     (['good.csv', '--json', 'camera.yaml'], 'same name'),
+    (['good.csv', '--output', 'hollow/../good.csv'], 'is the input good.csv'),
+    (['good.csv', '--report', 'good.csv'], 'is the input good.csv'),
     (['good.csv', '--aspect-ratio', '-3'], 'aspect ratio'),
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
     (['good.csv', '--topic', '/image'], 'topic'),

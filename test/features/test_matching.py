@@ -146,3 +146,15 @@ def test_images_without_features_match_nothing():
     matches, division, _ = match_pairs([blank] * 3, propose_pairs([blank] * 3), (160, 120))
     assert matches == [] and division == 0
     assert link([blank] * 3, matches)[0].size == 0
+
+
+def test_matches_that_contradict_nothing_are_linked_as_they_are():
+    image = np.random.default_rng(0).integers(0, 255, (120, 160)).astype(np.uint8)
+    features = [detect(cv2.GaussianBlur(image, (0, 0), 2))] * 2
+    count = len(features[0].xy)
+    assert count > 20
+    every = np.arange(count)
+    pair = ImagePairMatches(0, 1, every, every, np.eye(3))
+    at, place, track, dropped = link(features, [pair])
+    assert dropped == 0 and len(at) == 2 * count and len(np.unique(track)) == count
+    assert (place[at == 0] == place[at == 1]).all() and (track[at == 0] == track[at == 1]).all()

@@ -18,9 +18,9 @@ from pathlib import Path
 import stat
 
 import pytest
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report import files
-from selfcal_ros.report.files import atomic_write, check_writable
+from selfcal_ros.report.files import atomic_write, check_outputs, check_writable
 
 
 def test_write_and_replace(tmp_path):
@@ -52,6 +52,31 @@ def test_links_are_followed_and_devices_kept(tmp_path):
     check_writable('/dev/null')
     atomic_write('/dev/null', 'x')
     assert stat.S_ISCHR(os.stat('/dev/null').st_mode)
+
+
+def test_an_output_that_is_an_input_is_refused_whatever_its_name(tmp_path):
+    drive = tmp_path / 'drive.mcap'
+    drive.write_bytes(b'recorded')
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'link.yaml').symlink_to(drive)
+    os.link(drive, tmp_path / 'hard.yaml')
+    for output in (drive, tmp_path / 'folder' / '..' / 'drive.mcap', tmp_path / 'link.yaml',
+                   tmp_path / 'hard.yaml'):
+        with pytest.raises(ArgumentError, match='is the input .* choose another name'):
+            check_outputs((None, output), (drive, None))
+    check_outputs((tmp_path / 'other.mcap', tmp_path / 'x.yaml'), (drive, 'chessboard:9x6:0.02'))
+    with pytest.raises(ArgumentError, match='same name'):
+        check_outputs((tmp_path / 'a', tmp_path / 'folder' / '..' / 'a'), (drive,))
+    assert drive.read_bytes() == b'recorded'
+
+
+def test_images_and_bags_of_a_folder_are_not_replaced_but_others_may_lie_beside(tmp_path):
+    for name in ('a.png', 'drive_0.mcap', 'metadata.yaml', 'camera.yaml'):
+        (tmp_path / name).write_bytes(b'x')
+    for name in ('a.png', 'drive_0.mcap', 'metadata.yaml'):
+        with pytest.raises(ArgumentError, match='a part of it'):
+            check_outputs((tmp_path / name,), (tmp_path,))
+    check_outputs((tmp_path / 'camera.yaml', tmp_path / 'new.html'), (tmp_path,))
 
 
 def test_a_failure_leaves_the_old_file(tmp_path, monkeypatch):
