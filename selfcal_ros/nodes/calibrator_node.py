@@ -168,7 +168,7 @@ class Calibrator(Node):
         if not self._session.accept(request, result):
             return
         kept = self._session.calibration
-        if result and kept is not result:
+        if result and kept is not None and kept is not result:
             self.get_logger().info('the new calibration is less precise than the one in force, '
                                    'which stays')
             self._result.publish(String(data=result_to_json(kept)))
