@@ -62,6 +62,9 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        'that the images determine); --distortion is the older name')
     group.add_argument('--no-lens-population', dest='lens_population', action='store_false',
                        help='do not count as a measurement what real lenses are like')
+    group.add_argument('--trust-facts', action='store_true',
+                       help='keep to the facts where the images contradict them, too; else such '
+                       'a calibration is refused')
 
 
 def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
@@ -91,4 +94,5 @@ def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
         skew_sigma_px=args.skew_sigma,
         principal_point_sigma_px=args.principal_point_sigma,
         distortion=args.distortion,
-        lens_population=args.lens_population)
+        lens_population=args.lens_population,
+        trusted=args.trust_facts)

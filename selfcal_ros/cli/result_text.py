@@ -37,7 +37,8 @@ def facts_text(facts) -> str:
         known.append('principal point ({:g}, {:g}) ({})'.format(
             *facts.principal_point, spread(facts.principal_point_sigma_px)))
     lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
-    return f'Facts: {", ".join(known) or "none"}; lens {lens}.'
+    trusted = ', declared exact' if facts.trusted else ''
+    return f'Facts: {", ".join(known) or "none"}; lens {lens}{trusted}.'
 
 
 def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,

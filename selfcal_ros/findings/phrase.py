@@ -50,7 +50,8 @@ class _Words(Formatter):
     Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
     number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
     help), `frames`, `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `measured` (a
-    value with its sigma), `changes` (several, by name), `clause` (another finding, without its
+    value with its sigma), `changes` (several, by name),
+    `preferred` (values in place of those stated), `clause` (another finding, without its
     full stop).
     """
 
@@ -89,6 +90,12 @@ def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
                      f'{one["sigma"]:.{_digits(one["sigma"])}f} {one["unit"]}' for one in changes)
 
 
+def _preferred(preferred: Sequence[Mapping[str, Any]]) -> str:
+    """Write what the images prefer, with the digits that the sigmas leave, and what was stated."""
+    return ', '.join(f'{one["name"]} = {_measured(one)} in place of {one["stated"]:g}'
+                     for one in preferred)
+
+
 #: Motions that are suggested, in words that fit after 'in which you'.
 MOTIONS = {
     's_20': 'drive an S, 20 degrees to the left and to the right',
@@ -117,6 +124,7 @@ _ENDINGS: dict[str, Callable[[Any], str]] = {
                                       for name, value in sigma.items()),
     'measured': _measured,
     'changes': _changes,
+    'preferred': _preferred,
     'clause': lambda finding: finding.clause,
 }
 _WORDS = _Words()

@@ -171,6 +171,14 @@ REFUSALS: dict[str, Phrase] = {
         'its model.',
         'The scene may be nearly one plane, move, or repeat itself; or the lens needs another '
         'lens model (--lens plumb_bob).'),
+    # facts
+    'fact_contradicted': Phrase(
+        'The images contradict the stated {fact} by {sigmas:.0f} sigmas: they prefer '
+        '{preferred:preferred}.',
+        'Released, the fact comes out elsewhere, beyond chance, and the camera with it. Either '
+        'the fact is wrong, or the tracks are.',
+        'State what the images prefer, or nothing (--aspect-ratio free, --skew free), or a '
+        'sigma; where the fact is certain, say --trust-facts.'),
     # known points
     'object_without_extent': Phrase(
         'The object has no extent: all its points are one.',

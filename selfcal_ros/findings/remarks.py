@@ -136,6 +136,30 @@ REMARKS: dict[str, Phrase] = {
         'Without the stated {fact}, the sigma of {name} would be {factor:.2g} times as large.',
         'Most of what is known of the parameter comes from the fact.',
         'Check the fact.'),
+    'fact_contradicted_too': Phrase(
+        'The images contradict the stated {fact}, too: they prefer {preferred:preferred}.',
+        'Released, the fact comes out elsewhere, beyond chance.',
+        'Check the fact.'),
+    'fact_doubtful': Phrase(
+        'The images contradict the stated {fact}: they prefer {preferred:preferred}. The sigmas '
+        'allow for the difference.',
+        'Released, the fact comes out elsewhere, beyond chance, but the camera moves little.',
+        'Check the fact, or state it with a sigma.'),
+    'fact_unsure': Phrase(
+        'The images rather prefer {preferred:preferred}, as the {fact}. The sigmas allow for '
+        'the difference.',
+        'The difference may be an accident: it is one in a hundred calibrations.',
+        'Check the fact, or state it with a sigma.'),
+    'fact_unchecked': Phrase(
+        'The images cannot check the stated {fact}: an error of {error:.2g} would not show, and '
+        'move {name} by {change:.2g} px, {sigmas:.0f} of its sigmas.',
+        'The motion leaves the fact open. The sigmas hold if the fact is exact.',
+        'State the fact with a sigma, or move so that the images tell.'),
+    'fact_trusted': Phrase(
+        'The images contradict the stated {fact}: they prefer {preferred:preferred}. It was '
+        'declared exact, and the calibration keeps to it.',
+        'Released, the fact comes out elsewhere, beyond chance.',
+        'Check the fact.'),
     # known objects
     'points_of_no_object': Phrase(
         '{count} observations of points that the object does not have were left out.',

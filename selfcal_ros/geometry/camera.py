@@ -298,6 +298,9 @@ class CameraFacts:
         zero. 'auto': the family and the richest member that the images determine.
     lens_population : bool
         Whether what real lenses are like counts as a measurement, where the lens is estimated.
+    trusted : bool
+        Whether the facts count also where the images contradict them; else such a calibration
+        is refused.
 
     Raises
     ------
@@ -328,6 +331,7 @@ class CameraFacts:
     principal_point_sigma_px: float = 0.0
     distortion: str = 'auto'
     lens_population: bool = True
+    trusted: bool = False
 
     def __post_init__(self) -> None:
         """Refuse impossible facts."""

@@ -106,6 +106,8 @@ class CalibratorParameters:
                                 one_of=('auto', *LENS_CHOICES), live=True)
     lens_population: bool = parameter(True, 'what real lenses are like counts as a measurement',
                                       live=True)
+    trust_facts: bool = parameter(
+        False, 'keep to the facts where the images contradict them, too', live=True)
     max_keyframes: int = parameter(40, 'views to keep', 3, 400, live=True)
     first_estimate: int = parameter(8, 'views before the first estimate', 3, 400, live=True)
     keyframe_parallax: float = parameter(

@@ -33,7 +33,8 @@ def session_settings(parameters: CalibratorParameters) -> SessionSettings:
                         aspect_ratio_sigma=parameters.aspect_ratio_sigma,
                         skew=0.0 if parameters.zero_skew else None,
                         distortion=parameters.distortion,
-                        lens_population=parameters.lens_population)
+                        lens_population=parameters.lens_population,
+                        trusted=parameters.trust_facts)
     return SessionSettings(motion=parameters.motion, facts=facts,
                            parallax=parameters.keyframe_parallax,
                            max_keyframes=parameters.max_keyframes,

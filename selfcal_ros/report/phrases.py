@@ -148,6 +148,8 @@ def facts_lines(facts: CameraFacts) -> list[str]:
         lines.append('principal point = ({:g}, {:g}) px '.format(*facts.principal_point)
                      + f'({spread(facts.principal_point_sigma_px, " px")})')
     lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
+    if facts.trusted:
+        lines.append('declared exact, whatever the images say')
     return lines + [f'lens model: {lens}']
 
 

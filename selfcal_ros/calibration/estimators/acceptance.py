@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
+from selfcal_ros.calibration.estimators.stated_facts import examine_facts, FactsVerdict
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
@@ -37,7 +38,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMis
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 
 #: A start, or an optimum, explains the images when it leaves less than so many times the noise
@@ -70,6 +71,8 @@ class _Optimum:
     rejected: float
     pair_noise_px: float
     field: DistortionMisfit | None
+    stated: FactsVerdict
+    covariance: np.ndarray
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -86,6 +89,11 @@ def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
     return (NoEstimate('too_many_outliers', rejected=float(found.rejected))
             if found.rejected > MAX_OUTLIERS else None)
+
+
+def _facts_hold(found: _Optimum) -> NoEstimate | None:
+    """Refuse what rests on a fact that the images contradict."""
+    return found.stated.refusal(found.covariance)
 
 
 def _is_explained(found: _Optimum) -> NoEstimate | None:
@@ -125,12 +133,13 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
-ACCEPTANCE_TESTS = (_most_agree, _is_explained, _lens_fits, _can_be_checked, _is_determined)
+ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be_checked,
+                    _is_determined)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
-           ) -> Calibration | NoEstimate:
-    """Judge an optimum: what the data determine, and what the motion lacks."""
+           stated: CameraFacts) -> Calibration | NoEstimate:
+    """Judge an optimum: what the data determine, what the motion lacks, and what was stated."""
     facts, state = problem.facts, fit.state
     dependence = robust_covariance_of(fit, problem.size)
     inner, findings = dependence.covariance, dependence.findings()
@@ -141,6 +150,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         state, inner, residuals = field.state, field.covariance, field.residual
         findings = (*dependence.findings('track'), *field.findings())
     ratio, added = model.jackknife
+    verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
     camera = state.camera(*problem.size)
@@ -151,12 +161,16 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     status = parameter_status(camera, covariance, facts)
     optimum = _Optimum(fit, model, problem, path, status, held,
                        outliers / max(outliers + len(fit.observations.view), 1), graph.noise_px,
-                       field)
+                       field, verdict, covariance)
     for accepted in ACCEPTANCE_TESTS:
         refusal = accepted(optimum)
         if refusal is not None:
+            # a wrong fact leaves residuals that look like a scene or a lens that is not right
+            refusal = refusal if verdict.cause is None else verdict.cause
             return refusal.saying(**{'status': status, 'facts': facts, **refusal.values,
                                      'motion': path.motion})
+    covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
+    findings += of_facts
     known = identify(model.fit, problem.size,
                      tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > ADVISED_FRACTION:

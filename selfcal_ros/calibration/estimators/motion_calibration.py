@@ -150,7 +150,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         return extended.saying(facts=problem.facts)
     fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
-    result = assess(fit, model, problem, graph)
+    result = assess(fit, model, problem, graph, window.facts)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 
 

@@ -1,0 +1,317 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Stated facts against the images: what contradicts them, and what becomes of the calibration.
+
+A fact that the score test contradicts beyond chance is released, and the same observations are
+fitted again. Where the camera then moves by more than its sigmas hold, the calibration is
+refused, unless the facts were declared exact (`CameraFacts.trusted`); else the sigmas take up
+the difference. Either way the value that the images prefer is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, f as f_distribution
+
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
+                                                                    jackknife_excess)
+from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
+from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, Supposition,
+                                                              Tested)
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.estimate import NoEstimate
+
+#: A fact is contradicted where what the images say would be an accident so rarely; what is an
+#: accident less often than the second is allowed for in the sigmas.
+CONTRADICTED, DOUBTED = 1e-4, 0.01
+#: A camera that would move by more than so many of its sigmas is refused.
+SILENT_SIGMAS = 4.0
+#: A parameter that a contradicted fact holds may be off by the first share of the focal length,
+#: and any other parameter of K by the second, whatever sigmas that misfit has widened.
+HELD_FRACTION, MOVED_FRACTION = 1e-3, 5e-3
+#: Largest errors of facts that nobody would notice on a data sheet: of the aspect ratio, and of
+#: skew and principal point as shares of the focal length.
+PLAUSIBLE = {'aspect': 0.02, 'skew': 0.004, 'cx': 0.02, 'cy': 0.02}
+#: Coefficients that a stated lens holds at zero, and that the images are asked about.
+HELD_COEFFICIENTS = {'none': ('k1', 'k2', 'p1', 'p2'), 'radial1': ('k2', 'p1', 'p2'),
+                     'radial2': ('k3', 'p1', 'p2'), 'radial3': ('p1', 'p2'), 'radtan': ('k3',)}
+#: Unknowns of the lens that each fact is about.
+_ABOUT = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """
+    A fact, and what the images prefer to it.
+
+    Attributes
+    ----------
+    fact : str
+    preferred : list of dict
+        Of each unknown that the fact is about: name, value, sigma, stated.
+    sigmas : float
+        How surely the images prefer it.
+    shift : ndarray, shape (k,)
+        How the parameters of the camera move where the fact is released.
+    is_large : bool
+        Whether a parameter of the calibration matrix would be off by much.
+
+    """
+
+    fact: str
+    preferred: list[dict]
+    sigmas: float
+    shift: np.ndarray
+    is_large: bool
+
+    @property
+    def values(self) -> dict:
+        """What findings say of it."""
+        return {'fact': self.fact, 'preferred': self.preferred, 'sigmas': self.sigmas}
+
+
+@dataclass(frozen=True)
+class FactsVerdict:
+    """
+    What the images say of the stated facts.
+
+    Attributes
+    ----------
+    contradicted : tuple of Contradiction
+        Beyond chance.
+    doubted : tuple of Contradiction
+        What may be an accident.
+    unchecked : tuple of (str, str, float, ndarray)
+        Facts that the images cannot check: which, an unknown that it is about, an error that
+        would not show, and what that would do to the parameters of the camera (k,).
+    trusted : bool
+        Whether the facts were declared exact.
+
+    """
+
+    contradicted: tuple[Contradiction, ...]
+    doubted: tuple[Contradiction, ...]
+    unchecked: tuple[tuple[str, str, float, np.ndarray], ...]
+    trusted: bool
+
+    def refusal(self, covariance: np.ndarray) -> NoEstimate | None:
+        """
+        Refuse a camera that rests on a wrong fact by more than its sigmas hold.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (k, k)
+            Of the parameters of the camera, under the facts.
+
+        """
+        if not self.contradicted or self.trusted:
+            return None
+        shift = np.sum([one.shift for one in self.contradicted], axis=0)
+        if (_in_sigmas(shift, covariance)[0] <= SILENT_SIGMAS
+                and not any(one.is_large for one in self.contradicted)):
+            return None
+        return self.cause
+
+    @property
+    def cause(self) -> NoEstimate | None:
+        """Why a calibration fails, as far as the facts are to blame."""
+        if not self.contradicted or self.trusted:
+            return None
+        first, *more = self.contradicted
+        return NoEstimate('fact_contradicted', **first.values, further=[
+            Finding('fact_contradicted_too', **one.values) for one in more])
+
+    def widened(self, covariance: np.ndarray, names: tuple[str, ...],
+                ) -> tuple[np.ndarray, tuple[Finding, ...]]:
+        """
+        Let a covariance hold what the facts may be off by, and tell.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (k, k)
+        names : tuple of str
+            Of the parameters.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+        tuple of Finding
+
+        """
+        found, wider = [], covariance
+        estimated = np.diag(covariance) > 0
+        for kind, one in (*(('fact_doubtful', one) for one in self.contradicted),
+                          *(('fact_unsure', one) for one in self.doubted)):
+            if self.trusted:
+                found.append(Finding('fact_trusted', **one.values))
+                continue
+            shift = one.shift * estimated
+            wider = wider + np.outer(shift, shift)
+            found.append(Finding(kind, **one.values))
+        for fact, unknown, error, shift in self.unchecked:
+            beyond, place = _in_sigmas(shift, wider)
+            if beyond > SILENT_SIGMAS and not self.trusted:
+                found.append(Finding('fact_unchecked', fact=fact, unknown=unknown, error=error,
+                                     name=names[place], change=float(abs(shift[place])),
+                                     sigmas=beyond))
+        return wider, tuple(found)
+
+
+def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
+    """Largest shift of a parameter of K over its sigma, and which; held ones do not count."""
+    count = len(MATRIX_PARAMETERS)
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0))[:count]
+    ratio = np.where(sigma > 0, np.abs(shift[:count]) / np.maximum(sigma, 1e-300), 0.0)
+    place = int(np.argmax(ratio))
+    return float(ratio[place]), place
+
+
+def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], known: float,
+                  ) -> FactsVerdict:
+    """
+    Ask the images of an optimum about every fact that is stated.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    facts : CameraFacts
+        As they were stated; a lens that was chosen is no fact.
+    size : (int, int)
+        Width and height of the image.
+    known : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    FactsVerdict
+
+    """
+    found: list[Contradiction] = []
+    doubted: list[Contradiction] = []
+    unchecked: tuple[tuple[str, str, float, np.ndarray], ...] = ()
+    asked: set[str] = set()
+    while True:
+        about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
+        tested = sorted(_tested(fit, about, known), key=lambda one: one.p_value)
+        if not asked:
+            unchecked = tuple(_unchecked(fit, one) for one in tested
+                              if one.name in _ABOUT and one.p_value > DOUBTED)
+        for one in tested:
+            if one.p_value > DOUBTED:
+                return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
+            asked.add(one.name)
+            freed, p_value, released = _released(fit, one, size)
+            if p_value < CONTRADICTED:
+                found.append(released)
+                fit = freed
+                break
+            if p_value < DOUBTED:
+                doubted.append(released)
+        else:
+            return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
+
+
+def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
+    """Name the facts that are stated, and the unknowns of the lens that they are about."""
+    stated = {fact: about for fact, about in _ABOUT.items()
+              if set(about) <= set(fit.bundle.priors)}
+    held = tuple(name for name in HELD_COEFFICIENTS.get(facts.distortion, ())
+                 if name in fit.state.lens.names)
+    return {**stated, 'lens model': held} if held else stated
+
+
+def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float) -> list[Tested]:
+    """Test every fact by itself, the others supposed."""
+    if not about:
+        return []
+    bundle, lens = fit.bundle, fit.state.lens
+    shared = fit.linearisation.shared
+    if 'lens model' in about:
+        free = bundle.unknowns.free.copy()
+        free[bundle.unknowns.lens] = True
+        shared = bundle.model.linearise(fit.state, bundle.blocks, bundle.xy,
+                                        replace(bundle.unknowns, free=free), True).shared
+    joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
+                                    for fact, names in about.items()], known)
+    return [joint.test(fact) for fact in about]
+
+
+def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
+              ) -> tuple[RobustFit, float, Contradiction]:
+    """
+    Fit without a fact, and judge it by the covariance that this fit gives a calibration.
+
+    Returns
+    -------
+    RobustFit
+    float
+        Probability of such a distance from the fact, were it true.
+    Contradiction
+
+    """
+    priors, lens = fit.bundle.priors, fit.state.lens
+    bundle = fit.bundle.with_priors(priors.without(tested.unknowns))
+    state = bundle.optimise(fit.state, iterations=40, tolerance=0.05)
+    freed = replace(fit, bundle=bundle.with_sigma(bundle.noise_rms(state)), state=state)
+    clusters = cluster_robust_covariance(freed.information, freed.observations.point,
+                                         freed.observations.xy, size)
+    ratio, of_segments = jackknife_excess(*delete_a_group(freed), freed.lens_covariance,
+                                          clusters.inflation**2)
+    places = lens.places(tested.unknowns)
+    covariance = (clusters.covariance + of_segments)[np.ix_(places, places)]
+    sigma = np.sqrt(np.diag(covariance))
+    stated = np.array([priors[name].value for name in tested.unknowns])
+    distance = state.lens.values[places] - stated
+    covariance += np.diag([priors[name].sigma**2 for name in tested.unknowns])
+    total = float(distance @ np.linalg.solve(covariance, distance))
+    # a variance that a few stretches of views tell is known to as few degrees of freedom
+    p_value = float(f_distribution.sf(total / len(places), len(places), SEGMENTS - 1)
+                    if ratio > 1 else chi2.sf(total, len(places)))
+    preferred = [{'name': name, 'value': float(value), 'sigma': float(spread),
+                  'stated': priors[name].value}
+                 for name, value, spread in zip(tested.unknowns, state.lens.values[places], sigma)]
+    held = np.array([name in ('cx', 'cy', 'skew') and priors[name].sigma == 0
+                     for name in tested.unknowns])
+    held_off = held & (np.abs(state.lens.values[places] - stated)
+                       > np.maximum(SILENT_SIGMAS * sigma, HELD_FRACTION * lens['f']))
+    shift = state.camera().parameters - fit.state.camera().parameters
+    moved = np.abs(shift[:len(MATRIX_PARAMETERS)]).max() / lens['f']
+    return freed, p_value, Contradiction(tested.name, preferred, float(np.sqrt(total)), shift,
+                                         bool(held_off.any() or moved > MOVED_FRACTION))
+
+
+def _unchecked(fit: RobustFit, tested: Tested) -> tuple[str, str, float, np.ndarray]:
+    """Return an error of a fact that would not show, and what it would do to the camera."""
+    lens, f = fit.state.lens, fit.state.lens['f']
+    largest = np.array([PLAUSIBLE[name] * (1 if name == 'aspect' else f)
+                        for name in tested.unknowns])
+    place = int(np.argmin(largest / np.maximum(tested.sigma, 1e-300)))
+    error = min(float(largest[place]), 2 * float(tested.sigma[place]))
+    step = error * tested.response[:, place]
+    step[lens.places((tested.unknowns[place],))] += error
+    return tested.name, tested.unknowns[place], error, _parameters_step(lens.values, step)
+
+
+def _parameters_step(values: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Turn a step of the unknowns of the lens to one of the parameters of the camera."""
+    shift = step.copy()
+    f, aspect = values[:2]
+    shift[1] = aspect * step[0] + f * step[1]
+    return shift

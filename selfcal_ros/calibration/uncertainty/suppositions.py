@@ -1,0 +1,271 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What the estimate supposes, tested at its optimum: the score test.
+
+A supposition is a few further unknowns θ that the estimate takes to be zero: how far a stated
+aspect ratio is off, the line delay of the shutter, the growth of the focal length. Their
+derivatives of every observation are all that is needed. With points, path and lens eliminated,
+the normal equations leave J θ = -u, and
+
+    θ = -J⁻¹ u,   cov θ = J⁻¹,   χ² = uᵀ J⁻¹ u   with as many degrees of freedom as θ has
+
+(Rao 1948; one Gauss-Newton step of the estimate that does not suppose it). Nothing is fitted
+anew. Many suppositions share one elimination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import block_diag, csr_array, eye_array
+from scipy.stats import chi2, norm
+
+from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS, inverse_information
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.geometry.optimise import huber_weights
+
+#: Directions of which the elimination leaves less than this share are what the estimate has
+#: already, and cannot be tested.
+INDEPENDENT = 1e-8
+#: Smallest probability that a number can hold.
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Supposition:
+    """
+    Further unknowns that the estimate takes to be zero.
+
+    Attributes
+    ----------
+    name : str
+        What is supposed, as a sentence names it.
+    unknowns : tuple of str
+        Names of the further unknowns; of those of the lens block, what the stated values may be
+        off by.
+    columns : ndarray, shape (N, 2, m)
+        Derivative of every residual of the fit by them, pixels.
+    of_views : bool
+        Whether every view has unknowns of its own, m each.
+
+    """
+
+    name: str
+    unknowns: tuple[str, ...]
+    columns: np.ndarray
+    of_views: bool = False
+
+
+@dataclass(frozen=True)
+class Tested:
+    """
+    What one step says of further unknowns.
+
+    Attributes
+    ----------
+    name : str
+    unknowns : tuple of str
+    value : ndarray, shape (m,)
+        Of the further unknowns: how far off the supposition is.
+    covariance : ndarray, shape (m, m)
+    response : ndarray, shape (k, m)
+        How the unknowns of the lens follow them.
+    chi2 : float
+    freedom : int
+
+    """
+
+    name: str
+    unknowns: tuple[str, ...]
+    value: np.ndarray
+    covariance: np.ndarray
+    response: np.ndarray
+    chi2: float
+    freedom: int
+
+    @property
+    def shift(self) -> np.ndarray:
+        """How the unknowns of the lens would move, shape (k,)."""
+        return self.response @ self.value
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviations of the further unknowns, shape (m,)."""
+        sigma: np.ndarray = np.sqrt(np.maximum(np.diag(self.covariance), 0))
+        return sigma
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a chi-square where the supposition holds."""
+        return float(chi2.sf(self.chi2, self.freedom)) if self.freedom else 1.0
+
+    @property
+    def sigmas(self) -> float:
+        """The same as the sigmas of a Gaussian that are exceeded as rarely."""
+        p = self.p_value
+        # far out the root of the chi-square is as good, and still has digits
+        return (float(norm.isf(p / 2)) if p > _TINY
+                else float(np.sqrt(max(self.chi2 - self.freedom, 0))))
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """
+    What the images say of all further unknowns at once, everything else eliminated.
+
+    Attributes
+    ----------
+    suppositions : tuple of Supposition
+    score : ndarray, shape (M,)
+        Gradient of the cost by the further unknowns.
+    information : ndarray, shape (M, M)
+    raw : ndarray, shape (M,)
+        Diagonal of the information before anything was eliminated.
+    lens : ndarray, shape (k, M)
+        How the unknowns of the lens follow each of them.
+    places : dict of str to ndarray
+        Where the unknowns of each supposition stand: shape (m,), or (views, m).
+    factor, pull : float
+        Of Huber's loss; see `huber_factors`.
+
+    """
+
+    suppositions: tuple[Supposition, ...]
+    score: np.ndarray
+    information: np.ndarray
+    raw: np.ndarray
+    lens: np.ndarray
+    places: dict[str, np.ndarray]
+    factor: float
+    pull: float
+
+    def test(self, name: str) -> Tested:
+        """Test a supposition whose unknowns all views share."""
+        one = next(one for one in self.suppositions if one.name == name)
+        basis = np.zeros((len(self.score), len(one.unknowns)))
+        basis[self.places[name], np.arange(len(one.unknowns))] = 1
+        return self.test_along(basis, name, one.unknowns)
+
+    def test_along(self, basis: np.ndarray, name: str, unknowns: tuple[str, ...]) -> Tested:
+        """
+        Test some directions of the further unknowns, the others held at zero.
+
+        Parameters
+        ----------
+        basis : ndarray, shape (M, m)
+        name : str
+        unknowns : tuple of str
+            A name for each direction.
+
+        Returns
+        -------
+        Tested
+
+        """
+        J = basis.T @ self.information @ basis
+        u = basis.T @ self.score
+        scale = np.sqrt(np.maximum(np.einsum('ij,i,ij->j', basis, self.raw, basis), _TINY))
+        values, vectors = np.linalg.eigh(J / np.outer(scale, scale))
+        kept = values > INDEPENDENT
+        root = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+        inverse = root @ root.T
+        theta = -self.pull * inverse @ u
+        total = float(np.sum((root.T @ u)**2)) * self.pull**2 / self.factor
+        return Tested(name, unknowns, theta, self.factor * inverse, self.lens @ basis, total,
+                      int(kept.sum()))
+
+
+def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known: float = 1.0,
+                      nuisance: np.ndarray | None = None, nuisance_sigma: float = 1.0,
+                      ) -> JointInformation:
+    """
+    Eliminate all that the estimate knows from the further unknowns of suppositions.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    suppositions : sequence of Supposition
+    known : float
+        Variance of the estimate over that with independent errors: the dependence that the
+        covariance of the camera allows for, too.
+    nuisance : ndarray, shape (N, 2, q), optional
+        Derivatives by unknowns that are eliminated with the rest, as those of a smooth field.
+    nuisance_sigma : float
+        Their standard deviation.
+
+    Returns
+    -------
+    JointInformation
+
+    """
+    bundle, state, linearisation = fit.bundle, fit.state, fit.linearisation
+    unknowns, views = bundle.unknowns, bundle.blocks.view_count
+    common = [one for one in suppositions if not one.of_views]
+    own = [one for one in suppositions if one.of_views]
+    if nuisance is None:
+        nuisance = np.zeros((len(bundle.view), 2, 0))
+    shared = np.concatenate([linearisation.shared, nuisance, *(one.columns for one in common)], 2)
+    of_view = np.concatenate([linearisation.view, *(one.columns for one in own)], axis=2)
+    distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
+    weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
+    root = np.sqrt(weight / known)[:, None] / bundle.sigma_px
+    wide = root[..., None]
+    system = bundle.blocks.reduce(shared * wide, of_view * wide, linearisation.eliminated * wide,
+                                  linearisation.residual * root)
+
+    count, first = shared.shape[2], linearisation.shared.shape[2]
+    by_view = np.arange(count, len(system.matrix)).reshape(views, -1)
+    place = np.r_[:first, by_view[:, :linearisation.view.shape[2]].ravel()]
+    aside = np.arange(first, first + nuisance.shape[2])
+    _, gradient, diagonal = bundle.prior_terms(state)
+    system.gradient[place] += gradient
+    system.matrix[place, place] += diagonal
+    system.diagonal[place] += diagonal
+    if bundle.priors.population is not None:
+        inside = unknowns.lens
+        system.matrix[inside, inside] += bundle.priors.population.terms(*state.lens.named)[2]
+    gauge = bundle.model.gauge(state, unknowns)
+    if gauge is not None:
+        system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
+                                                * np.outer(gauge, gauge))
+    system.matrix[aside, aside] += 1 / nuisance_sigma**2
+
+    places, next_common, next_own = {}, aside.size + first, linearisation.view.shape[2]
+    for one in common:
+        places[one.name] = np.arange(next_common, next_common + one.columns.shape[2])
+        next_common += one.columns.shape[2]
+    for one in own:
+        places[one.name] = by_view[:, next_own:next_own + one.columns.shape[2]]
+        next_own += one.columns.shape[2]
+    further = np.concatenate([where.ravel() for where in places.values()])
+    number = np.zeros(len(system.matrix), int)
+    number[further] = np.arange(len(further))
+
+    rest = np.r_[place, aside]
+    selection = csr_array(block_diag([unknowns.selection, eye_array(len(aside))]))
+    inverse = inverse_information(system.matrix[np.ix_(rest, rest)], selection,
+                                  system.diagonal[rest])
+    coupling = system.matrix[np.ix_(rest, further)]
+    follows = -inverse @ coupling
+    information = system.matrix[np.ix_(further, further)] + coupling.T @ follows
+    factor, pull = bundle.loss_factors(linearisation)
+    return JointInformation(
+        tuple(suppositions), system.gradient[further] + follows.T @ system.gradient[rest],
+        (information + information.T) / 2, system.diagonal[further],
+        follows[unknowns.lens], {name: number[where] for name, where in places.items()},
+        factor, pull)
