@@ -232,13 +232,7 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     by_view = np.arange(count, len(system.matrix)).reshape(views, -1)
     place = np.r_[:first, by_view[:, :linearisation.view.shape[2]].ravel()]
     aside = np.arange(first, first + nuisance.shape[2])
-    _, gradient, diagonal = bundle.prior_terms(state)
-    system.gradient[place] += gradient
-    system.matrix[place, place] += diagonal
-    system.diagonal[place] += diagonal
-    if bundle.priors.population is not None:
-        inside = unknowns.lens
-        system.matrix[inside, inside] += bundle.priors.population.terms(*state.lens.named)[2]
+    bundle.add_priors(system, state, place)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
         system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
