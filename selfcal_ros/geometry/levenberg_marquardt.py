@@ -108,8 +108,9 @@ class DampedFactor:
     def __init__(self, matrix: np.ndarray, diagonal: np.ndarray, damping: float,
                  unknowns: csr_array):
         self._unknowns = E = unknowns
-        self._members = E.sum(axis=0)
-        scale = np.maximum(E.T @ diagonal, 1e-300)
+        taking_part = abs(E)
+        self._members = taking_part.sum(axis=0)
+        scale = np.maximum(taking_part.T @ diagonal, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
         self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
         H = (E.T @ (E.T @ matrix).T) / np.outer(self._root, self._root)

@@ -349,7 +349,8 @@ def huber_loss(distance: np.ndarray, threshold: float) -> np.ndarray:
                     threshold * (distance - 0.5 * threshold))
 
 
-def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None) -> csr_array:
+def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None,
+                balanced: tuple[int, ...] = ()) -> csr_array:
     """
     Relate all parameters to the independent unknowns among them.
 
@@ -359,6 +360,8 @@ def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None) -> csr_array
         False for parameters that are held.
     shared : ndarray of int, shape (n,), optional
         The parameter that each moves with; itself by default.
+    balanced : tuple of int
+        Free parameters whose steps are zero in sum: the last is less the sum of the others.
 
     Returns
     -------
@@ -368,5 +371,12 @@ def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None) -> csr_array
     """
     column = np.arange(len(free)) if shared is None else shared
     rows = np.flatnonzero(free[column])
+    if balanced:
+        rows = rows[rows != balanced[-1]]
     kept, column = np.unique(column[rows], return_inverse=True)
-    return csr_array((np.ones(len(rows)), (rows, column)), (len(free), len(kept)))
+    value = np.ones(len(rows))
+    if balanced:
+        others = np.searchsorted(kept, balanced[:-1])
+        rows = np.r_[rows, np.full(len(others), balanced[-1])]
+        column, value = np.r_[column, others], np.r_[value, np.full(len(others), -1.0)]
+    return csr_array((value, (rows, column)), (len(free), len(kept)))

@@ -27,6 +27,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAM
 from selfcal_ros.calibration.bundle.priors import Prior, Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import ObjectState, SceneState
+from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -151,9 +152,10 @@ def scene(motion, path, rng, lens=LENS):
     if motion.fixed_centre:
         points[:, 3], path = 0, path.scaled(0)
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    if motion in (PLANAR,):
+    if motion.tilt_sigma_rad == 0:
         path = path.flat()
-    state = SceneState(lens, path.aligned(motion), points)
+    zoom = motion.zoom and Zoom(0.1 * motion.zoom.course)
+    state = SceneState(lens, path.aligned(motion), points, zoom)
     view, point = np.tile(np.arange(VIEWS), POINTS), np.repeat(np.arange(POINTS), VIEWS)
     bundle = Bundle(SceneModel(motion), view, point, np.zeros((len(view), 2)),
                     priors=Priors({'cx': Prior(300.0, 20.0)}, lens.model), sigma_px=1.0)
@@ -185,7 +187,10 @@ def known(kind, rng, lens=LENS):
 
 PRODUCTS = {
     'planar': PLANAR, 'nearly planar': NEARLY_PLANAR, 'general': GENERAL, 'rotation': ROTATION,
-    'translation': replace(GENERAL, parallel=(0, 2, 3)), 'points': None, 'edges': None}
+    'translation': replace(GENERAL, parallel=(0, 2, 3)), 'points': None, 'edges': None,
+    'drift': replace(NEARLY_PLANAR, zoom=ZoomModel((0, 1, 4, 5), 0.0)),
+    'walk': replace(GENERAL, zoom=ZoomModel((0, 1, 4, 5), 0.01)),
+    'zoom': replace(PLANAR, zoom=ZoomModel((0, 1, 4, 5)))}
 
 
 @pytest.mark.parametrize('lens', LENSES.values(), ids=LENSES)

@@ -144,6 +144,10 @@ class Bundle:
         system.gradient[at] += weight * gradient
         system.matrix[at, at] += weight * diagonal
         system.diagonal[at] += weight * diagonal
+        coupled = self.model.couplings(self.unknowns)
+        if coupled is not None:
+            places = at[coupled[0]]
+            system.matrix[np.ix_(places, places)] += weight * coupled[1]
         if self.priors.population is not None:
             lens = at[self.unknowns.lens]
             _, _, matrix = self.priors.population.terms(*state.lens.named)

@@ -96,7 +96,7 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
     H = E.T @ (E.T @ matrix).T
     scale = np.maximum(np.diag(H), 1e-300)
     if diagonal is not None:
-        scale = np.maximum(scale, RANK_TOLERANCE * (E.T @ diagonal))
+        scale = np.maximum(scale, RANK_TOLERANCE * (abs(E).T @ diagonal))
     root = np.sqrt(scale)
     H = H / np.outer(root, root)
     factor, failed = dpotrf(H)

@@ -112,6 +112,10 @@ class Model(Protocol):
         """Return cost, gradient and diagonal of what the blocks suppose themselves."""
         ...
 
+    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return what they add to the normal equations beside it: places (k,), matrix (k, k)."""
+        ...
+
     def prior_count(self, views: int) -> int:
         """Count the measurements that these stand for."""
         ...

@@ -19,11 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.zoom import ZoomModel
+
 
 @dataclass(frozen=True)
 class MotionModel:
     """
-    How far the motion may leave the plane.
+    What may change from view to view: how far the motion may leave the plane, and the zoom.
 
     Attributes
     ----------
@@ -35,6 +37,8 @@ class MotionModel:
         Views that are stated to share one orientation: related by pure translation.
     fixed_centre : bool
         The camera only turns; the points are directions.
+    zoom : ZoomModel, optional
+        How the focal length varies; None: it is constant.
 
     """
 
@@ -42,11 +46,13 @@ class MotionModel:
     height_sigma: float = 0.0
     parallel: tuple[int, ...] = ()
     fixed_centre: bool = False
+    zoom: ZoomModel | None = None
 
     def of_views(self, views: np.ndarray) -> MotionModel:
         """Return the model for some of the views, which become 0, 1, 2, ..."""
         place = {int(view): k for k, view in enumerate(views)}
-        return replace(self, parallel=tuple(place[v] for v in self.parallel if v in place))
+        return replace(self, parallel=tuple(place[v] for v in self.parallel if v in place),
+                       zoom=self.zoom and self.zoom.of_views(views))
 
     @property
     def keeps_plane(self) -> bool:

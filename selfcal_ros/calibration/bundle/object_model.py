@@ -67,6 +67,9 @@ class _PoseElimination:
         """Nothing is supposed of the poses."""
         return 0.0, np.zeros(len(unknowns)), np.zeros(len(unknowns))
 
+    def couplings(self, unknowns: Unknowns) -> None:
+        """Return None: nothing is supposed of the poses."""
+
     def prior_count(self, views: int) -> int:
         """Nothing is supposed of the poses."""
         return 0

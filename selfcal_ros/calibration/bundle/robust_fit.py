@@ -93,11 +93,16 @@ class RobustFit:
     outliers: int
 
     @property
-    def motion(self) -> MotionModel:
-        """The kind of motion."""
+    def model(self) -> SceneModel:
+        """The product of blocks."""
         model = self.bundle.model
         assert isinstance(model, SceneModel)
-        return model.motion
+        return model
+
+    @property
+    def motion(self) -> MotionModel:
+        """The kind of motion."""
+        return self.model.motion
 
     @property
     def cost(self) -> float:
@@ -133,7 +138,7 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
     """Intersect the points of all observations from the views and calibration of a state."""
     blocks = PointBlocks(observations.point, observations.view)
     camera = state.camera()
-    rays = all_rays(camera, observations.xy)
+    rays = all_rays(camera, state.unzoomed(observations.xy, observations.view))
     if not np.isfinite(rays).all():
         return None
     directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
@@ -247,7 +252,7 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
 
     """
     flat = replace(relaxed.state, path=relaxed.state.path.flat())
-    exact = refit(relaxed, PLANAR, flat)
+    exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
     freedom = 3 * len(flat.path) - 1
     excess = 2 * (exact.cost - relaxed.cost) / dependence
     if excess <= freedom + 4 * np.sqrt(2 * freedom):
@@ -256,7 +261,7 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
     for _ in range(3):
         before = fit.motion
         tilt, height = out_of_plane(fit)
-        fit = refit(fit, MotionModel(tilt, height))
+        fit = refit(fit, replace(before, tilt_sigma_rad=tilt, height_sigma=height))
         if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
             break
     return fit, False

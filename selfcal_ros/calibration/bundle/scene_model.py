@@ -19,13 +19,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.lens import Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
+from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, projection, RATE_NAME,
+                                                 VIEW_NAME, walk_count, with_walk, with_zoom, Zoom)
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
 
@@ -59,7 +60,8 @@ class SceneModel:
 
     def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains once the points are eliminated."""
-        return path_unknowns(self.motion, views, lens_names)
+        of_path = path_unknowns(self.motion, views, lens_names)
+        return of_path if self.motion.zoom is None else with_zoom(of_path, self.motion.zoom)
 
     def linearise(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
@@ -92,13 +94,14 @@ class SceneModel:
         X = placed @ path.mount.T
         # a homogeneous point has no sign: take the one that most of its views see ahead
         toward = (X[:, 2] if state.lens.model.is_perspective
-                  else np.einsum('ni,ni->n', X, state.lens.pixel_directions(xy)))
+                  else np.einsum('ni,ni->n', X, state.lens.pixel_directions(
+                      state.unzoomed(xy, view))))
         sign = np.sign(blocks.sum_over_points(np.sign(toward)))[blocks.point]
         sign[sign == 0] = 1
         ahead = toward * sign > MINIMUM_DEPTH
         if not state.lens.model.is_perspective:
             X = X * sign[:, None]
-        pixels = Projection(state.lens, X)
+        pixels = projection(state.lens, X, state.zoom, view)
         residual = pixels.uv - xy
         if not jacobians:
             return residuals_only(residual, ahead)
@@ -110,6 +113,8 @@ class SceneModel:
         path.by_axis(J, placed, shared[:, :, unknowns.lens.stop:])
         planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
         own = path.by_views(J, turned, Y[:, 3:], view, planar)
+        if self.motion.zoom is not None:
+            own = differentiate(pixels, self.motion.zoom, view, shared, own)
         by_point = np.concatenate([J @ R, J @ moves[:, :, None]], axis=2)
         return Linearisation(residual, ahead, shared, own,
                              by_point @ tangent_basis(state.points)[blocks.point])
@@ -121,15 +126,46 @@ class SceneModel:
         points /= np.linalg.norm(points, axis=1, keepdims=True)
         return SceneState(state.lens.moved(step[unknowns.lens]),
                           state.path.moved(step[unknowns.places(unknowns.shared_names)],
-                                           step[unknowns.by_view]), points)
+                                           step[unknowns.by_view]), points,
+                          self._zoomed(state, step, unknowns))
+
+    def _zoomed(self, state: SceneState, step: np.ndarray, unknowns: Unknowns) -> Zoom | None:
+        """Return the zoom after a step (n,)."""
+        model = self.motion.zoom
+        if model is None:
+            return state.zoom
+        zoom = Zoom.constant(unknowns.views) if state.zoom is None else state.zoom
+        if model.is_steady:
+            return zoom.grown(float(step[unknowns.places((RATE_NAME,))[0]]), model)
+        return zoom.moved(step[unknowns.of_views(VIEW_NAME)[:, 0]])
+
+    def step_between(self, state: SceneState, other: SceneState, unknowns: Unknowns,
+                     step: np.ndarray) -> np.ndarray:
+        """Return the step (n,) of all but the axis to another state; the axis has its own."""
+        step = step.copy()
+        step[unknowns.lens] = other.lens.values - state.lens.values
+        of_path = state.path.steps_to(other.path)
+        step[unknowns.by_view[:, :of_path.shape[1]]] = of_path
+        if self.motion.zoom is not None and other.zoom is not None:
+            change = other.zoom.log_focal - (0 if state.zoom is None else state.zoom.log_focal)
+            if self.motion.zoom.is_steady:
+                step[unknowns.places((RATE_NAME,))] = self.motion.zoom.rate_of(change)
+            else:
+                step[unknowns.of_views(VIEW_NAME)[:, 0]] = change
+        return step
 
     def prior_terms(self, state: SceneState, unknowns: Unknowns) -> PriorTerms:
-        """Return cost, gradient (n,) and diagonal (n,) of the motion's distance from its plane."""
-        return path_prior(state.path, self.motion, unknowns)
+        """Return cost, gradient (n,) and diagonal (n,) of what path and zoom suppose."""
+        return with_walk(path_prior(state.path, self.motion, unknowns), state.zoom,
+                         self.motion.zoom, unknowns)
+
+    def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return what the priors add beside the diagonal: places (k,), and matrix (k, k)."""
+        return couplings(self.motion.zoom, unknowns)
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
-        return path_prior_count(self.motion, views)
+        return path_prior_count(self.motion, views) + walk_count(self.motion.zoom)
 
     def gauge(self, state: SceneState, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that scales the world; a camera that turns has no scale."""

@@ -15,13 +15,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.zoom import Zoom
 from selfcal_ros.geometry.camera import Camera
 
 
@@ -55,11 +56,23 @@ class SceneState(BundleState):
     path : AxisPath
     points : ndarray, shape (P, 4)
         Unit homogeneous world points.
+    zoom : Zoom, optional
+        Where the focal length varies.
 
     """
 
     path: AxisPath
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    zoom: Zoom | None = None
+
+    def of_views(self, kept: np.ndarray, points: np.ndarray) -> SceneState:
+        """Return the state of some of the views and points, by index or mask."""
+        return replace(self, path=self.path.of_views(kept), points=self.points[points],
+                       zoom=self.zoom and self.zoom.of_views(kept))
+
+    def unzoomed(self, xy: np.ndarray, view: np.ndarray) -> np.ndarray:
+        """Return pixels (N, 2) of views (N,) as the camera of `lens` would see them."""
+        return xy if self.zoom is None else self.zoom.unzoomed(xy, view, self.lens)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,8 @@ class Unknowns:
         False for what is fixed.
     moves_with : ndarray of int, shape (n,)
         The unknown that each is tied to; itself where it is not.
+    balanced : tuple of int
+        Where unknowns stand that move by nothing in sum; the last of them follows the others.
 
     """
 
@@ -54,6 +56,7 @@ class Unknowns:
     views: int
     free: np.ndarray
     moves_with: np.ndarray
+    balanced: tuple[int, ...] = ()
 
     @classmethod
     def all_free(cls, lens_names: tuple[str, ...], shared_names: tuple[str, ...] = (),
@@ -62,6 +65,27 @@ class Unknowns:
         count = len(lens_names) + len(shared_names) + views * len(view_names)
         return cls(lens_names, shared_names, view_names, views, np.ones(count, bool),
                    np.arange(count))
+
+    def extended(self, shared: tuple[str, ...] = (), of_view: tuple[str, ...] = (),
+                 balanced: str = '') -> Unknowns:
+        """
+        Lay out more unknowns, all free, after those that there are.
+
+        Parameters
+        ----------
+        shared, of_view : tuple of str
+            Of all views, and of each.
+        balanced : str
+            One of each view that moves by nothing in sum.
+
+        """
+        wider = Unknowns.all_free(self.lens_names, (*self.shared_names, *shared),
+                                  (*self.view_names, *of_view), self.views)
+        place = np.r_[:self.shared.stop, wider.by_view[:, :len(self.view_names)].ravel()]
+        wider.free[place] = self.free
+        wider.moves_with[place] = place[self.moves_with]
+        return replace(wider, balanced=tuple(
+            wider.of_views(balanced)[:, 0].tolist()) if balanced else ())
 
     def __len__(self) -> int:
         """Count all, the fixed ones too."""
@@ -110,12 +134,13 @@ class Unknowns:
     @cached_property
     def members(self) -> np.ndarray:
         """Where one of each of the independent unknowns stands, shape (k,)."""
-        return np.unique(self.moves_with[self.free[self.moves_with]])
+        members = np.unique(self.moves_with[self.free[self.moves_with]])
+        return members[members != self.balanced[-1]] if self.balanced else members
 
     @cached_property
     def selection(self) -> csr_array:
         """Relate all to the independent ones: steps (n,) = selection · steps (k,)."""
-        return unknowns_of(self.free, self.moves_with)
+        return unknowns_of(self.free, self.moves_with, self.balanced)
 
     @property
     def count(self) -> int:

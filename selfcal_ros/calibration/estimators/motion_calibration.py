@@ -34,6 +34,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 hold_parallel, ModelDecision)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
+from selfcal_ros.calibration.estimators.zoom_selection import (may_vary, over_all, seems_to_vary,
+                                                               settle_zoom, zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
@@ -54,6 +56,8 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
+#: Refusals that a focal length which varies may be the reason of.
+UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -94,21 +98,39 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, 0.02), flat=plane,
-                                     bend=graph.bend)
+                                     bend=graph.bend,
+                                     instants=tuple(float(frame) for frame in graph.frames))
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
         return refusal
     for motion in motions:
-        result = _attempt(replace(problem, motion=motion), graph, proposals)
+        result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
         if result or result.values.get('motion') != 'general':
             break
+    if result and result.focal is not None and motion is not motions[0]:
+        # a focal length that was held constant may have hidden the plane
+        planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
+        result = planar if planar and planar.focal is not None else result
+    return result
+
+
+def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
+                       proposals: list[Camera]) -> Calibration | NoEstimate:
+    """Calibrate with a focal length that is constant if that is possible, else with any."""
+    if problem.facts.focal == 'varying':
+        return _attempt(zooming(problem), graph, proposals)
+    result = _attempt(problem, graph, proposals)
+    if result is None:
+        result = _attempt(zooming(problem), graph, proposals)
+    elif problem.facts.focal == 'auto' and not result and result.kind in UNEXPLAINED:
+        result = _attempt(zooming(problem), graph, proposals) or result
     return result
 
 
 def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
-             ) -> Calibration | NoEstimate:
-    """Calibrate under one kind of motion."""
+             ) -> Calibration | NoEstimate | None:
+    """Calibrate under one kind of motion; None where the focal length turns out to vary."""
     window = problem.window()
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
@@ -130,6 +152,12 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
+    if may_vary(problem) and seems_to_vary(fit, window):
+        return None
+    if fit.motion.zoom is not None:
+        fit = settle_zoom(fit, window)
+        if fit.motion.zoom is None:
+            problem = replace(problem, facts=replace(problem.facts, focal='constant'))
     findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
@@ -143,13 +171,19 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.motion
     if motion.parallel:
-        motion = problem.motion
-    problem = replace(problem, facts=model.facts, motion=motion)
+        motion = replace(problem.motion, zoom=motion.zoom)
+    motion = replace(motion, zoom=over_all(motion.zoom, problem))
+    problem = replace(problem, facts=replace(model.facts, focal=problem.facts.focal),
+                      motion=motion)
     extended = extend(problem, model)
     if isinstance(extended, NoEstimate):
         return extended.saying(facts=problem.facts)
     fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
+    if may_vary(problem) and seems_to_vary(fit, problem):
+        return None
+    if fit.motion.zoom is not None:
+        fit = settle_zoom(fit, problem)
     result = assess(fit, model, problem, graph, window.facts)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 

@@ -50,7 +50,7 @@ class SelfCalibrationProblem:
     What every start is judged on.
 
     `flat` where the scene may be one plane; `bend` is that of the lens which the pairs show,
-    for radii in half image diagonals.
+    for radii in half image diagonals; `instants` tell when each view was taken, in any unit.
     """
 
     observations: Observations
@@ -61,6 +61,7 @@ class SelfCalibrationProblem:
     motion: MotionModel = NEARLY_PLANAR
     flat: FlatScene | None = None
     bend: Bend = ()
+    instants: tuple[float, ...] = ()
 
     @property
     def views(self) -> int:
@@ -95,7 +96,7 @@ class SelfCalibrationProblem:
         inside = (observations.view >= first) & (observations.view < last)
         within, _ = observations.select(inside)
         flat = self.flat and FlatScene(self.flat.homographies[first:last])
-        return replace(self, pairs=pairs, flat=flat,
+        return replace(self, pairs=pairs, flat=flat, instants=self.instants[first:last],
                        motion=self.motion.of_views(np.arange(first, last)),
                        observations=replace(within, view=within.view - first))
 

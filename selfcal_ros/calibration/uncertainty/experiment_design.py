@@ -114,11 +114,12 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
                                     float(np.max(sigma[place] / limits[place]))))
         return sorted(found, key=lambda one: one.worst_share)
 
+    zoom = fit.motion.zoom and replace(fit.motion.zoom, instants=tuple(range(VIEWS)))
     if fit.motion.keeps_plane:
-        found = rank(_in_the_plane(state.path), replace(fit.motion, parallel=()))
+        found = rank(_in_the_plane(state.path), replace(fit.motion, parallel=(), zoom=zoom))
         if found and found[0].worst_share < 1:
             return found
-    return rank(_anyhow(state.path), GENERAL)
+    return rank(_anyhow(state.path), replace(GENERAL, zoom=zoom))
 
 
 def best_motion(suggestions: list[Suggestion], names: tuple) -> tuple[Finding, ...]:
@@ -135,8 +136,8 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
     system = bundle.normal_equations(state, robust=False)
     if not with_facts:
         bundle.add_priors(system, state, weight=-1.0)
-    free = np.flatnonzero(bundle.unknowns.free)
-    matrix = system.matrix[np.ix_(free, free)]
+    E = bundle.unknowns.selection
+    matrix = E.T @ (E.T @ system.matrix).T
     inner = len(bundle.unknowns.free_lens)
     rest = matrix[inner:, inner:]
     scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
@@ -233,4 +234,4 @@ def _simulate(state: SceneState, path: AxisPath, depths: np.ndarray, size, bundl
     homogeneous /= np.linalg.norm(homogeneous, axis=1, keepdims=True)
     made = Bundle(SceneModel(motion), view, index, pixels[inside], priors=bundle.priors,
                   sigma_px=bundle.sigma_px)
-    return made, replace(state, path=path, points=homogeneous)
+    return made, replace(state, path=path, points=homogeneous, zoom=None)

@@ -68,8 +68,7 @@ def _without(fit: RobustFit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] 
     rows = kept & np.isin(observations.point, points)
     every = fit.linearisation
     linearisation = Linearisation(*(getattr(every, field.name)[rows] for field in fields(every)))
-    state = replace(fit.state, path=fit.state.path.of_views(seen),
-                    points=fit.state.points[points])
+    state = fit.state.of_views(seen, points)
     bundle = bundle_of(replace(rest, view=view), fit.motion.of_views(seen),
                        fit.bundle.priors, fit.bundle.sigma_px)
     system, root = bundle.weighted_equations(state, linearisation=linearisation)

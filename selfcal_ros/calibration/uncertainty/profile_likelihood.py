@@ -144,7 +144,6 @@ def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, le
         if sigmas > 0.7 * REACH and abs(moved.lens[name] - fit.state.lens[name]) >= least:
             break
         # as far again, the displacement the valley went
-        step[unknowns.lens] = displacement
-        step[unknowns.by_view] = fit.state.path.steps_to(moved.path)
+        step = fit.model.step_between(fit.state, moved, unknowns, step)
         state = moved
     return displacement / sigmas

@@ -1,0 +1,99 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Is the focal length constant, does it grow steadily, or does every view have its own?
+
+The simplest that the images allow: constant unless they contradict at four sigmas, steady growth
+(one unknown) unless a random walk is more probable. The walk's size follows from the images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import refit, RobustFit
+from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
+from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
+
+#: While starts are compared: change of log f from view to view.
+START_SIGMA = 0.03
+#: Rounds in which the size of the walk settles, and the change of its log that ends them.
+ROUNDS, SETTLED = 3, 0.4
+
+
+def may_vary(problem: SelfCalibrationProblem) -> bool:
+    """Tell whether it is open if the focal length varies, and constant so far."""
+    return problem.facts.focal == 'auto' and problem.motion.zoom is None
+
+
+def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:
+    """Let the focal length vary from view to view."""
+    zoom = ZoomModel(problem.instants, START_SIGMA)
+    return replace(problem, motion=replace(problem.motion, zoom=zoom))
+
+
+def seems_to_vary(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
+    """Test whether the images contradict a constant focal length."""
+    dependence = robust_covariance_of(fit, problem.size).inflation**2
+    found = focal_evidence(fit, problem.instants, dependence)
+    return found is not None and found.varies
+
+
+def settle_zoom(fit: RobustFit, problem: SelfCalibrationProblem) -> RobustFit:
+    """
+    Choose how the focal length varies, and fit it so.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        With a focal length that varies.
+    problem : SelfCalibrationProblem
+        Its motion, which may leave the plane or not, is not looked at.
+
+    Returns
+    -------
+    RobustFit
+        Of constant focal length where the images do not contradict that, and no fact does.
+
+    """
+    for _ in range(ROUNDS):
+        before = fit.motion.zoom
+        assert before is not None
+        dependence = robust_covariance_of(fit, problem.size).inflation**2
+        found = focal_evidence(fit, before.instants, dependence)
+        if found is None:
+            break
+        if problem.facts.focal == 'auto' and not found.varies:
+            still = replace(fit.state, zoom=None)
+            return refit(fit, replace(fit.motion, zoom=None), still)
+        zoom = replace(before, sigma=found.sigma)
+        if zoom.sigma == before.sigma:
+            break
+        state = fit.state
+        if zoom.is_steady and state.zoom is not None:
+            state = replace(state, zoom=Zoom(zoom.rate_of(state.zoom.log_focal) * zoom.course))
+        fit = refit(fit, replace(fit.motion, zoom=zoom), state)
+        if zoom.is_steady or not before.is_steady and abs(
+                np.log(zoom.sigma / before.sigma)) < SETTLED:
+            break
+    return fit
+
+
+def over_all(zoom: ZoomModel | None, problem: SelfCalibrationProblem) -> ZoomModel | None:
+    """Say of all views what was found of some."""
+    return None if zoom is None else replace(zoom, instants=problem.instants)

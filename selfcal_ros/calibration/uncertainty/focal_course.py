@@ -1,0 +1,148 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Does the focal length vary? What an optimum says, by one linear step.
+
+The derivative by each view's focal length is appended to the normal equations of the optimum, and
+everything else is eliminated. What remains is a quadratic in the logs of the focal lengths, from
+which follow the best steady growth, and how probable random walks of several sizes are (type-II
+maximum likelihood; Bishop 2006, 3.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, LinAlgError
+
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
+from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, Zoom, ZoomModel
+
+#: Least gain of log probability: half the square of four sigmas.
+SURE = 8.0
+#: Least gain of a random walk over steady growth: the size of the walk says how sure it is.
+BEYOND = 2.0
+#: Standard deviations of a step of the random walk that are tried.
+SIZES = 1e-5 * 2.0**(0.5 * np.arange(30))
+
+
+@dataclass(frozen=True)
+class FocalEvidence:
+    """
+    What an optimum says of a focal length that varies.
+
+    Attributes
+    ----------
+    rate, rate_sigma : float
+        Change of log f from the first view to the last, were it steady.
+    walk_sigma : float
+        Of `ZoomModel`: the size of random walk that is the most probable.
+    steady_gain, walk_gain : float
+        Log of the probability over that of a constant focal length.
+    beyond_gain : float
+        Log of the probability of a random walk about steady growth over that of the growth.
+    beyond_sigma : float
+        The size of that walk.
+
+    """
+
+    rate: float
+    rate_sigma: float
+    walk_sigma: float
+    steady_gain: float
+    walk_gain: float
+    beyond_gain: float
+    beyond_sigma: float
+
+    @property
+    def varies(self) -> bool:
+        """Tell whether the focal length is not constant, at four sigmas."""
+        return max(self.steady_gain, self.walk_gain) > SURE
+
+    @property
+    def sigma(self) -> float:
+        """Of `ZoomModel`: the simplest that is enough."""
+        return self.walk_sigma if self.beyond_gain > BEYOND else 0.0
+
+
+def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: float,
+                   ) -> FocalEvidence | None:
+    """
+    Test whether the focal length is constant.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum, of whatever zoom.
+    instants : tuple of float
+        Of `ZoomModel`.
+    dependence : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    FocalEvidence or None
+        None where the normal equations cannot be solved.
+
+    """
+    free = ZoomModel(instants)
+    views = len(instants)
+    bundle = bundle_of(fit.observations, replace(fit.motion, zoom=free), fit.bundle.priors,
+                       fit.bundle.sigma_px)
+    state = fit.state if fit.state.zoom else replace(fit.state, zoom=Zoom.constant(views))
+    system = bundle.normal_equations(state)
+    unknowns = bundle.unknowns
+    E = unknowns.selection
+    matrix, slope = E.T @ (E.T @ system.matrix).T, E.T @ system.gradient
+    last = unknowns.of_views(VIEW_NAME)[:-1, 0]
+    of_zoom = np.isin(unknowns.members, last)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    matrix, slope = matrix / np.outer(scale, scale), slope / scale
+    try:
+        factor = cho_factor(matrix[np.ix_(~of_zoom, ~of_zoom)])
+    except (LinAlgError, ValueError):
+        return None
+    coupling = matrix[np.ix_(~of_zoom, of_zoom)]
+    solved = cho_solve(factor, coupling)
+    own = (matrix[np.ix_(of_zoom, of_zoom)] - coupling.T @ solved) / dependence
+    pull = (slope[of_zoom] - solved.T @ slope[~of_zoom]) / dependence
+    # from log f of all views but the last to the steps between them, whose mean is zero
+    level = np.tri(views, views - 1, -1)
+    level -= level.mean(axis=0)
+    steps = level[:-1] * scale[of_zoom, None] * np.sqrt(replace(free, sigma=1.0).variances)
+    own, pull = steps.T @ own @ steps, steps.T @ pull
+    # about a constant focal length, not about that of the state
+    there = np.diff(state.zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
+    pull = pull - own @ there
+    steady = np.diff(free.course) / np.sqrt(replace(free, sigma=1.0).variances)
+    information = float(steady @ own @ steady)
+    along = own @ steady / np.sqrt(max(information, 1e-300))
+    rate = -float(steady @ pull) / max(information, 1e-300)
+    walk_gain, walk_sigma = _best_walk(own, pull)
+    beyond_gain, beyond_sigma = _best_walk(own - np.outer(along, along),
+                                           pull + rate * (own @ steady))
+    return FocalEvidence(rate, 1 / np.sqrt(max(information, 1e-300)), walk_sigma,
+                         0.5 * rate**2 * information, walk_gain, beyond_gain, beyond_sigma)
+
+
+def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
+    """Return the largest gain of log probability, and the size of steps that has it."""
+    values, vectors = np.linalg.eigh((own + own.T) / 2)
+    values, turned = np.maximum(values, 0), vectors.T @ pull
+    square = SIZES[:, None]**2
+    gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
+                         - np.log1p(square * values), axis=1)
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(SIZES[best])
