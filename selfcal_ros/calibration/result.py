@@ -203,6 +203,35 @@ class Identifiability:
 
 
 @dataclass(frozen=True)
+class FocalCourse:
+    """
+    A focal length that varies from frame to frame.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+        Ascending.
+    fx : ndarray, shape (V,)
+        Pixels. The fx of the camera is their geometric mean.
+    sigma : ndarray, shape (V,)
+        Standard deviation of each, pixels.
+    is_steady : bool
+        Whether it grows steadily, as far as the images tell.
+
+    """
+
+    frames: np.ndarray
+    fx: np.ndarray
+    sigma: np.ndarray
+    is_steady: bool = False
+
+    def at(self, frame: float) -> Measured:
+        """Return the focal length at a frame: between two on the line, outside the nearest."""
+        return Measured(float(np.exp(np.interp(frame, self.frames, np.log(self.fx)))),
+                        float(np.interp(frame, self.frames, self.sigma)))
+
+
+@dataclass(frozen=True)
 class Calibration:
     """
     A calibrated camera with the uncertainty of every parameter; true in a condition.
@@ -239,6 +268,8 @@ class Calibration:
         What the uncertainty means for measurements in the structure.
     population : Population, optional
         What real lenses are like, where that counted as a measurement.
+    focal : FocalCourse, optional
+        Where the focal length varies: that of every frame. The camera's is the geometric mean.
 
     Examples
     --------
@@ -274,6 +305,7 @@ class Calibration:
     identifiability: Identifiability | None = field(default=None, repr=False)
     measured: StructureSample | None = field(default=None, repr=False)
     population: Population | None = field(default=None, repr=False)
+    focal: FocalCourse | None = field(default=None, repr=False)
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""
@@ -283,6 +315,26 @@ class Calibration:
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
         return sentences(self.findings)
+
+    def magnification(self, frames: np.ndarray) -> np.ndarray:
+        """Return the focal lengths at frames (N,) over that of `camera`."""
+        if self.focal is None:
+            return np.ones(len(frames))
+        log_fx = np.interp(frames, self.focal.frames, np.log(self.focal.fx))
+        ratio: np.ndarray = np.exp(log_fx) / self.camera.K[0, 0]
+        return ratio
+
+    def focal_of(self, frame: float) -> Measured:
+        """Return fx at a frame, which need not be among `frames`, with its sigma."""
+        if self.focal is None:
+            return Measured(float(self.camera.K[0, 0]), self.sigma['fx'])
+        return self.focal.at(frame)
+
+    def camera_of(self, frame: float) -> Camera:
+        """Return the camera at a frame: `camera`, unless its focal length varies."""
+        if self.focal is None:
+            return self.camera
+        return self.camera.magnified(float(self.magnification(np.array([frame]))[0]))
 
     @property
     def reconstructed(self) -> Reconstruction:

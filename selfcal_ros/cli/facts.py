@@ -60,6 +60,10 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        'radial coefficients, plumb_bob (tangential ones, too), rational, or the '
                        'equidistant fisheye (default auto: the family, and its richest member '
                        'that the images determine); --distortion is the older name')
+    group.add_argument('--focal', choices=('auto', 'constant', 'varying'), default='auto',
+                       help='whether the focal length is the same in all images, or varies by '
+                       'zoom, focus or warm-up (default auto: constant, unless the images '
+                       'contradict)')
     group.add_argument('--no-lens-population', dest='lens_population', action='store_false',
                        help='do not count as a measurement what real lenses are like')
     group.add_argument('--trust-facts', action='store_true',
@@ -95,4 +99,5 @@ def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
         principal_point_sigma_px=args.principal_point_sigma,
         distortion=args.distortion,
         lens_population=args.lens_population,
-        trusted=args.trust_facts)
+        trusted=args.trust_facts,
+        focal=args.focal)

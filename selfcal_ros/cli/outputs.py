@@ -101,7 +101,11 @@ class Outputs:
                 self.camera_yaml, result.camera, self.camera_name,
                 [f'{result.software}: {source}' if source else result.software,
                  f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
-                 f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)']))
+                 f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
+                 *([] if result.focal is None else [
+                     'The focal length varied from {:.2f} to {:.2f} px: this is the mean; the '
+                     'result of --json has that of every image.'.format(
+                         result.focal.fx.min(), result.focal.fx.max())])]))
         if self.result_json:
             write_json(self.result_json, result_to_json(result))
             if not is_standard_output(self.result_json):

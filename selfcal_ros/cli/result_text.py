@@ -38,6 +38,8 @@ def facts_text(facts) -> str:
             *facts.principal_point, spread(facts.principal_point_sigma_px)))
     lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
     trusted = ', declared exact' if facts.trusted else ''
+    if facts.focal != 'auto':
+        lens += f'; focal length {facts.focal}'
     return f'Facts: {", ".join(known) or "none"}; lens {lens}{trusted}.'
 
 

@@ -55,6 +55,11 @@ REFUSALS: dict[str, Phrase] = {
         'The pairs of images are consistent, but no camera with one path is. Often things in the '
         'scene move.',
         'The scene must stand still, and most of what is seen must belong to it.'),
+    'focal_not_constant': Phrase(
+        'The images contradict a constant focal length.',
+        'Zoom, autofocus or warm-up changes the focal length; the contradiction is beyond four '
+        'sigmas.',
+        'Lock zoom and focus, or let the focal length vary (--focal varying).'),
     'no_start': Phrase(
         'No camera and no such motion explain the tracks: no start stands, where pairs of images '
         'agree to {noise_px:.2g} px.',

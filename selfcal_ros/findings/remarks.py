@@ -63,6 +63,21 @@ REMARKS: dict[str, Phrase] = {
         'sigmas {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Try a richer distortion model.'),
+    # the focal length
+    'focal_drifts': Phrase(
+        'The focal length grew steadily from {first_px:.2f} to {last_px:.2f} px '
+        '({fraction:.2%}): fx is its mean, and every image has its own.',
+        'The images contradict a constant focal length beyond four sigmas. Cameras that warm up '
+        'drift so.',
+        'Record after the camera has warmed up, with the focus locked; or take the focal length '
+        'of each image.'),
+    'focal_varies': Phrase(
+        'The focal length varied between {lowest_px:.2f} and {highest_px:.2f} px '
+        '({fraction:.2%}): fx is its mean, and every image has its own.',
+        'The images contradict a constant focal length beyond four sigmas. Zoom and autofocus '
+        'do that.',
+        'Lock zoom and focus where one calibration is to hold; or take the focal length of each '
+        'image.'),
     # the motion
     'circular_motion': Phrase(
         'The camera circles one axis; the calibration rests on square pixels.',

@@ -33,6 +33,8 @@ MATRIX_PARAMETERS = ('fx', 'fy', 'cx', 'cy', 'skew')
 PARAMETER_NAMES = (*MATRIX_PARAMETERS, *PLUMB_BOB.coefficients)
 #: Polynomial models, the poorer first: one that leaves the other's coefficients at zero is it.
 _POLYNOMIAL = ('plumb_bob', 'rational_polynomial')
+#: What may be said of the focal length over time.
+FOCAL_CHOICES = ('auto', 'constant', 'varying')
 #: Lens models of ROS's CameraInfo, and how many coefficients a message or a file may have.
 ROS_COEFFICIENTS = {'plumb_bob': (1, 2, 3, 4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
 
@@ -135,6 +137,12 @@ class Camera:
         """The values of `parameter_names`, shape (n,)."""
         K = self.K
         return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1], *self.distortion])
+
+    def magnified(self, factor: float) -> Camera:
+        """Return the camera whose images are larger about the principal point by a factor."""
+        K = self.K.copy()
+        K[:2, :2] *= factor
+        return Camera(K, self.distortion, self.width, self.height, self.model)
 
     @property
     def is_pinhole(self) -> bool:
@@ -301,6 +309,9 @@ class CameraFacts:
     trusted : bool
         Whether the facts count also where the images contradict them; else such a calibration
         is refused.
+    focal : {'auto', 'constant', 'varying'}
+        Whether the focal length is the same in all views (zoom, refocusing, warm-up). 'auto':
+        constant, unless the images contradict.
 
     Raises
     ------
@@ -332,9 +343,13 @@ class CameraFacts:
     distortion: str = 'auto'
     lens_population: bool = True
     trusted: bool = False
+    focal: str = 'auto'
 
     def __post_init__(self) -> None:
         """Refuse impossible facts."""
+        if self.focal not in FOCAL_CHOICES:
+            raise ArgumentError(f'The focal length is one of {", ".join(FOCAL_CHOICES)}, not '
+                                f'{self.focal!r:.40}.')
         if self.distortion not in ('auto', *LENS_CHOICES):
             raise ArgumentError(f'Distortion model {self.distortion!r:.40} is unknown; choose one '
                                 f'of auto, {", ".join(LENS_CHOICES)}.')

@@ -139,8 +139,8 @@ class Calibrator(Node):
 
     def _publish_camera_info(self, header):
         calibration = self._session.calibration
-        self._camera_info.publish(self._driver.message(
-            calibration.camera if calibration else None, header, self._size, self._types))
+        camera = calibration.camera_of(self._session.newest) if calibration else None
+        self._camera_info.publish(self._driver.message(camera, header, self._size, self._types))
 
     def _estimate(self):
         """Fetch a result that is ready, and start another estimate where that is worthwhile."""

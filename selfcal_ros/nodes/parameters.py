@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from selfcal_ros.geometry.camera import FOCAL_CHOICES
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
@@ -108,6 +109,9 @@ class CalibratorParameters:
                                       live=True)
     trust_facts: bool = parameter(
         False, 'keep to the facts where the images contradict them, too', live=True)
+    focal: str = parameter('auto', 'whether the focal length is constant or varies (zoom, focus, '
+                           'warm-up); auto: constant, unless the images contradict',
+                           one_of=FOCAL_CHOICES, live=True)
     max_keyframes: int = parameter(40, 'views to keep', 3, 400, live=True)
     first_estimate: int = parameter(8, 'views before the first estimate', 3, 400, live=True)
     keyframe_parallax: float = parameter(

@@ -153,6 +153,11 @@ class CalibrationSession:
         return self._calibration
 
     @property
+    def newest(self) -> int:
+        """Number of the newest frame, as those of the calibration are counted."""
+        return max(self._frames - 1, 0)
+
+    @property
     def keyframes(self) -> tuple[Keyframe, ...]:
         """The kept frames, oldest first."""
         return tuple(self._keyframes)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
+from selfcal_ros.report.focal_figure import focal_figure
 from selfcal_ros.report.lens_curve import lens_figure
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.path_figure import path_figure
@@ -56,7 +57,7 @@ def draw_figures(result: Calibration | NotCalibrated,
         size = (result.camera.width, result.camera.height)
         seen = observations(result, tracks) if tracks is not None else None
         drawings = [fixed_points_figure(result, seen), projection_figure(result),
-                    lens_figure(result, seen), sigma_figure(result),
+                    focal_figure(result), lens_figure(result, seen), sigma_figure(result),
                     residual_figure(result, seen), path_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]

@@ -74,9 +74,13 @@ def observations(result: Calibration, tracks: Tracks) -> ObservationTable:
     view, point, xy = view[both], point[both], tracks.xy[both]
     X = np.einsum('nij,nj->ni', shape.cam_from_world[view], shape.points[point])
     # a homogeneous point has no sign: take the one that most of its views see where they look
-    along = np.nan_to_num(np.einsum('ni,ni->n', X, result.camera.rays(xy)))
+    # as the camera of the mean focal length would see them
+    scale, centre = result.magnification(tracks.frame[both])[:, None], result.camera.K[:2, 2]
+    plain = centre + (xy - centre) / scale
+    along = np.nan_to_num(np.einsum('ni,ni->n', X, result.camera.rays(plain)))
     balance = np.bincount(point, np.sign(along), minlength=len(shape.points))
-    residual = result.camera.project(X * np.where(balance[point] < 0, -1, 1)[:, None]) - xy
+    ahead = X * np.where(balance[point] < 0, -1, 1)[:, None]
+    residual = (result.camera.project(ahead) - plain) * scale
     with np.errstate(invalid='ignore', over='ignore'):
         distance = np.linalg.norm(residual, axis=1)
         finite = np.sort(distance[np.isfinite(distance)])

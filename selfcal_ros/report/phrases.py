@@ -150,6 +150,8 @@ def facts_lines(facts: CameraFacts) -> list[str]:
     lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
     if facts.trusted:
         lines.append('declared exact, whatever the images say')
+    if facts.focal != 'auto':
+        lines.append(f'focal length: {facts.focal}')
     return lines + [f'lens model: {lens}']
 
 

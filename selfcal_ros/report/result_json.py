@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.result import Calibration, NotCalibrated, StructureSample
+from selfcal_ros.calibration.result import (Calibration, FocalCourse, NotCalibrated,
+                                            StructureSample)
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
@@ -62,8 +63,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'central_angle_deg', 'length_ratio' with the tracks of its two lengths in 'first' and
         'second', 'structure_angle_deg' with the tracks of its three points in 'corner': each
         'value' and 'sigma'; the last two None without a structure that was adjusted), 'facts',
-        'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal) and
-        'findings' (each with its 'kind' and its values; a refusal is the first of its own).
+        'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
+        'findings' (each with its 'kind' and its values; a refusal is the first of its own), and
+        'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies).
 
     """
     fixed = result.fixed_points if result else None
@@ -94,6 +96,10 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes': result.notes if result else (),
         'software': result.software,
     }
+    if result and result.focal is not None:
+        found['focal'] = [
+            {'frame': frame, 'fx': fx, 'sigma': sigma} for frame, fx, sigma in zip(
+                result.focal.frames, result.focal.fx, result.focal.sigma)]
     findings: list = list(result.findings)
     if not result and result.kind:
         found['kind'] = result.kind
@@ -189,7 +195,17 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         # the file does not hold it
         outlier_count=content['outliers'], reconstruction=None,
         software=software,
-        findings=_findings(content.get('findings', ()), content['notes']))
+        findings=_findings(content.get('findings', ()), content['notes']),
+        focal=_focal(content.get('focal')))
+
+
+def _focal(stored: list[dict] | None) -> FocalCourse | None:
+    """Read the focal lengths of the frames, where they differ."""
+    if not stored:
+        return None
+    frames, fx, sigma = (np.array([np.nan if one[name] is None else one[name] for one in stored])
+                         for name in ('frame', 'fx', 'sigma'))
+    return FocalCourse(frames.astype(int), fx, sigma)
 
 
 def _complete(covariance: np.ndarray, names, camera: Camera) -> np.ndarray:

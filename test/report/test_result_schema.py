@@ -13,6 +13,7 @@
 # limitations under the License.
 """Real results are as docs/result.schema.json says."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import re
@@ -20,7 +21,7 @@ import re
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.result import MOTIONS, NotCalibrated
+from selfcal_ros.calibration.result import FocalCourse, MOTIONS, NotCalibrated
 from selfcal_ros.report.result_json import result_to_dict, SCHEMA
 from selfcal_ros.synthetic.scenes import sequence_si
 from selfcal_ros.synthetic.special_scenes import pure_rotation, pure_translation
@@ -84,6 +85,10 @@ def test_calibrations_are_as_the_schema_says(schema):
     content = written(result)
     assert not problems(content, schema)
     assert content.keys() <= schema['properties'].keys(), 'a key that the schema does not know'
+    course = FocalCourse(np.array([0, 1]), np.array([900.0, 910.0]), np.array([2.0, np.inf]))
+    content = written(replace(result, focal=course))
+    assert not problems(content, schema) and content['focal'][1]['fx'] == 910
+    assert content.keys() <= schema['properties'].keys()
 
 
 @pytest.mark.parametrize('scene', [pure_translation, pure_rotation])

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findi
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
+from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
@@ -153,6 +154,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
+    course = focal_course(fit, state, graph.frames, inner, dependence.inflation**2)
+    findings = course_findings(course) + findings
     camera = state.camera(*problem.size)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     held = held_facts(facts)
@@ -188,7 +191,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         findings=path.findings + findings, residuals=residuals, identifiability=known,
         measured=sample_structure(precision, fit.observations.track, state.points,
                                   covariance),
-        population=fit.bundle.priors.population)
+        population=fit.bundle.priors.population, focal=course)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

@@ -244,4 +244,4 @@ def _calibration(used: list[Calibration], camera: Camera, covariance: np.ndarray
         noise_sigma_px=float(np.sqrt(noise / max(observations, 1))),
         observation_count=observations, outlier_count=sum(one.outlier_count for one in used),
         reconstruction=None, fixed_points=None, residuals=None, findings=(),
-        measured=None)
+        measured=None, focal=None)

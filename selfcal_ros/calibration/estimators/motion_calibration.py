@@ -56,8 +56,9 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
-#: Refusals that a focal length which varies may be the reason of.
-UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
+#: Refusals that a focal length which varies is the reason of, or may be.
+NOT_CONSTANT = 'focal_not_constant'
+UNEXPLAINED = (NOT_CONSTANT, 'no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -121,16 +122,15 @@ def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
     if problem.facts.focal == 'varying':
         return _attempt(zooming(problem), graph, proposals)
     result = _attempt(problem, graph, proposals)
-    if result is None:
-        result = _attempt(zooming(problem), graph, proposals)
-    elif problem.facts.focal == 'auto' and not result and result.kind in UNEXPLAINED:
-        result = _attempt(zooming(problem), graph, proposals) or result
+    if problem.facts.focal == 'auto' and not result and result.kind in UNEXPLAINED:
+        zoomed = _attempt(zooming(problem), graph, proposals)
+        result = zoomed if zoomed or result.kind == NOT_CONSTANT else result
     return result
 
 
 def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
-             ) -> Calibration | NoEstimate | None:
-    """Calibrate under one kind of motion; None where the focal length turns out to vary."""
+             ) -> Calibration | NoEstimate:
+    """Calibrate under one kind of motion."""
     window = problem.window()
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
@@ -153,11 +153,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     if may_vary(problem) and seems_to_vary(fit, window):
-        return None
+        return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window)
-        if fit.motion.zoom is None:
-            problem = replace(problem, facts=replace(problem.facts, focal='constant'))
     findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
@@ -173,15 +171,14 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if motion.parallel:
         motion = replace(problem.motion, zoom=motion.zoom)
     motion = replace(motion, zoom=over_all(motion.zoom, problem))
-    problem = replace(problem, facts=replace(model.facts, focal=problem.facts.focal),
-                      motion=motion)
+    problem = replace(problem, facts=model.facts, motion=motion)
     extended = extend(problem, model)
     if isinstance(extended, NoEstimate):
         return extended.saying(facts=problem.facts)
     fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
     if may_vary(problem) and seems_to_vary(fit, problem):
-        return None
+        return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, problem)
     result = assess(fit, model, problem, graph, window.facts)

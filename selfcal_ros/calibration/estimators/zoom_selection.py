@@ -32,6 +32,8 @@ from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
 
 #: While starts are compared: change of log f from view to view.
 START_SIGMA = 0.03
+#: The same for all views where a stretch of them is constant.
+STILL_SIGMA = 3e-4
 #: Rounds in which the size of the walk settles, and the change of its log that ends them.
 ROUNDS, SETTLED = 3, 0.4
 
@@ -95,5 +97,7 @@ def settle_zoom(fit: RobustFit, problem: SelfCalibrationProblem) -> RobustFit:
 
 
 def over_all(zoom: ZoomModel | None, problem: SelfCalibrationProblem) -> ZoomModel | None:
-    """Say of all views what was found of some."""
-    return None if zoom is None else replace(zoom, instants=problem.instants)
+    """Let all views vary as some of them do; a little, where those do not and all may."""
+    if zoom is None:
+        return problem.motion.zoom and replace(problem.motion.zoom, sigma=STILL_SIGMA)
+    return replace(zoom, instants=problem.instants)

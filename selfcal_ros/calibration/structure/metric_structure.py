@@ -149,6 +149,8 @@ def _point_covariances(calibration, tracks, poses, points):
     point, known = _places(shape.tracks, tracks.track)
     both = seen & known & np.isfinite(points[point]).all(axis=1)
     view, point, xy = view[both], point[both], tracks.xy[both]
+    scale, centre = calibration.magnification(tracks.frame[both])[:, None], camera.K[:2, 2]
+    xy = centre + (xy - centre) / scale
     X = np.einsum('nij,nj->ni', poses[view, :, :3], points[point]) + poses[view, :, 3]
     # a homogeneous point far beyond the image may meet the fold of the distortion
     with np.errstate(invalid='ignore', over='ignore'):

@@ -28,7 +28,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
-from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, Zoom, ZoomModel
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, ZoomModel
+from selfcal_ros.calibration.result import FocalCourse
+from selfcal_ros.findings.finding import Finding
 
 #: Least gain of log probability: half the square of four sigmas.
 SURE = 8.0
@@ -101,7 +104,8 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
     views = len(instants)
     bundle = bundle_of(fit.observations, replace(fit.motion, zoom=free), fit.bundle.priors,
                        fit.bundle.sigma_px)
-    state = fit.state if fit.state.zoom else replace(fit.state, zoom=Zoom.constant(views))
+    zoom = fit.state.zoom or Zoom.constant(views)
+    state = replace(fit.state, zoom=zoom)
     system = bundle.normal_equations(state)
     unknowns = bundle.unknowns
     E = unknowns.selection
@@ -124,7 +128,7 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
     steps = level[:-1] * scale[of_zoom, None] * np.sqrt(replace(free, sigma=1.0).variances)
     own, pull = steps.T @ own @ steps, steps.T @ pull
     # about a constant focal length, not about that of the state
-    there = np.diff(state.zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
+    there = np.diff(zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)
     pull = pull - own @ there
     steady = np.diff(free.course) / np.sqrt(replace(free, sigma=1.0).variances)
     information = float(steady @ own @ steady)
@@ -146,3 +150,59 @@ def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
                          - np.log1p(square * values), axis=1)
     best = int(np.argmax(gains))
     return float(gains[best]), float(SIZES[best])
+
+
+def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covariance: np.ndarray,
+                 dependence: float) -> FocalCourse | None:
+    """
+    Return the focal length of every view, with its spread.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    state : SceneState
+        The estimate, which may differ from the optimum.
+    frames : ndarray of int, shape (V,)
+    covariance : ndarray, shape (k, k)
+        Of the unknowns of the lens, with all that was added to it.
+    dependence : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    FocalCourse or None
+        None where the focal length is constant.
+
+    """
+    model, zoom = fit.motion.zoom, state.zoom
+    if model is None or zoom is None:
+        return None
+    unknowns, f = fit.bundle.unknowns, state.lens['f']
+    # of the log of each: that of the mean, and of its own
+    rows = np.zeros((len(zoom), len(unknowns)))
+    rows[:, unknowns.places(('f',))[0]] = 1 / f
+    if model.is_steady:
+        rows[:, unknowns.places((RATE_NAME,))[0]] = model.course
+    else:
+        rows[np.arange(len(zoom)), unknowns.of_views(VIEW_NAME)[:, 0]] = 1
+    own = dependence * np.einsum('vi,ij,vj->v', rows, fit.covariance, rows)
+    of_mean = covariance[0, 0] - dependence * fit.lens_covariance[0, 0]
+    spread = np.sqrt(own + max(of_mean, 0.0) / f**2)
+    order = np.argsort(frames)
+    fx = f * zoom.scale
+    return FocalCourse(np.asarray(frames)[order], fx[order], (fx * spread)[order],
+                       model.is_steady)
+
+
+def course_findings(course: FocalCourse | None) -> tuple[Finding, ...]:
+    """Tell how the focal length varied."""
+    if course is None:
+        return ()
+    fx = course.fx
+    values = {'first_px': float(fx[0]), 'last_px': float(fx[-1]),
+              'fraction': float(fx.max() / fx.min() - 1)}
+    if course.is_steady:
+        return (Finding('focal_drifts', **values),)
+    return (Finding('focal_varies', lowest_px=float(fx.min()), highest_px=float(fx.max()),
+                    **values),)

@@ -1,0 +1,142 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+from dataclasses import replace
+import json
+
+import numpy as np
+import pytest
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
+from selfcal_ros.report.result_json import result_from_dict, result_to_dict
+from selfcal_ros.synthetic.hard_scenes import hand, s_curve, vehicle
+from selfcal_ros.synthetic.zoomed_scenes import zoomed
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
+VIEWS = 8
+LENS_NAMES = ('f', 'aspect', 'cx', 'cy', 'skew', *PLUMB_BOB.coefficients)
+
+
+def drive(scale, seed=0, facts=FACTS, motion='planar'):
+    """Calibrate an S-curve whose views are magnified; returns the result and the true fx."""
+    rng = np.random.default_rng([seed, 14])
+    scale = np.asarray(scale, float)
+    sequence = zoomed(vehicle(rng, s_curve(len(scale)), count=150), scale, rng)
+    result = calibrate(sequence.tracks, motion=motion, facts=facts)
+    assert result, result.reason
+    return result, sequence.camera.K[0, 0] * scale[list(result.frames)]
+
+
+@pytest.fixture(scope='module')
+def ramp():
+    return drive(np.linspace(0.9, 1.2, VIEWS))
+
+
+def test_a_zoom_is_found_in_every_view(ramp):
+    result, fx = ramp
+    course = result.focal
+
+    assert course is not None and course.frames.tolist() == sorted(result.frames)
+    assert np.abs(course.fx / fx - 1).max() < 0.01
+    assert (np.abs(course.fx - fx) < 4 * course.sigma).all()
+    # the camera is that of the mean
+    assert result.camera.K[0, 0] == pytest.approx(np.exp(np.log(course.fx).mean()))
+    assert abs(result.camera.K[0, 0] - np.exp(np.log(fx).mean())) < 4 * result.sigma['fx']
+    assert any(one.kind in ('focal_varies', 'focal_drifts') for one in result.findings)
+
+
+def test_each_frame_has_its_camera(ramp):
+    result, _ = ramp
+    last = result.camera_of(result.frames[-1])
+
+    assert last.K[0, 0] == pytest.approx(result.focal.fx[-1])
+    assert last.K[1, 1] / last.K[0, 0] == pytest.approx(1.0)
+    np.testing.assert_array_equal(last.K[:2, 2], result.camera.K[:2, 2])
+    np.testing.assert_array_equal(last.distortion, result.camera.distortion)
+    between = result.focal_of(0.5)
+    assert result.focal.fx[0] < between.value < result.focal.fx[1] and between.sigma > 0
+
+
+def test_the_file_holds_the_focal_lengths(ramp):
+    content = json.loads(json.dumps(result_to_dict(ramp[0])))
+
+    assert [one['frame'] for one in content['focal']] == list(ramp[0].frames)
+    again = result_from_dict(content)
+    np.testing.assert_allclose(again.focal.fx, ramp[0].focal.fx)
+    assert again.facts == ramp[0].facts
+
+
+def test_a_step_is_found_with_free_hands():
+    rng = np.random.default_rng([3, 14])
+    turns = 15 * rng.standard_normal((VIEWS, 3))
+    scale = np.where(np.arange(VIEWS) < 3, 1.0, 1.1)
+    sequence = zoomed(hand(rng, turns, count=150), scale, rng)
+    result = calibrate(sequence.tracks, motion='general', facts=FACTS)
+
+    assert result and result.focal is not None and not result.focal.is_steady
+    fx = 520 * scale[list(result.frames)]
+    assert (np.abs(result.focal.fx - fx) < 4 * result.focal.sigma).all()
+    assert np.abs(result.focal.fx / fx - 1).max() < 0.01
+
+
+def test_a_constant_focal_length_is_called_so():
+    result, _ = drive(np.ones(VIEWS), seed=1)
+    stated, _ = drive(np.ones(VIEWS), seed=1, facts=replace(FACTS, focal='constant'))
+
+    assert result.focal is None and 'focal' not in result_to_dict(result)
+    np.testing.assert_array_equal(result.camera.parameters, stated.camera.parameters)
+    assert result.camera_of(3) is result.camera
+    assert result.focal_of(3).value == result.camera.K[0, 0]
+
+
+def test_a_warm_up_is_one_unknown():
+    result, fx = drive(1 + 0.02 * np.linspace(-1, 1, VIEWS), seed=2)
+
+    assert result.focal is not None and result.focal.is_steady
+    assert np.abs(result.focal.fx - fx).max() < 4 * result.focal.sigma.max()
+
+
+def test_steps_of_a_free_view_sum_to_zero():
+    model = SceneModel(replace(GENERAL, zoom=ZoomModel((0, 1, 2, 3))))
+    unknowns = model.unknowns(4, LENS_NAMES)
+    step = unknowns.selection @ np.arange(1.0, unknowns.count + 1)
+    of_zoom = step[unknowns.of_views(VIEW_NAME)[:, 0]]
+
+    assert of_zoom.sum() == pytest.approx(0) and of_zoom.any()
+    np.testing.assert_array_equal(step[unknowns.members], np.arange(1.0, unknowns.count + 1))
+
+
+def test_the_walk_is_measured_between_views():
+    model = ZoomModel((0, 1, 3, 4), 0.01)
+    unknowns = SceneModel(replace(GENERAL, zoom=model)).unknowns(4, LENS_NAMES)
+    z = np.array([0.0, 0.01, 0.01, -0.02])
+
+    def cost(value):
+        nothing = 0.0, np.zeros(len(unknowns)), np.zeros(len(unknowns))
+        return with_walk(nothing, Zoom(value), model, unknowns)
+
+    # a step of one sigma, none, and one of three over the mean interval of 4/3
+    assert cost(z)[0] == pytest.approx(0.5 * (1 / 0.75 + 9 / 0.75))
+    slope = cost(z)[1][unknowns.of_views(VIEW_NAME)[:, 0]]
+    numeric = [(cost(z + h)[0] - cost(z - h)[0]) / 2e-6 for h in 1e-6 * np.eye(4)]
+    np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_said_of_the_focal_length_is_checked():
+    with pytest.raises(ArgumentError, match='one of auto, constant, varying'):
+        CameraFacts(focal='zoom')
