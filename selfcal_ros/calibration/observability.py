@@ -33,6 +33,9 @@ DISTORTION_FRACTION = 0.15
 WIDEST_SEEN_RAD = 1.6
 #: What exceeds these by such a factor on a share of the tracks does so with all of them, too.
 UNOBSERVABLE_FACTOR = 1.5
+#: No images are measured better than this. What is smaller is a simulation's rounding, by which
+#: even what no image tells seems to be determined.
+LEAST_NOISE_PX = 0.02
 
 
 def held_facts(facts: CameraFacts) -> dict[str, str]:
@@ -98,7 +101,8 @@ def observability_limits(camera: Camera) -> np.ndarray:
           for name in lens.coefficients)])
 
 
-def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts) -> dict[str, str]:
+def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts,
+                     noise_px: float = LEAST_NOISE_PX) -> dict[str, str]:
     """
     Tell 'estimated', 'held' or 'unobservable' for each of the camera's parameters.
 
@@ -108,6 +112,8 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts)
         With its image size.
     covariance : ndarray, shape (k, k)
     facts : CameraFacts
+    noise_px : float
+        What the covariance is for; below `LEAST_NOISE_PX`, it is judged for that.
 
     Returns
     -------
@@ -115,6 +121,7 @@ def parameter_status(camera: Camera, covariance: np.ndarray, facts: CameraFacts)
 
     """
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
+    sigma *= max(LEAST_NOISE_PX / noise_px, 1.0)
     held = held_facts(facts)
     status = {}
     for name, value, limit in zip(camera.parameter_names, sigma,

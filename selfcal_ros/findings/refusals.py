@@ -29,6 +29,10 @@ REFUSALS: dict[str, Phrase] = {
         'Nothing relates one image to another. The tracks may be lost between the images, or '
         'there is one image only.',
         'Check that the images overlap and show texture.'),
+    'points_on_a_line': Phrase(
+        'The points of an image lie on a line, to within {width_px:.2g} px.',
+        'One line in every image says nothing of how the images are related.',
+        'Track points all over the images.'),
     'no_epipolar_geometry': Phrase(
         'No two images share enough points with a consistent epipolar geometry (at least {least} '
         'are needed, and {least_doubtful} where some disagree).',

@@ -163,6 +163,19 @@ class Tracks:
         _, inverse, counts = np.unique(self.track, return_inverse=True, return_counts=True)
         return self.select(counts[inverse] >= views)
 
+    def narrowest_px(self) -> np.ndarray:
+        """Root mean square distance of each frame's points from the line nearest them, (V,)."""
+        _, view, count = np.unique(self.frame, return_inverse=True, return_counts=True)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            total: np.ndarray = np.bincount(view, values) / count
+            return total
+
+        x, y = (self.xy - np.column_stack([mean(axis) for axis in self.xy.T])[view]).T
+        along, across, both = mean(x * x), mean(y * y), mean(x * y)
+        least = (along + across) / 2 - np.hypot((along - across) / 2, both)
+        return np.sqrt(np.maximum(least, 0))
+
     def longest(self, per_view: int) -> Tracks:
         """Keep the longest tracks, so many in every view; whole, wherever they are seen."""
         view = np.unique(self.frame, return_inverse=True)[1]

@@ -41,6 +41,8 @@ from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
 BEHIND_SIGMAS = 100.0
 #: A noise below this is rounding, pixels.
 MIN_NOISE_PX = 1e-9
+#: Covariance over that of Gaussian noise, at least.
+LEAST_FACTOR = 0.5
 
 
 class Bundle:
@@ -374,6 +376,8 @@ class Bundle:
         dimension = self.model.dimension
         freedom = max(self.degrees_of_freedom, 1)
         factor, pull = huber_factors(distance, freedom / (dimension * len(distance)), dimension)
+        # residuals far below the noise are those of a noise that is supposed at least
+        factor = max(factor, LEAST_FACTOR)
         # Student's: the noise is estimated too
         freedom = max(freedom, 3)
         return factor * freedom / (freedom - 2), pull

@@ -161,7 +161,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     held = held_facts(facts)
     outliers = fit.outliers + graph.rejected
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned)
-    status = parameter_status(camera, covariance, facts)
+    status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
     optimum = _Optimum(fit, model, problem, path, status, held,
                        outliers / max(outliers + len(fit.observations.view), 1), graph.noise_px,
                        field, verdict, covariance)

@@ -110,7 +110,8 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
 
     def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
         covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
-        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts)
+        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
+                                  trial.bundle.sigma_px)
         return 'unobservable' not in status.values()
 
     lens = choose_lens(fit, problem.facts, problem.size, dependence, determined)

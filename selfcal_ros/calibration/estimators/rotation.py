@@ -143,7 +143,7 @@ def _richest_lens(state: SceneState, observed: Observations, facts: CameraFacts,
     def determined(trial: RobustFit, stated: CameraFacts) -> bool:
         covariance = to_parameters(trial.covariance, trial.state.lens)
         return trial.state.lens['f'] > 0 and 'unobservable' not in parameter_status(
-            trial.state.camera(*size), covariance, stated).values()
+            trial.state.camera(*size), covariance, stated, trial.bundle.sigma_px).values()
 
     # a step aside that goes with the turn looks like decentring: lenses have the last word
     return choose_lens(RobustFit(bundle, state, observed, 0), facts, size, 1.0, determined,
@@ -182,7 +182,7 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
     covariance = without_held(to_parameters(dependence.covariance + lens.excess, state.lens),
                               camera, facts)
     held = held_facts(facts)
-    status = parameter_status(camera, covariance, facts)
+    status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
     if missing:
         refusal = NoEstimate('rotations_leave_open', missing=missing) if conic else conic

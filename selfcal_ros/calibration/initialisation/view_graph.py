@@ -32,6 +32,8 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.tracks import Tracks
 
+#: Points of an image that lie on a line but for so much (root mean square) show no geometry.
+LINE_WIDTH_PX = 1.0
 #: Every view is compared with so many successors.
 SUCCESSORS = 3
 #: Pairs with fewer common tracks than this say too little, by themselves.
@@ -252,6 +254,9 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     tracks = tracks.with_at_least(2)
     if len(np.unique(tracks.frame)) < 2:
         return NoEstimate('too_few_images_share_points')
+    width_px = float(np.median(tracks.narrowest_px()))
+    if width_px < LINE_WIDTH_PX:
+        return NoEstimate('points_on_a_line', width_px=width_px)
     frames, candidates = _candidate_pairs(tracks)
     row = np.full((len(frames), len(np.unique(tracks.track))), -1, dtype=np.int64)
     _, point = np.unique(tracks.track, return_inverse=True)

@@ -339,7 +339,7 @@ def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts
     dependence = cluster_robust_covariance(bundle.information(state), views.point, views.xy, size)
     camera = state.camera(*size)
     covariance = without_held(to_parameters(dependence.covariance, state.lens), camera, facts)
-    status = parameter_status(camera, covariance, facts)
+    status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
 
@@ -360,7 +360,7 @@ def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
                    bundle.xy + np.nan_to_num(bare.residuals(ideal)), priors=priors,
                    sigma_px=bundle.sigma_px)
     covariance = to_parameters(exact.ideal_covariance(ideal), ideal.lens)
-    status = parameter_status(ideal.camera(*size), covariance, pinhole)
+    status = parameter_status(ideal.camera(*size), covariance, pinhole, bundle.sigma_px)
     return {name: status[name] for name in MATRIX_PARAMETERS if status[name] == 'unobservable'}
 
 
