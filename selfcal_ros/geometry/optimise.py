@@ -54,6 +54,7 @@ class PointBlocks:
         self._view_first = np.searchsorted(view[by_view], np.arange(self.view_count + 1))
         self._view_sum = csr_matrix((np.ones(len(view)), by_view, self._view_first),
                                     shape=(self.view_count, len(view)))
+        self._transposed: tuple[np.ndarray, ...] | None = None
         last = np.maximum.reduceat(view, self.first)
         begin = np.minimum.reduceat(view, self.first)
         order = np.lexsort((last, begin))
@@ -86,6 +87,27 @@ class PointBlocks:
             np.matmul(J.T, J, out=H[k])
             np.matmul(J.T, jac_shared[first:first + length].reshape(-1, g), out=cross[k])
         return H, cross
+
+    def _products_of_few(self, jac_point: np.ndarray, jac_shared: np.ndarray,
+                         ) -> tuple[np.ndarray, np.ndarray]:
+        """Sum Jᵀ J (P, p, p) and Jᵀ S (P, p, g) over points that few observations see each."""
+        m, p = jac_point.shape[1:]
+        if self._transposed is None or self._transposed[0].shape[1:] != (p, m):
+            # entry (n, i, k) of Jᵀ: row i of the point's, column k of the observation's
+            n, i, k = np.ogrid[:len(self.point), :p, :m]
+            first = self.first[self.point][:, None, None]
+            length = self.length[self.point][:, None, None]
+            entry = m * (p * first + i * length + n - first) + k
+            source, column = np.empty((2, entry.size), np.int32)
+            source[entry], column[entry] = (n * m + k) * p + i, n * m + k
+            ends = np.cumsum(np.repeat(m * self.length, p))
+            self._transposed = entry, source, column, np.r_[0, ends].astype(np.int32)
+        _, source, column, rows = self._transposed
+        J = csr_array((jac_point.ravel()[source], column, rows),
+                      (self.point_count * p, len(self.point) * m))
+        both = np.concatenate([jac_point, jac_shared], axis=2).reshape(len(self.point) * m, -1)
+        sums = (J @ both).reshape(self.point_count, p, -1)
+        return sums[..., :p], sums[..., p:]
 
     def reduce(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
                residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
@@ -128,9 +150,8 @@ class PointBlocks:
         diagonal = np.diag(matrix).copy()
 
         if v:
-            jpt = np.swapaxes(jac_point, 1, 2)
-            H, cross = self.sum_over_points(jpt @ jac_point), jpt @ full      # (N, p, g + v)
-            shared = self.sum_over_points(cross[..., :g])
+            H, shared = self._products_of_few(jac_point, jac_shared)
+            cross = np.swapaxes(jac_point, 1, 2) @ jac_view                  # (N, p, v)
         else:
             H, shared = self._products(jac_point, full)
         scale = np.einsum('pii->pi', H)
@@ -144,7 +165,7 @@ class PointBlocks:
             W[..., :g] = shared[members]
             if v:
                 window = W[..., g:].reshape(len(members), p, high - low, v)
-                window[slot, :, column] = cross[rows][..., g:]
+                window[slot, :, column] = cross[rows]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
             own = slice(g + low * v, g + high * v)

@@ -163,8 +163,7 @@ class AxisPath:
             Where the derivatives go.
 
         """
-        out[:, :, 0] = _along_cross(J, np.array([1.0, 0, 0]), placed)
-        out[:, :, 1] = _along_cross(J, np.array([0, 1.0, 0]), placed)
+        out[:] = _crossed(placed, J)[:, :, :2]
 
     def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
                  view: np.ndarray, planar: bool) -> np.ndarray:
@@ -191,23 +190,27 @@ class AxisPath:
         own = np.empty((*J.shape[:2], len(VIEW_NAMES)))
         tilt = pad(self.tilt)
         axis = rotation_matrix(tilt)[:, :, 2]
-        own[:, :, 0] = _along_cross(J, axis[view], turned)
+        across = _crossed(turned, J)
+        own[:, :, 0] = np.einsum('nki,ni->nk', across, np.take(axis, view, axis=0))
         own[:, :, 1] = J[:, :, 0] * weight
         own[:, :, 2] = J[:, :, 1] * weight
         if planar:
             own[:, :, 3:] = 0
             return own
         by_tilt = left_jacobian(tilt)
-        own[:, :, 3] = _along_cross(J, by_tilt[view, :, 0], turned)
-        own[:, :, 4] = _along_cross(J, by_tilt[view, :, 1], turned)
+        own[:, :, 3:5] = across @ np.take(by_tilt[:, :, :2], view, axis=0)
         own[:, :, 5] = J[:, :, 2] * weight
         return own
 
 
-def _along_cross(J: np.ndarray, axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Product J (axis × vector) for every observation, shape (N, m)."""
-    along: np.ndarray = np.einsum('nki,ni->nk', J, np.cross(axis, vector))
-    return along
+def _crossed(vector: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """Cross vectors (N, 3) with the rows of J (N, m, 3): J (a × vector) is this times a."""
+    x, y, z = (vector[:, k, None] for k in range(3))
+    crossed = np.empty_like(J)
+    crossed[..., 0] = y * J[..., 2] - z * J[..., 1]
+    crossed[..., 1] = z * J[..., 0] - x * J[..., 2]
+    crossed[..., 2] = x * J[..., 1] - y * J[..., 0]
+    return crossed
 
 
 # ---------------------------------------------------------------------- the motion as constraint

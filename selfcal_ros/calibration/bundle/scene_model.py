@@ -86,11 +86,11 @@ class SceneModel:
 
         """
         path, view = state.path, blocks.view
-        Y = state.points[blocks.point]
-        R = path.rotations()[view]
-        turned = np.einsum('nij,nj->ni', R, Y[:, :3])
-        moves = path.translation[view]
-        placed = turned + moves * Y[:, 3:]
+        Y = np.take(state.points, blocks.point, axis=0)
+        poses = np.concatenate([path.rotations(), path.translation[:, :, None]], axis=2)
+        placing = np.take(poses, view, axis=0)
+        turned = np.einsum('nij,nj->ni', placing[:, :, :3], Y[:, :3])
+        placed = turned + placing[:, :, 3] * Y[:, 3:]
         X = placed @ path.mount.T
         # a homogeneous point has no sign: take the one that most of its views see ahead
         toward = (X[:, 2] if state.lens.model.is_perspective
@@ -106,7 +106,7 @@ class SceneModel:
         if not jacobians:
             return residuals_only(residual, ahead)
 
-        J = pixels.by_points() @ path.mount
+        J = (pixels.by_points().reshape(-1, 3) @ path.mount).reshape(-1, 2, 3)
         if not state.lens.model.is_perspective:
             J *= sign[:, None, None]
         shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
@@ -115,9 +115,9 @@ class SceneModel:
         own = path.by_views(J, turned, Y[:, 3:], view, planar)
         if self.motion.zoom is not None:
             own = differentiate(pixels, self.motion.zoom, view, shared, own)
-        by_point = np.concatenate([J @ R, J @ moves[:, :, None]], axis=2)
-        return Linearisation(residual, ahead, shared, own,
-                             by_point @ tangent_basis(state.points)[blocks.point])
+        by_point = J @ placing
+        tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
+        return Linearisation(residual, ahead, shared, own, by_point @ tangent)
 
     def moved(self, state: SceneState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> SceneState:
