@@ -162,11 +162,12 @@ def shared_division(pairs: Sequence[tuple[np.ndarray, np.ndarray]], image_size: 
     best, bent = one, min(one.cost, two.cost) < clear_gain * flat.cost
     if bent:
         two = _descended(data, two.F, two.coefficients, coarse, limit)
-        two = _again(data, two, coarse, limit, rng)
+        # where straight lines explain nearly all, no pair is caught by wrong matches
+        two = two if explained else _again(data, two, coarse, limit, rng)
         usual = two.coefficients[:1] + _USUAL_SQUARE * two.coefficients[1]
         one = min((one, _descended(data, two.F, usual, coarse, limit)),
                   key=lambda fit: fit.cost)
-        one = _again(data, one, coarse, limit, rng)
+        one = one if explained else _again(data, one, coarse, limit, rng)
         significant = abs(two.coefficients[1]) > _SIGNIFICANT * two.sigmas[1]
         best = two if two.cost < one.cost and significant else one
         if best is two and two.cost < clear_gain * one.cost:

@@ -41,6 +41,8 @@ _CLEAR_GAIN = 0.85
 #: A lens found by homographies leaves at most this share of what they left before; and the best
 #: of a few values this one, to look further.
 _HOMOGRAPHY_GAIN, _HOMOGRAPHY_HOPE = 0.3, 0.5
+#: So many of the worst pairs have to hope.
+_WORST_PAIRS = 6
 
 #: Matches of a pair in pixels, (m, 2) twice.
 Sample = tuple[np.ndarray, np.ndarray]
@@ -177,9 +179,9 @@ def choose_lens(compared: list[Sample], image_size: tuple[int, int] | None,
 
 
 def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
-                    image_size: tuple[int, int] | None) -> PairLens:
+                    image_size: tuple[int, int] | None) -> tuple[PairLens, np.ndarray]:
     """
-    Return a lens with which homographies explain what they leave through straight lines.
+    Find a lens with which homographies explain what they leave through straight lines.
 
     While the camera only turns, or sees one plane, straight epipolar lines find room for any
     lens: the lens shows in homographies alone.
@@ -197,26 +199,29 @@ def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
     -------
     PairLens
         The given one, unless the other explains the worst pair.
+    ndarray, shape (n,)
+        Root mean square per coordinate that homographies leave of every pair then, pixels.
 
     """
-    if image_size is None:
-        return lens
     left = lens.homography_px(samples)
-    worst = samples[int(np.argmax(left))]
-    if left.max() < PARALLAX_RATIO * noise_px:
-        return lens
-    count = max(2 * len(worst[0]) - 8, 1)
+    if image_size is None or left.max() < PARALLAX_RATIO * noise_px:
+        return lens, left
+    # the worst pairs, the last of all the worst
+    bad = np.argsort(left)[-_WORST_PAIRS:]
 
-    def left_px(coefficients) -> float:
+    def left_px(coefficients, which=bad[-1]) -> float:
         model = DivisionModel(tuple(coefficients), image_size)
-        return float(np.sqrt(lifted_homography_cost(model, *worst) / (4 * count)))
+        count = max(2 * len(samples[which][0]) - 8, 1)
+        return float(np.sqrt(lifted_homography_cost(model, *samples[which]) / (4 * count)))
 
     start = min(LADDER, key=left_px)
-    if left_px(start) > _HOMOGRAPHY_HOPE * left.max():
-        return lens
+    if any(left_px(start, which) > _HOMOGRAPHY_HOPE * left.max() for which in bad):
+        return lens, left
     found = minimize(left_px, start, method='Nelder-Mead', options={
         'maxfev': 120, 'xatol': 1e-4, 'fatol': 1e-3 * noise_px,
         'initial_simplex': [start, (1.1 * start[0], start[1]), (start[0], 0.5 * start[1] - 0.01)]})
     other = PairLens(DivisionModel(tuple(found.x.tolist()), image_size), float(found.x[0]))
     # every pair has to agree: a lens is no excuse for parallax
-    return other if other.homography_px(samples).max() < _HOMOGRAPHY_GAIN * left.max() else lens
+    left_by_other = other.homography_px(samples)
+    gains = left_by_other.max() < _HOMOGRAPHY_GAIN * left.max()
+    return (other, left_by_other) if gains else (lens, left)

@@ -305,8 +305,8 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
     inliers = [(p.xy_first, p.xy_second) for p in pairs]
-    turning = homography_lens(lens, inliers, max(median, MIN_NOISE_PX), tracks.image_size)
-    left_px = turning.homography_px(inliers)
+    turning, left_px = homography_lens(lens, inliers, max(median, MIN_NOISE_PX),
+                                       tracks.image_size)
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
                      float(left_px.max()) / max(median, MIN_NOISE_PX), turning.division,
                      turning.sigma, lens.model)
