@@ -159,11 +159,11 @@ class AxisPath:
             Derivatives by the points before the mount.
         placed : ndarray, shape (N, 3)
             These points.
-        out : ndarray, shape (N, m, 2)
+        out : ndarray, shape (N, m, 2 or more)
             Where the derivatives go.
 
         """
-        out[:] = _crossed(placed, J)[:, :, :2]
+        out[:, :, :2] = _crossed(placed, J)[:, :, :2]
 
     def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
                  view: np.ndarray, planar: bool) -> np.ndarray:
