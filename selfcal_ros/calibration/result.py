@@ -26,6 +26,7 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera, CameraFacts
@@ -270,6 +271,8 @@ class Calibration:
         What real lenses are like, where that counted as a measurement.
     focal : FocalCourse, optional
         Where the focal length varies: that of every frame. The camera's is the geometric mean.
+    shutter : RowReadout, optional
+        The rolling shutter, where rows are read one after the other.
 
     Examples
     --------
@@ -306,6 +309,7 @@ class Calibration:
     measured: StructureSample | None = field(default=None, repr=False)
     population: Population | None = field(default=None, repr=False)
     focal: FocalCourse | None = field(default=None, repr=False)
+    shutter: RowReadout | None = None
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""

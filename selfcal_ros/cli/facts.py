@@ -69,6 +69,14 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--trust-facts', action='store_true',
                        help='keep to the facts where the images contradict them, too; else such '
                        'a calibration is refused')
+    group.add_argument('--shutter', choices=('auto', 'global', 'rolling'), default='auto',
+                       help='whether all rows are read at once, or one after the other (default '
+                       'auto: found out)')
+    group.add_argument('--line-delay', type=float, metavar='S',
+                       help='known time from one row to the next, in seconds; negative from the '
+                       'lowest row up (default: estimated with a rolling shutter)')
+    group.add_argument('--line-delay-sigma', type=float, default=0.0, metavar='S',
+                       help='standard deviation of the line delay (default 0: exact)')
 
 
 def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
@@ -100,4 +108,7 @@ def facts_from(args: argparse.Namespace, aspect_ratio=1.0) -> CameraFacts:
         distortion=args.distortion,
         lens_population=args.lens_population,
         trusted=args.trust_facts,
-        focal=args.focal)
+        focal=args.focal,
+        shutter=args.shutter,
+        line_delay_s=args.line_delay,
+        line_delay_sigma_s=args.line_delay_sigma)

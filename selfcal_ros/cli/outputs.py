@@ -105,7 +105,8 @@ class Outputs:
                  *([] if result.focal is None else [
                      'The focal length varied from {:.2f} to {:.2f} px: this is the mean; the '
                      'result of --json has that of every image.'.format(
-                         result.focal.fx.min(), result.focal.fx.max())])]))
+                         result.focal.fx.min(), result.focal.fx.max())]),
+                 *_shutter_comments(result)]))
         if self.result_json:
             write_json(self.result_json, result_to_json(result))
             if not is_standard_output(self.result_json):
@@ -129,3 +130,15 @@ class Outputs:
         return write_ply(self.ply, structure.points, colours, [
             f'{result.software}: {source}', 'unit: median step between successive views',
             'axes: x forward, y left, z up as the first view has it'])
+
+
+def _shutter_comments(result: Calibration) -> list[str]:
+    """Say in a camera file what CameraInfo has no field for."""
+    shutter = result.shutter
+    if shutter is None:
+        return []
+    if shutter.line_delay_s is None:
+        return [f'rolling shutter: all rows in {shutter.intervals:.4g} +- '
+                f'{shutter.intervals_sigma:.2g} intervals between frames']
+    return [f'rolling shutter: line_delay {shutter.line_delay_s:.6g} s +- '
+            f'{shutter.sigma_s:.2g} s ({shutter.status})']

@@ -36,6 +36,10 @@ def facts_text(facts) -> str:
     if facts.principal_point is not None:
         known.append('principal point ({:g}, {:g}) ({})'.format(
             *facts.principal_point, spread(facts.principal_point_sigma_px)))
+    if facts.line_delay_s is not None:
+        known.append(f'line delay {facts.line_delay_s:g} s ({spread(facts.line_delay_sigma_s)})')
+    elif facts.shutter != 'auto':
+        known.append(f'{facts.shutter} shutter')
     lens = facts.distortion + ('' if facts.lens_population else ', whatever real lenses are like')
     trusted = ', declared exact' if facts.trusted else ''
     if facts.focal != 'auto':

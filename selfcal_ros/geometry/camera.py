@@ -31,6 +31,10 @@ from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 MATRIX_PARAMETERS = ('fx', 'fy', 'cx', 'cy', 'skew')
 #: All parameters of a perspective camera with a plumb-bob lens.
 PARAMETER_NAMES = (*MATRIX_PARAMETERS, *PLUMB_BOB.coefficients)
+#: Ways to read the rows of an image.
+SHUTTERS = ('auto', 'global', 'rolling')
+#: No image sensor takes longer from one row to the next.
+LONGEST_LINE_DELAY_S = 0.01
 #: Polynomial models, the poorer first: one that leaves the other's coefficients at zero is it.
 _POLYNOMIAL = ('plumb_bob', 'rational_polynomial')
 #: What may be said of the focal length over time.
@@ -312,6 +316,12 @@ class CameraFacts:
     focal : {'auto', 'constant', 'varying'}
         Whether the focal length is the same in all views (zoom, refocusing, warm-up). 'auto':
         constant, unless the images contradict.
+    shutter : {'auto', 'global', 'rolling'}
+        Whether all rows are read at once or one after the other; 'auto': found out.
+    line_delay_s : float, optional
+        Seconds from one row to the next, negative from the lowest row up. None: not known.
+    line_delay_sigma_s : float
+        Its standard deviation; 0 means exact.
 
     Raises
     ------
@@ -344,6 +354,9 @@ class CameraFacts:
     lens_population: bool = True
     trusted: bool = False
     focal: str = 'auto'
+    shutter: str = 'auto'
+    line_delay_s: float | None = None
+    line_delay_sigma_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse impossible facts."""
@@ -365,7 +378,15 @@ class CameraFacts:
                 raise ArgumentError('The principal point must be two finite numbers, '
                                     f'not {self.principal_point!r}.')
             object.__setattr__(self, 'principal_point', point)
-        for name in ('aspect_ratio_sigma', 'skew_sigma_px', 'principal_point_sigma_px'):
+        if self.shutter not in SHUTTERS:
+            raise ArgumentError(f'Shutter {self.shutter!r:.40} is unknown; choose one of '
+                                f'{", ".join(SHUTTERS)}.')
+        if self.line_delay_s is not None and (
+                self.shutter == 'global' or not abs(self.line_delay_s) < LONGEST_LINE_DELAY_S):
+            raise ArgumentError('The line delay is that of a rolling shutter, in seconds from '
+                                f'one row to the next, not {self.line_delay_s!r}.')
+        for name in ('aspect_ratio_sigma', 'skew_sigma_px', 'principal_point_sigma_px',
+                     'line_delay_sigma_s'):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ArgumentError(f'{name} must be zero or a positive number, not {value!r}.')

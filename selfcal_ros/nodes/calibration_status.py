@@ -47,4 +47,8 @@ def calibration_status(state: SessionSnapshot) -> tuple[int, str, dict]:
         values[f'{name} sigma'] = sigma[name]
     values['motion'] = state.calibration.motion
     values['reprojection_rms_px'] = state.calibration.reprojection_rms_px
+    shutter = state.calibration.shutter
+    if shutter is not None and shutter.line_delay_s is not None:
+        values['line_delay_s'] = shutter.line_delay_s
+        values['line_delay_s sigma'] = shutter.sigma_s
     return OK, 'calibrated', values

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from selfcal_ros.geometry.camera import FOCAL_CHOICES
+from selfcal_ros.geometry.camera import FOCAL_CHOICES, SHUTTERS
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
@@ -112,6 +112,8 @@ class CalibratorParameters:
     focal: str = parameter('auto', 'whether the focal length is constant or varies (zoom, focus, '
                            'warm-up); auto: constant, unless the images contradict',
                            one_of=FOCAL_CHOICES, live=True)
+    shutter: str = parameter('auto', 'whether all rows are read at once, or one after the other; '
+                             'auto: found out', one_of=SHUTTERS, live=True)
     max_keyframes: int = parameter(40, 'views to keep', 3, 400, live=True)
     first_estimate: int = parameter(8, 'views before the first estimate', 3, 400, live=True)
     keyframe_parallax: float = parameter(

@@ -34,7 +34,8 @@ def session_settings(parameters: CalibratorParameters) -> SessionSettings:
                         skew=0.0 if parameters.zero_skew else None,
                         distortion=parameters.distortion,
                         lens_population=parameters.lens_population,
-                        trusted=parameters.trust_facts, focal=parameters.focal)
+                        trusted=parameters.trust_facts, focal=parameters.focal,
+                        shutter=parameters.shutter)
     return SessionSettings(motion=parameters.motion, facts=facts,
                            parallax=parameters.keyframe_parallax,
                            max_keyframes=parameters.max_keyframes,

@@ -108,7 +108,20 @@ def parameter_rows(result: Calibration) -> list[Row]:
         rows.append(Row(name, meaning(result.camera.model, name), text,
                         'not determined' if status == 'unobservable' else spread, share, status,
                         result.held_by.get(name, '') if status == 'held' else ''))
-    return rows + _derived_rows(result)
+    return rows + _derived_rows(result) + _shutter_rows(result)
+
+
+def _shutter_rows(result: Calibration) -> list[Row]:
+    """Return the time in which all rows are read, where that takes one."""
+    shutter = result.shutter
+    if shutter is None:
+        return []
+    unit, scale = 'intervals between frames', 1.0
+    if shutter.line_delay_s is not None:
+        unit, scale = 'ms', 1e3 * shutter.line_delay_s * shutter.rows / shutter.intervals
+    text, sigma = with_sigma(scale * shutter.intervals, abs(scale) * shutter.intervals_sigma)
+    return [Row('readout', f'time in which all rows are read, {unit}', text, sigma, '',
+                shutter.status)]
 
 
 def _derived_rows(result: Calibration) -> list[Row]:
@@ -152,6 +165,11 @@ def facts_lines(facts: CameraFacts) -> list[str]:
         lines.append('declared exact, whatever the images say')
     if facts.focal != 'auto':
         lines.append(f'focal length: {facts.focal}')
+    if facts.line_delay_s is not None:
+        lines.append(f'rows {1e6 * facts.line_delay_s:g} µs apart '
+                     f'({spread(1e6 * facts.line_delay_sigma_s, " µs")})')
+    elif facts.shutter != 'auto':
+        lines.append(f'{facts.shutter} shutter')
     return lines + [f'lens model: {lens}']
 
 

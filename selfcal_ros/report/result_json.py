@@ -25,6 +25,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import (Calibration, FocalCourse, NotCalibrated,
                                             StructureSample)
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
@@ -64,8 +65,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'second', 'structure_angle_deg' with the tracks of its three points in 'corner': each
         'value' and 'sigma'; the last two None without a structure that was adjusted), 'facts',
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
-        'findings' (each with its 'kind' and its values; a refusal is the first of its own), and
-        'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies).
+        'findings' (each with its 'kind' and its values; a refusal is the first of its own),
+        'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), and 'shutter'
+        (`RowReadout`).
 
     """
     fixed = result.fixed_points if result else None
@@ -106,6 +108,8 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         findings.insert(0, {'kind': result.kind, **result.values})
     if findings:
         found['findings'] = findings
+    if result and result.shutter is not None:
+        found['shutter'] = result.shutter.as_dict()
     return to_jsonable(found)
 
 
@@ -196,7 +200,8 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         outlier_count=content['outliers'], reconstruction=None,
         software=software,
         findings=_findings(content.get('findings', ()), content['notes']),
-        focal=_focal(content.get('focal')))
+        focal=_focal(content.get('focal')),
+        shutter=RowReadout(**content['shutter']) if 'shutter' in content else None)
 
 
 def _focal(stored: list[dict] | None) -> FocalCourse | None:

@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES 
 from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAMES, VIEW_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior, Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.shutter import RowShifts
 from selfcal_ros.calibration.bundle.state import ObjectState, SceneState
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.geometry.camera import Camera
@@ -185,9 +186,17 @@ def known(kind, rng, lens=LENS):
                   priors=Priors(lens=lens.model), sigma_px=1.0), state
 
 
+def read_in_rows(bundle, rng):
+    """The same product with rows that are read one after the other."""
+    shifts = RowShifts(0.1, *rng.normal(0, 20, (2, len(bundle.view), 2)), Prior(0.05, 0.2))
+    return Bundle(replace(bundle.model, shutter=shifts), bundle.view, bundle.part, bundle.xy,
+                  priors=bundle.priors, sigma_px=1.0)
+
+
 PRODUCTS = {
     'planar': PLANAR, 'nearly planar': NEARLY_PLANAR, 'general': GENERAL, 'rotation': ROTATION,
-    'translation': replace(GENERAL, parallel=(0, 2, 3)), 'points': None, 'edges': None,
+    'translation': replace(GENERAL, parallel=(0, 2, 3)), 'rolling shutter': GENERAL,
+    'points': None, 'edges': None,
     'drift': replace(NEARLY_PLANAR, zoom=ZoomModel((0, 1, 4, 5), 0.0)),
     'walk': replace(GENERAL, zoom=ZoomModel((0, 1, 4, 5), 0.01)),
     'zoom': replace(PLANAR, zoom=ZoomModel((0, 1, 4, 5)))}
@@ -199,6 +208,8 @@ def test_every_product_of_blocks_by_every_unknown(name, lens, path, rng):
     motion = PRODUCTS[name]
     bundle, state = (known(name, rng, lens) if motion is None
                      else scene(motion, path, rng, lens))
+    if name == 'rolling shutter':
+        bundle = read_in_rows(bundle, rng)
     line, unknowns = bundle.linearise(state), bundle.unknowns
     assert line.ahead.all()
     parts = (bundle.blocks.point_count, bundle.model.eliminated)

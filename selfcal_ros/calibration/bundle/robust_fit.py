@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
+from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.values.tracks import of_longest
@@ -38,6 +39,12 @@ from selfcal_ros.values.tracks import of_longest
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
+#: The rows' displacements are renewed so often at most, and until they change by no more than
+#: this share of the noise (root mean square).
+RENEWALS, SETTLED = 6, 0.03
+#: At the ends of the path only observations within this share of the image of its middle row
+#: count where rows are read one after the other, but so many at least.
+SURE_ROWS, LEAST_AT_ENDS = 0.12, 20
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -54,6 +61,10 @@ class Observations:
         Pixels.
     track : ndarray of int, shape (P,)
         Track identity of each point.
+    clock : Clock, optional
+        When the views were taken, where that is known.
+    shutter : RowShifts, optional
+        Displacements by the rows' delay, where that is estimated.
 
     """
 
@@ -61,6 +72,8 @@ class Observations:
     point: np.ndarray
     xy: np.ndarray
     track: np.ndarray
+    clock: Clock | None = None
+    shutter: RowShifts | None = None
 
     def select(self, mask: np.ndarray, least: int = 2) -> tuple[Observations, np.ndarray]:
         """
@@ -76,7 +89,45 @@ class Observations:
         counts = np.bincount(self.point[mask], minlength=len(self.track))
         mask = mask & (counts[self.point] >= least)
         points, index = np.unique(self.point[mask], return_inverse=True)
-        return Observations(self.view[mask], index, self.xy[mask], self.track[points]), points
+        return Observations(self.view[mask], index, self.xy[mask], self.track[points], self.clock,
+                            self.shutter and self.shutter.select(mask)), points
+
+    def read_in_rows(self) -> Observations:
+        """Return the same, with the line delay as another unknown."""
+        known = None if self.clock is None else self.clock.known
+        return replace(self, shutter=RowShifts.none(len(self.view), known))
+
+    def surely_timed(self) -> Observations:
+        """
+        Keep the observations of which it is known how the camera moved until they were read.
+
+        The first and the last view have neighbours on one side alone: there only those near the
+        middle row, read at the instant of the view.
+        """
+        if self.clock is None:
+            return self
+        keep = np.ones(len(self.view), bool)
+        for end in (0, len(self.clock.times) - 1):
+            rows = np.flatnonzero(self.view == end)
+            late = np.abs(self.clock.delays(self.xy[rows]))
+            # but so many that the view has a pose
+            keep[rows[np.argsort(late)[LEAST_AT_ENDS:]]] = False
+            keep[rows[late < SURE_ROWS]] = True
+        return self.select(keep)[0]
+
+    def displaced(self, state: SceneState) -> Observations:
+        """Renew the displacements by the rows' delay, where it is estimated."""
+        if self.shutter is None or self.clock is None:
+            return self
+        blocks = PointBlocks(self.point, self.view)
+        return replace(self, shutter=row_shifts(state, blocks, self.xy, self.clock))
+
+    def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:
+        """Tell whether displacements are those of others, about (pixels, root mean square)."""
+        if self.shutter is None or other.shutter is None:
+            return True
+        apart = self.shutter.shift - other.shutter.at(state.line_delay)
+        return bool(np.sqrt(np.mean(apart**2)) < px)
 
     def longest(self, per_view: int) -> np.ndarray:
         """Mark the observations of the longest tracks, so many in every view, shape (N,)."""
@@ -150,8 +201,8 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
 def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
               sigma_px: float) -> Bundle:
     """Set up the adjustment of observations of a scene."""
-    return Bundle(SceneModel(motion), observations.view, observations.point, observations.xy,
-                  priors=priors, sigma_px=sigma_px)
+    return Bundle(SceneModel(motion, observations.shutter), observations.view,
+                  observations.point, observations.xy, priors=priors, sigma_px=sigma_px)
 
 
 def fit_robustly(observations: Observations, state: SceneState, motion: MotionModel,
@@ -177,6 +228,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
     """
     before = len(observations.view)
     for k in range(rounds):
+        observations = observations.displaced(state)
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
             state = bundle.refine_points(state)
@@ -203,8 +255,14 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         state = replace(state, points=state.points[points])
         if settled:
             break
-    bundle = bundle_of(observations, motion, priors, sigma_px)
-    state = bundle.optimise(rescaled(state), iterations=30, tolerance=0.02)
+    state = rescaled(state)
+    for _ in range(RENEWALS):
+        bundle = bundle_of(observations, motion, priors, sigma_px)
+        state = bundle.optimise(state, iterations=30, tolerance=0.02)
+        renewed = observations.displaced(state)
+        if renewed.is_displaced_like(observations, state, SETTLED * sigma_px):
+            break
+        observations = renewed
     return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                      before - len(observations.view))
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Lens · path · points of a scene; the points are eliminated."""
+"""Lens · path · shutter · points of a scene; the points are eliminated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ import numpy as np
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
-                                                 scale_gauge)
+                                                 scale_gauge, SHARED_NAMES)
+from selfcal_ros.calibration.bundle.shutter import (LINE_DELAY, RowShifts, with_line_delay,
+                                                    with_stated_delay)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, projection, RATE_NAME,
@@ -39,10 +41,13 @@ class SceneModel:
     Attributes
     ----------
     motion : MotionModel
+    shutter : RowShifts, optional
+        How far the rows' delay has moved every observation; all rows at once by default.
 
     """
 
     motion: MotionModel
+    shutter: RowShifts | None = None
 
     dimension = 2
     eliminated = 3
@@ -60,8 +65,10 @@ class SceneModel:
 
     def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
         """Lay out what remains once the points are eliminated."""
-        of_path = path_unknowns(self.motion, views, lens_names)
-        return of_path if self.motion.zoom is None else with_zoom(of_path, self.motion.zoom)
+        unknowns = path_unknowns(self.motion, views, lens_names)
+        if self.shutter is not None:
+            unknowns = with_line_delay(unknowns, self.shutter)
+        return unknowns if self.motion.zoom is None else with_zoom(unknowns, self.motion.zoom)
 
     def linearise(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
@@ -92,17 +99,14 @@ class SceneModel:
         turned = np.einsum('nij,nj->ni', placing[:, :, :3], Y[:, :3])
         placed = turned + placing[:, :, 3] * Y[:, 3:]
         X = placed @ path.mount.T
-        # a homogeneous point has no sign: take the one that most of its views see ahead
-        toward = (X[:, 2] if state.lens.model.is_perspective
-                  else np.einsum('ni,ni->n', X, state.lens.pixel_directions(
-                      state.unzoomed(xy, view))))
-        sign = np.sign(blocks.sum_over_points(np.sign(toward)))[blocks.point]
-        sign[sign == 0] = 1
+        toward, sign = state.signs(X, blocks, xy)
         ahead = toward * sign > MINIMUM_DEPTH
         if not state.lens.model.is_perspective:
             X = X * sign[:, None]
         pixels = projection(state.lens, X, state.zoom, view)
         residual = pixels.uv - xy
+        if self.shutter is not None:
+            residual += self.shutter.at(state.line_delay)
         if not jacobians:
             return residuals_only(residual, ahead)
 
@@ -111,6 +115,8 @@ class SceneModel:
             J *= sign[:, None, None]
         shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
         path.by_axis(J, placed, shared[:, :, unknowns.lens.stop:])
+        if self.shutter is not None:
+            shared[:, :, unknowns.places((LINE_DELAY,))[0]] = self.shutter.slope
         planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
         own = path.by_views(J, turned, Y[:, 3:], view, planar)
         if self.motion.zoom is not None:
@@ -124,10 +130,12 @@ class SceneModel:
         """Move a state by a step (n,) of what remains and steps (P, 3) of the points."""
         points = state.points + np.einsum('pij,pj->pi', tangent_basis(state.points), steps)
         points /= np.linalg.norm(points, axis=1, keepdims=True)
-        return SceneState(state.lens.moved(step[unknowns.lens]),
-                          state.path.moved(step[unknowns.places(unknowns.shared_names)],
-                                           step[unknowns.by_view]), points,
-                          self._zoomed(state, step, unknowns))
+        path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
+        delay = state.line_delay
+        if self.shutter is not None:
+            delay += float(step[unknowns.places((LINE_DELAY,))[0]])
+        return SceneState(state.lens.moved(step[unknowns.lens]), path, points,
+                          self._zoomed(state, step, unknowns), delay)
 
     def _zoomed(self, state: SceneState, step: np.ndarray, unknowns: Unknowns) -> Zoom | None:
         """Return the zoom after a step (n,)."""
@@ -152,12 +160,16 @@ class SceneModel:
                 step[unknowns.places((RATE_NAME,))] = self.motion.zoom.rate_of(change)
             else:
                 step[unknowns.of_views(VIEW_NAME)[:, 0]] = change
+        if self.shutter is not None:
+            step[unknowns.places((LINE_DELAY,))] = other.line_delay - state.line_delay
         return step
 
     def prior_terms(self, state: SceneState, unknowns: Unknowns) -> PriorTerms:
-        """Return cost, gradient (n,) and diagonal (n,) of what path and zoom suppose."""
-        return with_walk(path_prior(state.path, self.motion, unknowns), state.zoom,
-                         self.motion.zoom, unknowns)
+        """Return cost, gradient (n,) and diagonal (n,) of what path, shutter and zoom suppose."""
+        terms = path_prior(state.path, self.motion, unknowns)
+        if self.shutter is not None:
+            terms = with_stated_delay(terms, state.line_delay, self.shutter, unknowns)
+        return with_walk(terms, state.zoom, self.motion.zoom, unknowns)
 
     def couplings(self, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray] | None:
         """Return what the priors add beside the diagonal: places (k,), and matrix (k, k)."""
@@ -165,7 +177,8 @@ class SceneModel:
 
     def prior_count(self, views: int) -> int:
         """Count the measurements that `prior_terms` stands for."""
-        return path_prior_count(self.motion, views) + walk_count(self.motion.zoom)
+        stated = self.shutter is not None and self.shutter.is_soft
+        return path_prior_count(self.motion, views) + walk_count(self.motion.zoom) + stated
 
     def gauge(self, state: SceneState, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that scales the world; a camera that turns has no scale."""

@@ -24,6 +24,7 @@ from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.zoom import Zoom
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.optimise import PointBlocks
 
 
 @dataclass(frozen=True)
@@ -58,12 +59,15 @@ class SceneState(BundleState):
         Unit homogeneous world points.
     zoom : Zoom, optional
         Where the focal length varies.
+    line_delay : float
+        Intervals between frames in which the whole image is read, row after row.
 
     """
 
     path: AxisPath
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     zoom: Zoom | None = None
+    line_delay: float = 0.0
 
     def of_views(self, kept: np.ndarray, points: np.ndarray) -> SceneState:
         """Return the state of some of the views and points, by index or mask."""
@@ -73,6 +77,32 @@ class SceneState(BundleState):
     def unzoomed(self, xy: np.ndarray, view: np.ndarray) -> np.ndarray:
         """Return pixels (N, 2) of views (N,) as the camera of `lens` would see them."""
         return xy if self.zoom is None else self.zoom.unzoomed(xy, view, self.lens)
+
+    def signs(self, X: np.ndarray, blocks: PointBlocks, xy: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Choose the signs of homogeneous points: the one that most of its views see ahead.
+
+        Parameters
+        ----------
+        X : ndarray, shape (N, 3)
+            The points before the cameras.
+        blocks : PointBlocks
+        xy : ndarray, shape (N, 2)
+            Observed pixels.
+
+        Returns
+        -------
+        toward, sign : ndarray, shape (N,)
+            Depth as the points are, and the sign that they should have.
+
+        """
+        toward = (X[:, 2] if self.lens.model.is_perspective
+                  else np.einsum('ni,ni->n', X, self.lens.pixel_directions(
+                      self.unzoomed(xy, blocks.view))))
+        sign = np.sign(blocks.sum_over_points(np.sign(toward)))[blocks.point]
+        sign[sign == 0] = 1
+        return toward, sign
 
 
 @dataclass(frozen=True)

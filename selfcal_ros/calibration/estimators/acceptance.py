@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
+from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts, FactsVerdict
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -178,7 +179,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                      tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
-    precision = precision_of(fit)
+    precision, shutter = precision_of(fit), readout_of(fit, dependence.inflation)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
         facts=facts, frames=tuple(int(f) for f in graph.frames),
@@ -188,10 +189,11 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),
                                       fit.observations.track, state.points, precision),
         fixed_points=_fixed_points(state.path, camera.K) if problem.motion.keeps_plane else None,
-        findings=path.findings + findings, residuals=residuals, identifiability=known,
+        findings=path.findings + findings + shutter_findings(shutter),
+        residuals=residuals, identifiability=known,
         measured=sample_structure(precision, fit.observations.track, state.points,
                                   covariance),
-        population=fit.bundle.priors.population, focal=course)
+        population=fit.bundle.priors.population, focal=course, shutter=shutter)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 hold_parallel, ModelDecision)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
+from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, clock_of
 from selfcal_ros.calibration.estimators.zoom_selection import (may_vary, over_all, seems_to_vary,
                                                                settle_zoom, zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
@@ -89,7 +90,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     Calibration or NoEstimate
 
     """
-    observations = observations_of(graph.tracks, graph.frames)
+    observations = replace(observations_of(graph.tracks, graph.frames),
+                           clock=clock_of(graph, size, facts))
     if len(graph.frames) < 3:
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
@@ -149,22 +151,21 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     state = with_all_points(start, medium)
     if state is None:
         return NoEstimate('start_distortion_not_invertible')
-    fit = first_fit(window, medium, state)
+    fit, findings = choose_shutter(first_fit(window, medium, state), medium, window)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     if may_vary(problem) and seems_to_vary(fit, window):
         return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window)
-    findings: tuple[Finding, ...] = ()
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
         if turned > MAX_TURN_RAD:
             return NoEstimate('frames_turned', turned_deg=float(np.degrees(turned)),
                               motion='general')
         if turned:
-            findings = (Finding('frames_turned_estimated',
-                                turned_deg=float(np.degrees(turned))),)
+            findings += (Finding('frames_turned_estimated',
+                                 turned_deg=float(np.degrees(turned))),)
     model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.motion
@@ -172,6 +173,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         motion = replace(problem.motion, zoom=motion.zoom)
     motion = replace(motion, zoom=over_all(motion.zoom, problem))
     problem = replace(problem, facts=model.facts, motion=motion)
+    if model.fit.observations.shutter is not None:
+        observations = problem.observations.surely_timed().read_in_rows()
+        problem = replace(problem, observations=observations)
     extended = extend(problem, model)
     if isinstance(extended, NoEstimate):
         return extended.saying(facts=problem.facts)
@@ -192,6 +196,8 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     if len(found.path) == problem.views:
         return with_all_points(found, problem.observations) or folded
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    # the rows' displacements are found once there is a path
+    few = replace(few, shutter=None)
     bundle = bundle_of(few, problem.motion, model.fit.bundle.priors, 10 * problem.noise_px)
     starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
@@ -203,4 +209,5 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
     state = replace(state, path=state.path.aligned(problem.motion))
     state = bundle.optimise(state, iterations=15, tolerance=1.0)
+    state = replace(state, line_delay=found.line_delay)
     return with_all_points(state, problem.observations) or folded

@@ -96,9 +96,11 @@ class SelfCalibrationProblem:
         inside = (observations.view >= first) & (observations.view < last)
         within, _ = observations.select(inside)
         flat = self.flat and FlatScene(self.flat.homographies[first:last])
+        views = np.arange(first, last)
         return replace(self, pairs=pairs, flat=flat, instants=self.instants[first:last],
-                       motion=self.motion.of_views(np.arange(first, last)),
-                       observations=replace(within, view=within.view - first))
+                       motion=self.motion.of_views(views),
+                       observations=replace(within, view=within.view - first,
+                                            clock=within.clock and within.clock.of_views(views)))
 
 
 def start_priors(problem: SelfCalibrationProblem, camera: Camera) -> Priors:

@@ -1,0 +1,279 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The shutter block: rows that are read one after the other, while the camera moves.
+
+The unknown is the line delay, in units in which the whole image is read in so many intervals
+between frames; it is negative where the lowest row is read first. An observation at row v is
+taken at τ = line_delay · (v - middle) / rows from the instant of its view, and there the camera
+has moved on along its path. How it moves near the instant of a view comes from the views around
+it, or from the motion of the images. That is renewed as the path moves, and held while it does:
+so the rows' displacement is a number per observation, and linear in the line delay nearby.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import Prior
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
+from selfcal_ros.calibration.bundle.zoom import projection
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix, rotation_vector
+
+#: Name of the unknown.
+LINE_DELAY = 'line_delay'
+#: So many views around one tell how the camera moves there: a polynomial through all of them.
+STENCIL = 7
+#: Displacements of more than this share of the image are those of points that are not where the
+#: state says; they are left as they are.
+LARGEST_SHIFT = 0.25
+#: The same of displacements in an interval between frames.
+FASTEST = 2.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """
+    When the middle rows of the views were read.
+
+    Attributes
+    ----------
+    times : ndarray, shape (V,)
+        In intervals between frames, ascending.
+    rows : int
+        Height of the image.
+    interval_s : float, optional
+        Length of the interval, where frames have stamps.
+    known : Prior, optional
+        What is stated of the line delay.
+
+    """
+
+    times: np.ndarray
+    rows: int
+    interval_s: float | None = None
+    known: Prior | None = None
+
+    def of_views(self, kept: np.ndarray) -> Clock:
+        """Return the clock of some of the views."""
+        return replace(self, times=self.times[kept])
+
+    def delays(self, xy: np.ndarray) -> np.ndarray:
+        """Return τ over the line delay for observed pixels (N, 2), shape (N,)."""
+        row: np.ndarray = (xy[:, 1] - (self.rows - 1) / 2) / self.rows
+        return row
+
+
+@dataclass(frozen=True)
+class RowShifts:
+    """
+    How far observations have moved since the instant of their view.
+
+    Attributes
+    ----------
+    line_delay : float
+        That the displacements belong to.
+    shift : ndarray, shape (N, 2)
+        Displacement in pixels.
+    slope : ndarray, shape (N, 2)
+        Its derivative by the line delay.
+    known : Prior, optional
+        What is stated of the line delay.
+
+    """
+
+    line_delay: float
+    shift: np.ndarray
+    slope: np.ndarray
+    known: Prior | None = None
+
+    @classmethod
+    def none(cls, count: int, known: Prior | None = None) -> RowShifts:
+        """Return no displacement of so many observations, until the path is known."""
+        return cls(0.0, np.zeros((count, 2)), np.zeros((count, 2)), known)
+
+    @property
+    def is_held(self) -> bool:
+        """Tell whether the line delay is stated exactly."""
+        return self.known is not None and self.known.sigma == 0
+
+    @property
+    def is_soft(self) -> bool:
+        """Tell whether the line delay is stated with a sigma."""
+        return self.known is not None and self.known.is_soft
+
+    def select(self, rows: np.ndarray) -> RowShifts:
+        """Return those of some observations."""
+        return replace(self, shift=self.shift[rows], slope=self.slope[rows])
+
+    def at(self, line_delay: float) -> np.ndarray:
+        """Return the displacements (N, 2) for a line delay nearby."""
+        displaced: np.ndarray = self.shift + (line_delay - self.line_delay) * self.slope
+        return displaced
+
+
+def with_line_delay(unknowns: Unknowns, shifts: RowShifts) -> Unknowns:
+    """Add the unknown of the block to those of lens and path."""
+    unknowns = unknowns.extended(shared=(LINE_DELAY,))
+    unknowns.free[unknowns.places((LINE_DELAY,))] = not shifts.is_held
+    return unknowns
+
+
+def with_stated_delay(terms: PriorTerms, line_delay: float, shifts: RowShifts,
+                      unknowns: Unknowns) -> PriorTerms:
+    """Add a line delay that is stated to cost, gradient (n,) and diagonal (n,) of others."""
+    known = shifts.known
+    if known is None or not known.is_soft:
+        return terms
+    cost, gradient, diagonal = terms
+    place, deviation = unknowns.places((LINE_DELAY,)), (line_delay - known.value) / known.sigma
+    gradient[place] += deviation / known.sigma
+    diagonal[place] += 1 / known.sigma**2
+    return cost + 0.5 * deviation**2, gradient, diagonal
+
+
+def difference_weights(times: np.ndarray, most: int = STENCIL,
+                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Differentiate what is known at some times, at each of them.
+
+    Parameters
+    ----------
+    times : ndarray, shape (V,)
+        Ascending.
+    most : int
+        Values that are used for one derivative, at most.
+
+    Returns
+    -------
+    near : ndarray of int, shape (V, s)
+        Which values are used: those of the nearest.
+    first, second : ndarray, shape (V, s)
+        Weights of the first and of the second derivative, exact for polynomials of degree s - 1.
+
+    References
+    ----------
+    B. Fornberg (1988), Generation of finite difference formulas on arbitrarily spaced grids.
+
+    """
+    views = len(times)
+    count = min(most, views)
+    begin = np.clip(np.arange(views) - count // 2, 0, views - count)
+    near = begin[:, None] + np.arange(count)
+    apart = times[near] - times[:, None]
+    # in units of the reach, so that the powers stay of one size
+    reach = np.abs(apart).max(axis=1)
+    powers = (apart / reach[:, None])[:, None, :]**np.arange(count)[:, None]
+    wanted = np.zeros((count, 2))
+    wanted[1, 0] = 1
+    if count > 2:
+        wanted[2, 1] = 2
+    weights = np.linalg.solve(powers, np.broadcast_to(wanted, (views, count, 2)))
+    return (near, weights[:, :, 0] / reach[:, None], weights[:, :, 1] / reach[:, None]**2)
+
+
+def local_motion(path: AxisPath, times: np.ndarray, most: int = STENCIL,
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Tell how the camera moves at the instant of each view, from the views around it.
+
+    Parameters
+    ----------
+    path : AxisPath
+    times : ndarray, shape (V,)
+    most : int
+        Views that are used for each.
+
+    Returns
+    -------
+    velocity, acceleration : ndarray, shape (V, 6)
+        Of rotation vector (3) and centre (3) in the frame of the view, before the mount.
+
+    """
+    near, first, second = difference_weights(times, most)
+    R, C = path.rotations(), path.centres()
+    turned = rotation_vector(R[near] @ np.swapaxes(R, 1, 2)[:, None])
+    apart = np.einsum('vij,vsj->vsi', R, C[near] - C[:, None])
+    away = np.concatenate([turned, apart], axis=2)
+    return np.einsum('vs,vsk->vk', first, away), np.einsum('vs,vsk->vk', second, away)
+
+
+def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
+               most: int = STENCIL) -> RowShifts:
+    """
+    Displace every observation by the motion of the camera until its row is read.
+
+    Parameters
+    ----------
+    state : SceneState
+    blocks : PointBlocks
+        Point and view of every observation.
+    xy : ndarray, shape (N, 2)
+        Observed pixels; their rows tell when.
+    clock : Clock
+    most : int
+        Views that tell how the camera moves at one of them.
+
+    Returns
+    -------
+    RowShifts
+
+    """
+    velocity, acceleration = local_motion(state.path, clock.times, most)
+    view, path = blocks.view, state.path
+    Y = state.points[blocks.point]
+    placed = np.einsum('nij,nj->ni', path.rotations()[view], Y[:, :3])
+    placed += path.translation[view] * Y[:, 3:]
+    sign = state.signs(placed @ path.mount.T, blocks, xy)[1][:, None]
+    placed, weight = placed * sign, Y[:, 3:] * sign
+    delay = clock.delays(xy)
+    tau = (state.line_delay * delay)[:, None]
+    rate = velocity[view] + tau * acceleration[view]
+    moved = tau * (velocity[view] + 0.5 * tau * acceleration[view])
+    turn, there = moved[:, :3], placed - weight * moved[:, 3:]
+    R = rotation_matrix(turn)
+    there = np.einsum('nij,nj->ni', R, there)
+    still = projection(state.lens, placed @ path.mount.T, state.zoom, view)
+    later = projection(state.lens, there @ path.mount.T, state.zoom, view)
+    spin = np.einsum('nij,nj->ni', left_jacobian(turn), rate[:, :3])
+    speed = np.cross(spin, there) - weight * np.einsum('nij,nj->ni', R, rate[:, 3:])
+    slope = delay[:, None] * np.einsum('nij,nj->ni', later.by_points() @ path.mount, speed)
+    shift = later.uv - still.uv
+    with np.errstate(invalid='ignore'):
+        lost = ~((np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.rows)
+                 & (np.abs(slope).max(axis=1) < FASTEST * clock.rows))
+    shift[lost] = slope[lost] = 0
+    return RowShifts(state.line_delay, shift, slope, clock.known)
+
+
+def pace_doubt(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock) -> float:
+    """
+    Tell how far the displacements differ if fewer views tell how the camera moves.
+
+    Returns
+    -------
+    float
+        Share of their size, root mean square; near one where the views are too far apart in time
+        to tell anything.
+
+    """
+    every, fewer = (row_shifts(state, blocks, xy, clock, most).slope
+                    for most in (STENCIL, STENCIL - 2))
+    size = float(np.sqrt(np.mean(every**2)))
+    return float(np.sqrt(np.mean((every - fewer)**2))) / max(size, 1e-300)

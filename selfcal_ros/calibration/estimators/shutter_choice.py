@@ -1,0 +1,206 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Are the rows read all at once, or one after the other?
+
+A score test at the optimum of a global shutter: one Gauss-Newton step gives the line delay and
+its sigma. Where it differs from zero beyond chance it is estimated, and everything that follows
+is decided with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.priors import Prior
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
+                                                       RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.shutter import Clock, LINE_DELAY, pace_doubt
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.row_readout import RowReadout
+from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.camera import CameraFacts
+
+#: A line delay is estimated where it differs from zero by so many sigmas.
+CERTAIN_SIGMAS = 4.0
+#: Fewer views tell too little of how the camera moves at each of them.
+MIN_VIEWS = 6
+#: Where the motion at the views is less certain than this share, their neighbours are too far.
+MAX_DOUBT = 0.3
+#: Sigma of the readout time, in intervals between frames, beyond which it is open.
+OPEN_INTERVALS = 0.25
+
+
+def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clock | None:
+    """
+    Tell when the views were taken, in units of the usual interval between them.
+
+    Parameters
+    ----------
+    graph : ViewGraph
+    size : (int, int)
+        Width and height of the image.
+    facts : CameraFacts
+
+    Returns
+    -------
+    Clock or None
+        None with a global shutter, and with too few views.
+
+    Raises
+    ------
+    ArgumentError
+        If a line delay is stated of frames without stamps.
+
+    """
+    frames, stamps = graph.frames, graph.tracks.stamps_ns or {}
+    if len(frames) < MIN_VIEWS or facts.shutter == 'global':
+        return None
+    taken = np.array([stamps.get(int(frame), 0) for frame in frames])
+    stamped = bool((np.diff(taken) > 0).all())
+    times = (taken - taken[0]) * 1e-9 if stamped else np.asarray(frames - frames[0], float)
+    interval = float(np.median(np.diff(times)))
+    known = None
+    if facts.line_delay_s is not None:
+        if not stamped:
+            raise ArgumentError('A line delay in seconds needs frames with stamps; leave it out, '
+                                'and it is estimated.')
+        scale = size[1] / interval
+        known = Prior(facts.line_delay_s * scale, facts.line_delay_sigma_s * scale)
+    return Clock(times / interval, size[1], interval if stamped else None, known)
+
+
+def line_delay_of(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
+    """
+    Estimate the line delay by one Gauss-Newton step from an optimum.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        With a global shutter, or at an optimum with a line delay.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    value, sigma : float
+        Dependence of the errors included.
+
+    """
+    observations = fit.observations
+    if observations.shutter is None:
+        observations = observations.read_in_rows().displaced(fit.state)
+    bundle = bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+    information = bundle.information(fit.state)
+    place = bundle.unknowns.places((LINE_DELAY,))[0]
+    step = -bundle.inverse(information.system)[place] @ information.system.gradient
+    inflation = cluster_robust_covariance(information, observations.point, observations.xy,
+                                          size).inflation
+    sigma = float(np.sqrt(information.covariance[place, place])) * inflation
+    return fit.state.line_delay + float(step), sigma
+
+
+def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCalibrationProblem,
+                   ) -> tuple[RobustFit, tuple[Finding, ...]]:
+    """
+    Estimate the line delay where the images show one, or where rows are said to be read in turn.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        With a global shutter.
+    observations : Observations
+        All that it was to explain, its outliers included.
+    problem : SelfCalibrationProblem
+
+    Returns
+    -------
+    RobustFit
+    tuple of Finding
+        What keeps it from being estimated, where the images ask for it.
+
+    """
+    facts, size = problem.facts, problem.size
+    if observations.clock is None:
+        return fit, ()
+    stated = facts.shutter == 'rolling' or facts.line_delay_s is not None
+    if not (stated or _is_certain(fit, size)):
+        return fit, ()
+    rolling = _with_line_delay(fit, observations)
+    if not (stated or _is_certain(rolling, size)):
+        return fit, ()
+    if stated or _is_paced(rolling):
+        return rolling, ()
+    return fit, (Finding('rolling_shutter_suspected'),)
+
+
+def _is_certain(fit: RobustFit, size: tuple[int, int]) -> bool:
+    """Tell whether the line delay differs from zero beyond chance."""
+    value, sigma = line_delay_of(fit, size)
+    return abs(value) > CERTAIN_SIGMAS * sigma
+
+
+def _is_paced(fit: RobustFit) -> bool:
+    """Tell whether the views are so close in time that they tell how fast the camera moves."""
+    clock = fit.observations.clock
+    return clock is not None and pace_doubt(fit.state, fit.bundle.blocks, fit.observations.xy,
+                                            clock) < MAX_DOUBT
+
+
+def _with_line_delay(fit: RobustFit, observations: Observations) -> RobustFit:
+    """Fit with a line delay; what was an outlier without need not be one."""
+    observations = observations.surely_timed().read_in_rows()
+    known = observations.shutter and observations.shutter.known
+    state = with_all_points(fit.state, observations)
+    if state is None:
+        state, observations = fit.state, fit.observations.read_in_rows()
+    if known:
+        state = replace(state, line_delay=known.value)
+    return fit_robustly(observations, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+
+
+def readout_of(fit: RobustFit, inflation: float) -> RowReadout | None:
+    """
+    Return the rolling shutter of an optimum, sigmas widened by the dependence of the errors.
+
+    Returns
+    -------
+    RowReadout or None
+        None with a global shutter.
+
+    """
+    shutter, clock = fit.observations.shutter, fit.observations.clock
+    if shutter is None or clock is None:
+        return None
+    place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
+    value, sigma = fit.state.line_delay, inflation * float(np.sqrt(fit.covariance[place, place]))
+    seconds = None if clock.interval_s is None else clock.interval_s / clock.rows
+    return RowReadout(None if seconds is None else value * seconds,
+                      None if seconds is None else sigma * seconds,
+                      'held' if shutter.is_held else 'estimated', value, sigma, clock.rows)
+
+
+def shutter_findings(readout: RowReadout | None) -> tuple[Finding, ...]:
+    """Say what was found of the shutter."""
+    if readout is None:
+        return ()
+    if readout.intervals_sigma > OPEN_INTERVALS:
+        return (Finding('line_delay_open', readout={'value': readout.intervals,
+                                                    'sigma': readout.intervals_sigma}),)
+    return (readout.finding(),)

@@ -1,0 +1,133 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Rows that are read one after the other: derivatives, truth recovered, and global left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.shutter import (Clock, difference_weights, local_motion,
+                                                    row_shifts)
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.row_readout import RowReadout
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
+
+SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
+
+
+def recorded(readout_s, kind=drive, seed=0, views=13, length_s=4.0):
+    """Half of a path, observed."""
+    rng = np.random.default_rng(seed)
+    return record(rng, kind(rng), readout_s, np.linspace(0, length_s, views), points=90)
+
+
+def deviations(result, sequence):
+    """Errors of fx, cx and cy in sigmas."""
+    error = (result.camera.parameters - sequence.camera.parameters)[[0, 2, 3]]
+    return error / [result.sigma[name] for name in ('fx', 'cx', 'cy')]
+
+
+def test_derivatives_at_uneven_times_are_exact_for_polynomials():
+    times = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 12))
+    values = np.polynomial.Polynomial([3, -2, 0.5, 0.1, -0.02, 0.003, 1e-4])
+    near, first, second = difference_weights(times)
+    assert near.shape == (12, 7)
+    sought = values(times)[near]
+    np.testing.assert_allclose(np.sum(first * sought, axis=1), values.deriv()(times), rtol=1e-8)
+    np.testing.assert_allclose(np.sum(second * sought, axis=1), values.deriv(2)(times), rtol=1e-6)
+
+
+@pytest.fixture
+def moving():
+    """A state on a smooth path, with the pose that it has at any time."""
+    rng = np.random.default_rng(3)
+    pose, times = hand(rng), np.arange(12) * 0.1
+    R, centre = pose(times)
+    path = AxisPath.of_poses(np.eye(3), np.concatenate([R, -R @ centre[..., None]], axis=2))
+    X = centre[5] + (rng.uniform(-1, 1, (30, 3)) + [0, 0, 4]) @ R[5]
+    points = np.column_stack([X, np.ones(30)])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    view, point = np.tile(np.arange(12), 30), np.repeat(np.arange(30), 12)
+    state = SceneState(Lens.of(CAMERA), path, points, line_delay=0.3)
+    return state, PointBlocks(point, view), pose, times, X
+
+
+def test_rows_are_displaced_by_the_motion_until_they_are_read(moving):
+    state, blocks, pose, times, X = moving
+    rng, clock = np.random.default_rng(4), Clock(times / 0.1, 480)
+    xy = rng.uniform(0, 480, (len(blocks.view), 2))
+    found = row_shifts(state, blocks, xy, clock)
+
+    def seen(line_delay):
+        R, centre = pose(times[blocks.view] + 0.1 * line_delay * clock.delays(xy))
+        return state.camera().project(np.einsum('nij,nj->ni', R, X[blocks.point] - centre))
+
+    np.testing.assert_allclose(found.shift, seen(0.3) - seen(0.0), atol=0.02)
+    assert np.abs(found.shift).max() > 3.0
+    ahead, behind = (row_shifts(replace(state, line_delay=0.3 + h), blocks, xy, clock).shift
+                     for h in (1e-4, -1e-4))
+    slope = (ahead - behind) / 2e-4
+    np.testing.assert_allclose(found.slope, slope, atol=1e-5 * np.abs(slope).max())
+    velocity, _ = local_motion(state.path, clock.times)
+    assert velocity.shape == (12, 6)
+
+
+@pytest.mark.parametrize('readout_ms, kind, motion', [(20, drive, 'planar'),
+                                                      (-25, hand, 'general')])
+def test_the_line_delay_is_found_with_the_camera(readout_ms, kind, motion):
+    sequence = recorded(readout_ms * 1e-3, kind)
+    result = calibrate(sequence.tracks, facts=SQUARE, motion=motion, start=CAMERA)
+    shutter = result.shutter
+    assert shutter.status == 'estimated' and np.sign(shutter.line_delay_s) == np.sign(readout_ms)
+    assert abs(shutter.readout_s - sequence.readout_s) < 4 * 480 * shutter.sigma_s
+    assert shutter.sigma_s < 0.02 * abs(sequence.line_delay_s)
+    assert np.abs(deviations(result, sequence)).max() < 4
+    assert 'rolling_shutter' in [finding.kind for finding in result.findings]
+
+
+def test_a_global_shutter_is_told_apart_and_a_stated_delay_is_held():
+    sequence = recorded(0.0)
+    result = calibrate(sequence.tracks, facts=SQUARE, motion='planar', start=CAMERA)
+    assert result.shutter is None and np.abs(deviations(result, sequence)).max() < 4
+    rolling = recorded(0.01)
+    stated = replace(SQUARE, line_delay_s=rolling.line_delay_s)
+    result = calibrate(rolling.tracks, facts=stated, motion='planar', start=CAMERA)
+    assert result.shutter.status == 'held' and result.shutter.sigma_s == 0
+    assert result.shutter.line_delay_s == pytest.approx(rolling.line_delay_s)
+    assert np.abs(deviations(result, rolling)).max() < 4
+
+
+def test_a_line_delay_in_seconds_needs_stamps():
+    sequence = recorded(0.01)
+    tracks = replace(sequence.tracks, stamps_ns=None)
+    with pytest.raises(ArgumentError, match='stamps'):
+        calibrate(tracks, facts=replace(SQUARE, line_delay_s=1e-5))
+    for wrong in ({'shutter': 'leaf'}, {'line_delay_s': 0.5}, {'line_delay_sigma_s': -1.0},
+                  {'shutter': 'global', 'line_delay_s': 1e-5}):
+        with pytest.raises(ArgumentError):
+            CameraFacts(**wrong)
+
+
+def test_what_is_said_of_the_shutter():
+    stamped = RowReadout(2e-5, 1e-7, 'estimated', 0.288, 0.00144, 480)
+    assert '9.600 ± 0.048 ms' in stamped.finding().sentence
+    bare = RowReadout(None, None, 'estimated', 0.288, 0.00144, 480)
+    assert '0.2880 ± 0.0014 intervals' in bare.finding().sentence and bare.readout_s is None
+    held = RowReadout(2e-5, 0.0, 'held', 0.288, 0.0, 480)
+    assert '20 µs' in held.finding().sentence
