@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +29,11 @@ from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_obje
                                                          refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
+from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
@@ -46,6 +49,8 @@ DOUBTFUL_PARALLAX = 10.0
 #: Rotation alone is taken where it leaves no more than so many times the noise: depths that
 #: rest on so little would lead the calibration astray.
 ROTATION_NOISE = 1.2
+#: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
+CLEARLY_MORE = 1.3
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
@@ -121,6 +126,10 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     if isinstance(graph, NoEstimate):
         refusal = refused_for_objects(graph) if motion == 'repeated' else graph
         return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)
+    mirrored = mirrored_views(graph) if motion != 'repeated' else None
+    if mirrored is not None:
+        return NotCalibrated.of(NoEstimate('images_mirrored', mirrored=tuple(
+            graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=software)
     result: Calibration | NoEstimate
     if motion == 'rotation':
         result = calibrate_rotating(graph.tracks, size, facts)
@@ -136,8 +145,25 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
         if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_MIN_VIEWS:
             result = _with_little_parallax(graph, size, facts, motion, result)
     if isinstance(result, NoEstimate):
+        if result.kind == 'two_cameras' and result.values['all_views']:
+            of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, start=start)
+            if of_one:
+                return of_one
         return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)
     return replace(result, software=software)
+
+
+def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration | NotCalibrated:
+    """Calibrate from the images of one of two cameras: of the one that has more to show."""
+    groups = sorted((mixed.values['first'], mixed.values['second']))
+    # the one of the first image, unless there is clearly more of the other
+    first, other = (len(tracks.in_frames(frames)) for frames in groups)
+    groups = groups if CLEARLY_MORE * first > other else groups[::-1]
+    result = calibrate(tracks.in_frames(groups[0]), **how)
+    if not result:
+        return result
+    left_out = Finding('other_camera_left_out', used=groups[0], left_out=groups[1])
+    return replace(result, findings=(left_out, *result.findings))
 
 
 def _with_little_parallax(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,

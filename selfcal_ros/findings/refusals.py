@@ -188,6 +188,19 @@ REFUSALS: dict[str, Phrase] = {
         'the fact is wrong, or the tracks are.',
         'State what the images prefer, or nothing (--aspect-ratio free, --skew free), or a '
         'sigma; where the fact is certain, say --trust-facts.'),
+    'two_cameras': Phrase(
+        'The images are of two cameras: those of {second:frames} differ from those of '
+        '{first:frames}.',
+        'Two values of focal length and principal point, one a group of images, explain nearly '
+        'all that the images differ by. The frames are all in the result file.',
+        'Calibrate the images of each camera by themselves; check that none was cropped, scaled '
+        'or zoomed.'),
+    'images_mirrored': Phrase(
+        'Some images are mirror images of what the others are: those of {mirrored:frames}, or '
+        'all others.',
+        'The scene turns the other way round in them. A driver or a program flips images, or a '
+        'mirror is in the way.',
+        'Mirror them back, or leave them out.'),
     # known points
     'object_without_extent': Phrase(
         'The object has no extent: all its points are one.',

@@ -203,6 +203,13 @@ REMARKS: dict[str, Phrase] = {
         'declared exact, and the calibration keeps to it.',
         'Released, the fact comes out elsewhere, beyond chance.',
         'Check the fact.'),
+    'other_camera_left_out': Phrase(
+        'The images are of two cameras: the calibration is that of {used:frames}, and '
+        '{left_out:frames} were left out.',
+        'Two values of focal length and principal point, one a group of images, explain nearly '
+        'all that the images differ by. The frames are all in the result file.',
+        'Calibrate the images of each camera by themselves; check that none was cropped, scaled '
+        'or zoomed.'),
     # known objects
     'points_of_no_object': Phrase(
         '{count} observations of points that the object does not have were left out.',

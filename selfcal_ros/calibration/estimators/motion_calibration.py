@@ -27,11 +27,13 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, fit_robustly, with_all_points
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
-                                                                hold_parallel, ModelDecision)
+                                                                hold_parallel, ModelDecision,
+                                                                robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, clock_of
@@ -43,6 +45,7 @@ from selfcal_ros.calibration.initialisation.problem import observations_of, Self
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -154,6 +157,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit, findings = choose_shutter(first_fit(window, medium, state), medium, window)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
+    mixed = _of_two_cameras(fit, window, graph)
+    if mixed is not None:
+        return mixed
     if may_vary(problem) and seems_to_vary(fit, window):
         return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
@@ -187,6 +193,17 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         fit = settle_zoom(fit, problem)
     result = assess(fit, model, problem, graph, window.facts)
     return replace(result, findings=(*findings, *result.findings)) if result else result
+
+
+def _of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
+                    ) -> NoEstimate | None:
+    """Refuse images of two cameras, and tell which they are."""
+    second = None if fit.motion.zoom else two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
+    if second is None:
+        return None
+    frames = np.array(window.instants, dtype=int)
+    return NoEstimate('two_cameras', first=frames[~second].tolist(),
+                      second=frames[second].tolist(), all_views=len(second) == len(graph.frames))
 
 
 def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:

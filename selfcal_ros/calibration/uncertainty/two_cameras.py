@@ -1,0 +1,114 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Images of two cameras in one folder: views that fall into two groups.
+
+Every view gets a focal length and a principal point of its own, as further unknowns of the
+optimum. Of all ways to part the views in two, the one is sought whose difference of cameras the
+images favour most. It counts where it explains nearly all that views differ by, and where views
+of the two alternate: what changes slowly is a lens that zooms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, JointInformation,
+                                                              Supposition)
+
+#: Views differ where that they do not would be an accident so rarely.
+ACCIDENT = 1e-8
+#: Share of what the views differ by that two cameras explain, at least.
+EXPLAINED_SHARE = 0.7
+#: Changes from one camera to the other, at least; fewer are a lens that was set anew.
+CHANGES = 3
+#: Rounds of single views that change sides.
+ROUNDS = 100
+_CAMERA = 'one camera'
+
+
+def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
+    """
+    Look for images of two cameras.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum, of one camera.
+    known : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    ndarray of bool, shape (V,)
+        Views of the second camera; None where there is one.
+
+    """
+    shared, f = fit.linearisation.shared, fit.state.lens['f']
+    places = fit.state.lens.places(('f', 'cx', 'cy'))
+    # in units of the focal length, all three
+    joint = joint_information(fit, [Supposition(_CAMERA, ('f', 'cx', 'cy'),
+                                                f * shared[:, :, places], True)], known)
+    views = len(joint.places[_CAMERA])
+    every = joint.test_along(np.eye(len(joint.score)), _CAMERA, ('f',) * len(joint.score))
+    if views < 6 or chi2.sf(every.chi2, every.freedom) > ACCIDENT:
+        return None
+    starts = (np.arange(views) % 2 == 1, *_halves(joint))
+    found = [_improved(joint, start) for start in starts]
+    total, second = max(found, key=lambda one: one[0])
+    total *= joint.pull**2 / joint.factor
+    changes = int(np.count_nonzero(np.diff(second)))
+    if changes < CHANGES or total - 3 < EXPLAINED_SHARE * (every.chi2 - every.freedom):
+        return None
+    return second
+
+
+def _halves(joint: JointInformation) -> list[np.ndarray]:
+    """Part the views by their own focal length, and by their own principal point."""
+    ridge = 1e4 * np.eye(len(joint.score))
+    own = -np.linalg.solve(joint.information + ridge, joint.score)[joint.places[_CAMERA]]
+    return [column > np.median(column) for column in own.T]
+
+
+def _improved(joint: JointInformation, second: np.ndarray) -> tuple[float, np.ndarray]:
+    """Let views change sides while the images favour it; returns uᵀ J⁻¹ u and the sides."""
+    place = joint.places[_CAMERA]
+    views = len(place)
+    u = joint.score[place]
+    J = joint.information[place.ravel()[:, None], place.ravel()].reshape(views, 3, views, 3)
+    own = np.einsum('vivj->vij', J)
+    best = -np.inf
+    for _ in range(ROUNDS):
+        across = np.einsum('viwj,w->vij', J, second.astype(float))
+        total = np.einsum('vij,v->ij', across, second.astype(float))
+        sign = np.where(second, -1.0, 1.0)[:, None]
+        scores = u[second].sum(axis=0) + np.vstack([np.zeros(3), sign * u])
+        change = sign[..., None] * (across + np.swapaxes(across, 1, 2)) + own
+        matrices = total + np.concatenate([np.zeros((1, 3, 3)), change])
+        ridge = 1e-9 * np.einsum('vii->v', own).max() * np.eye(3)
+        gains = np.einsum('vi,vi->v', scores, np.linalg.solve(matrices + ridge,
+                                                               scores[..., None])[..., 0])
+        # one view alone is no camera
+        count = second.sum() + np.r_[0, np.where(second, -1, 1)]
+        gains[(count < 2) | (count > views - 2)] = -np.inf
+        step = int(np.argmax(gains))
+        if gains[step] <= best * (1 + 1e-9) + 1e-9:
+            break
+        best = float(gains[step])
+        if step:
+            second = second.copy()
+            second[step - 1] ^= True
+    return best, second
