@@ -58,6 +58,12 @@ REMARKS: dict[str, Phrase] = {
         'The residuals change smoothly over the image. A field of corrections was estimated with '
         'the camera.',
         'Try a richer distortion model.'),
+    'lens_may_be_prism': Phrase(
+        'The lens is decentred by {decentring:.1e}, more than most. Images hardly tell that from '
+        'a thin prism, and the sigmas allow for one.',
+        'p1 and p2 are far from zero, and certain. A tilted sensor or lens element may act as a '
+        'prism, which the lens models of ROS lack; the principal point takes part of it.',
+        'Nothing; a calibration of single rays (a board, many views) tells more.'),
     'regions_beyond_lens': Phrase(
         'Beyond this deviation of the lens, errors shared within regions of the image make the '
         'sigmas {ratio:.1f} times as wide.',

@@ -18,17 +18,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
 from selfcal_ros.synthetic.few_view_scenes import general_views
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 TOLD = ('fact_contradicted', 'fact_doubtful', 'fact_trusted')
 
 
-def tracks_of(seed: int, aspect: float = 1.0, skew: float = 0.0, k1: float = -0.12):
+def tracks_of(seed: int, aspect: float = 1.0, skew: float = 0.0, views: int = 6):
     """Show a cloud of points to a hand-held camera that may not be what is stated of it."""
-    camera = Camera([[520, skew, 328], [0, 520 * aspect, 235], [0, 0, 1]], [k1, 0.05], 640, 480)
-    return general_views(np.random.default_rng(seed), camera, views=6, points=60,
+    camera = Camera([[520, skew, 328], [0, 520 * aspect, 235], [0, 0, 1]], [-0.12, 0.05], 640, 480)
+    return general_views(np.random.default_rng(seed), camera, views=views, points=60,
                          noise_px=0.2).tracks
 
 
@@ -79,3 +79,25 @@ def test_a_fact_with_a_sigma_is_held_against_it(sigma, found):
 
     assert kinds(result) in (found, ['fact_doubtful'] if found else [])
     assert not result or abs(result.camera.K[1, 1] / 520 / 1.03 - 1) < 4 * result.sigma['fy'] / 520
+
+
+def test_images_of_two_cameras_are_parted_and_one_of_them_is_calibrated():
+    tracks = tracks_of(5, views=12)
+    second = tracks.frame % 3 == 1
+    xy = np.where(second[:, None], (tracks.xy - [328, 235]) * 1.06 + [334, 232], tracks.xy)
+    result = ask(Tracks(tracks.frame, tracks.track, xy, tracks.image_size))
+
+    assert result and result.findings[0].kind == 'other_camera_left_out'
+    assert result.findings[0].values['left_out'] == [1, 4, 7, 10]
+    assert abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx']
+
+
+def test_mirrored_images_are_named_before_anything_is_estimated():
+    tracks = tracks_of(6, views=8)
+    xy = tracks.xy.copy()
+    flipped = np.isin(tracks.frame, (2, 3, 6))
+    xy[flipped, 0] = tracks.image_size[0] - 1 - xy[flipped, 0]
+    result = ask(Tracks(tracks.frame, tracks.track, xy, tracks.image_size))
+
+    assert not result and result.kind == 'images_mirrored'
+    assert result.values['mirrored'] == (2, 3, 6)

@@ -39,6 +39,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMis
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.calibration.uncertainty.identifiability import identify
+from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -155,6 +156,9 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
+    prism = possible_prism(fit, inner, dependence.inflation**2)
+    if prism is not None:
+        inner, findings = inner + prism.covariance, findings + prism.findings()
     course = focal_course(fit, state, graph.frames, inner, dependence.inflation**2)
     findings = course_findings(course) + findings
     camera = state.camera(*problem.size)

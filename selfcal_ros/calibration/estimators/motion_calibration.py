@@ -198,7 +198,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
 def _of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
                     ) -> NoEstimate | None:
     """Refuse images of two cameras, and tell which they are."""
-    second = None if fit.motion.zoom else two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
+    if fit.motion.zoom is not None:
+        return None
+    second = two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
     if second is None:
         return None
     frames = np.array(window.instants, dtype=int)

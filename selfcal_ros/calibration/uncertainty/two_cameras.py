@@ -99,8 +99,8 @@ def _improved(joint: JointInformation, second: np.ndarray) -> tuple[float, np.nd
         change = sign[..., None] * (across + np.swapaxes(across, 1, 2)) + own
         matrices = total + np.concatenate([np.zeros((1, 3, 3)), change])
         ridge = 1e-9 * np.einsum('vii->v', own).max() * np.eye(3)
-        gains = np.einsum('vi,vi->v', scores, np.linalg.solve(matrices + ridge,
-                                                               scores[..., None])[..., 0])
+        solved = np.linalg.solve(matrices + ridge, scores[..., None])[..., 0]
+        gains = np.einsum('vi,vi->v', scores, solved)
         # one view alone is no camera
         count = second.sum() + np.r_[0, np.where(second, -1, 1)]
         gains[(count < 2) | (count > views - 2)] = -np.inf

@@ -1,0 +1,114 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A lens that is decentred by more than most: or is its glass a prism?
+
+A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992, equation 14), nearly
+as decentring p₁, p₂ and a step of the principal point do together. No file of ROS has names for
+it, and images seldom tell one from the other. So where decentring is found that is certain, and
+larger than that of ordinary lenses, as much of it again may be a prism: s has the variance of
+what is beyond the ordinary, the images count as in any estimate, and what s would move is added
+to the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.findings.finding import Finding
+
+#: Standard deviation of p1 and p2 among ordinary lenses.
+ORDINARY_DECENTRING = 1e-3
+#: Decentring counts where without it the estimate would be an accident so rarely.
+ACCIDENT = 1e-6
+_PRISM = 'no prism'
+
+
+@dataclass(frozen=True)
+class PossiblePrism:
+    """
+    What a prism may do to a calibration.
+
+    Attributes
+    ----------
+    decentring : float
+        Root of p1² + p2².
+    covariance : ndarray, shape (k, k)
+        To add to that of the unknowns of the lens.
+
+    """
+
+    decentring: float
+    covariance: np.ndarray
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell of it."""
+        return (Finding('lens_may_be_prism', decentring=self.decentring),)
+
+
+def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
+                   ) -> PossiblePrism | None:
+    """
+    Allow for a prism where a lens is decentred by more than most.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    covariance : ndarray, shape (k, k)
+        Of the unknowns of the lens, with all that it allows for.
+    known : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    PossiblePrism or None
+        None for most lenses.
+
+    """
+    lens, unknowns = fit.state.lens, fit.bundle.unknowns
+    if not {'p1', 'p2'} <= set(unknowns.free_lens_names):
+        return None
+    places = lens.places(('p1', 'p2'))
+    p, own = lens.values[places], covariance[np.ix_(places, places)]
+    size = float(np.sum(p**2) - np.trace(own) - 2 * ORDINARY_DECENTRING**2) / 2
+    if size <= 0 or chi2.sf(p @ np.linalg.solve(own, p), 2) > ACCIDENT:
+        return None
+    joint = joint_information(fit, [Supposition(_PRISM, ('s1', 's2'), _by_prism(fit))], known)
+    tested = joint.test(_PRISM)
+    information = np.linalg.pinv(tested.covariance, hermitian=True)
+    after = np.linalg.inv(information + np.eye(2) / size)
+    found = after @ information @ tested.value
+    response = tested.response * unknowns.free[unknowns.lens][:, None]
+    return PossiblePrism(float(np.sqrt(np.sum(p**2))),
+                         response @ (after + np.outer(found, found)) @ response.T)
+
+
+def _by_prism(fit: RobustFit) -> np.ndarray:
+    """Differentiate the residuals by s1 and s2, shape (N, 2, 2)."""
+    lens = fit.state.lens
+    f, aspect, cx, cy, skew = lens.values[:5]
+    # where the distorted image is; what r² differs there is of the order of s times k1
+    at = fit.bundle.xy + fit.linearisation.residual
+    y = (at[:, 1] - cy) / (f * aspect)
+    square = ((at[:, 0] - cx - skew * y) / f)**2 + y**2
+    columns = np.zeros((len(at), 2, 2))
+    columns[:, 0, 0], columns[:, 0, 1] = f * square, skew * square
+    columns[:, 1, 1] = f * aspect * square
+    return columns
