@@ -122,7 +122,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     software = f'selfcal_ros {__version__}'
     if views is not None:
         tracks = spread_views(tracks, views)
-    graph = build_view_graph(tracks, rng)
+    graph = build_view_graph(tracks, rng, straight=facts.distortion == 'none')
     if isinstance(graph, NoEstimate):
         refusal = refused_for_objects(graph) if motion == 'repeated' else graph
         return NotCalibrated.of(refusal, frames=tracks.frames, facts=facts, software=software)

@@ -46,7 +46,7 @@ _SIGNIFICANT = 5.0
 #: bend, where straight lines explain the matches.
 _HOPELESS = 0.97
 #: Straight lines with this share of inliers are at most a little bent, if a pair has so many.
-_NEARLY_ALL, _MANY = 0.9, 60
+_NEARLY_ALL, _MANY = 0.9, 40
 #: Square of the radius about which one coefficient stands for two.
 _USUAL_SQUARE = 0.35
 #: The last refinement keeps what lies within so many times the noise, or so much of the limit.

@@ -237,7 +237,8 @@ def _agreeing(lens: PairLens, compared: list[_Compared], rng: np.random.Generato
     return samples, matches
 
 
-def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | NoEstimate:
+def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = False,
+                     ) -> ViewGraph | NoEstimate:
     """
     Estimate the epipolar geometry of pairs of views and keep the observations that fit.
 
@@ -245,6 +246,8 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     ----------
     tracks : Tracks
     rng : numpy.random.Generator
+    straight : bool
+        The lens is known to have no distortion: no bend is looked for.
 
     Returns
     -------
@@ -269,8 +272,8 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
         few = np.linspace(0, len(both) - 1, min(len(both), RANSAC_MATCHES)).astype(int)
         compared.append(_Compared(int(a), int(b), both, (tracks.xy[row[a, both[few]]],
                                                          tracks.xy[row[b, both[few]]])))
-    lens, all_F, matches, threshold_px = _fitted(_without_still(compared, len(frames)),
-                                                 tracks.image_size, rng)
+    size = None if straight else tracks.image_size
+    lens, all_F, matches, threshold_px = _fitted(_without_still(compared, len(frames)), size, rng)
     votes, used = np.zeros(len(tracks)), np.zeros(len(tracks))
     pairs, spreads = [], []
     for (a, b, both, _), F in zip(matches, all_F):
@@ -305,8 +308,7 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator) -> ViewGraph | No
     share = np.cumsum(weight[order]) / weight.sum()
     median = float(noise[order][np.searchsorted(share, 0.5)])
     inliers = [(p.xy_first, p.xy_second) for p in pairs]
-    turning, left_px = homography_lens(lens, inliers, max(median, MIN_NOISE_PX),
-                                       tracks.image_size)
+    turning, left_px = homography_lens(lens, inliers, max(median, MIN_NOISE_PX), size)
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
                      float(left_px.max()) / max(median, MIN_NOISE_PX), turning.division,
                      turning.sigma, lens.model)
