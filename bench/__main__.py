@@ -50,6 +50,7 @@ BENCHES = {
     'tracked_calibration': 'calibration from the edges of a tracked object against truth',
     'lens_population': 'prior over real lenses against brands it has not seen',
     'lenses': 'every lens, simulated: covariance, family, corners, decentring: hours',
+    'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
     'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
     'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',

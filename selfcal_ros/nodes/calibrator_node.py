@@ -173,8 +173,11 @@ class Calibrator(Node):
                                    'which stays')
             self._result.publish(String(data=result_to_json(kept)))
             return
-        if result:
+        if result and result.focal is None:
             self._watch.watch(result, request)
+        elif result:
+            # a lens that zooms would be blamed for that alone
+            self._watch.forget()
         self._result.publish(String(data=result_to_json(result)))
         if not result:
             self.get_logger().info(str(result), throttle_duration_sec=5.0)

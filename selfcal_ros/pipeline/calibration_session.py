@@ -384,8 +384,9 @@ class CalibrationSession:
         self._calibration = self._start = result
         self._source = request
         all_kept = request.keyframes >= self.settings.max_keyframes
-        self._happens(SessionEvent.PRECISE if all_kept and _is_precise(result)
-                      else SessionEvent.IMPRECISE)
+        # a focal length that varies is to be followed
+        settled = all_kept and result.focal is None and _is_precise(result)
+        self._happens(SessionEvent.PRECISE if settled else SessionEvent.IMPRECISE)
         return True
 
     def snapshot(self) -> SessionSnapshot:

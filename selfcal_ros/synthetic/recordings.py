@@ -70,6 +70,8 @@ class Recording:
         The kind of move that each view belongs to; empty where there is only one.
     circle_deg : float, optional
         Angle across the image circle of a fisheye: the image is black beyond.
+    magnification : ndarray, shape (V,), optional
+        Focal length of each view over that of the camera, where it varies.
 
     """
 
@@ -85,15 +87,22 @@ class Recording:
     made: dict = field(default_factory=dict)
     labels: tuple = ()
     circle_deg: float | None = None
+    magnification: np.ndarray | None = None
 
     def __len__(self):
         """Return the number of images."""
         return len(self.cam_from_world)
 
-    def renderer(self, supersampling: int = 3) -> Renderer:
+    def renderer(self, supersampling: int = 3, camera: Camera | None = None) -> Renderer:
         """Return a renderer of this sequence's scene; keep it, it is costly to make."""
         circle = None if self.circle_deg is None else np.deg2rad(self.circle_deg)
-        return Renderer(Scene(self.surfaces), self.camera, supersampling, circle_rad=circle)
+        return Renderer(Scene(self.surfaces), camera or self.camera, supersampling,
+                        circle_rad=circle)
+
+    def camera_of(self, index: int) -> Camera:
+        """Return the true camera of a view."""
+        return (self.camera if self.magnification is None
+                else self.camera.magnified(float(self.magnification[index])))
 
     def poses(self, index: int) -> np.ndarray:
         """Poses of the rigid bodies in view `index`: (3, 4), or (2, 3, 4) with a static body."""
@@ -109,13 +118,16 @@ class Recording:
         index : int
             Which image, 0 to V - 1.
         renderer : Renderer, optional
-            What `renderer` returned, to make several images with.
+            What `renderer` returned, to make several images with; where the focal length
+            varies, every image has its own instead.
 
         Returns
         -------
         ndarray of uint8, shape (height, width)
 
         """
+        if self.magnification is not None:
+            renderer = self.renderer(camera=self.camera_of(index))
         renderer = renderer or self.renderer()
         grey = renderer.intensity(self.poses(index))
         if self.transmission is not None:
@@ -141,6 +153,8 @@ class Recording:
             'distortion': camera.distortion.tolist(),
             'stamps_ns': [int(stamp) for stamp in self.stamps_ns],
             'labels': list(self.labels),
+            **({} if self.magnification is None
+               else {'magnification': np.asarray(self.magnification).tolist()}),
             'cam_from_world': np.round(self.cam_from_world, 12).tolist(),
         }
 

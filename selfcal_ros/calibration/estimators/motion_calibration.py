@@ -37,8 +37,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, clock_of
-from selfcal_ros.calibration.estimators.zoom_selection import (may_vary, over_all, seems_to_vary,
-                                                               settle_zoom, zooming)
+from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, over_all, settle_zoom,
+                                                               zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
@@ -69,7 +69,8 @@ MODEL_TRACKS_PER_VIEW = 100
 
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                           proposals: list[Camera], motions: tuple[MotionModel, ...],
-                          flat: bool = False) -> Calibration | NoEstimate:
+                          flat: bool = False, at_once: bool = False,
+                          ) -> Calibration | NoEstimate:
     """
     Calibrate from planar or general motion.
 
@@ -87,6 +88,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     flat : bool
         Suppose that the scene is one plane, where without it the images would be refused for
         want of parallax.
+    at_once : bool
+        The views are of one instant, as objects in one image are: nothing varies over time.
 
     Returns
     -------
@@ -105,7 +108,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, 0.02), flat=plane,
                                      bend=graph.bend,
-                                     instants=tuple(float(frame) for frame in graph.frames))
+                                     instants=() if at_once else tuple(
+                                         float(frame) for frame in graph.frames))
     bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
     refusal = unchecked(bundle)
     if refusal is not None:
@@ -124,7 +128,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
 def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
                        proposals: list[Camera]) -> Calibration | NoEstimate:
     """Calibrate with a focal length that is constant if that is possible, else with any."""
-    if problem.facts.focal == 'varying':
+    if problem.facts.focal == 'varying' and problem.instants:
         return _attempt(zooming(problem), graph, proposals)
     result = _attempt(problem, graph, proposals)
     if problem.facts.focal == 'auto' and not result and result.kind in UNEXPLAINED:
@@ -160,10 +164,10 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     mixed = _of_two_cameras(fit, window, graph)
     if mixed is not None:
         return mixed
-    if may_vary(problem) and seems_to_vary(fit, window):
+    if contradicted(fit, window):
         return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
-        fit = settle_zoom(fit, window)
+        fit = settle_zoom(fit, window.facts, window.size)
     if len(parallel) > 1:
         fit, turned = hold_parallel(fit, parallel, window.size)
         if turned > MAX_TURN_RAD:
@@ -187,10 +191,10 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         return extended.saying(facts=problem.facts)
     fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
-    if may_vary(problem) and seems_to_vary(fit, problem):
+    if contradicted(fit, problem):
         return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
-        fit = settle_zoom(fit, problem)
+        fit = settle_zoom(fit, problem.facts, problem.size)
     result = assess(fit, model, problem, graph, window.facts)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 

@@ -61,7 +61,7 @@ def calibrate_repeated_objects(graph: ViewGraph, size: tuple[int, int], facts: C
 
     """
     if parallel is not None:
-        return _of_objects(calibrate_translated(graph, size, facts, parallel))
+        return _of_objects(calibrate_translated(graph, size, facts, parallel, at_once=True))
     found = translation_groups(graph.tracks, size)
     proposals = []
     if found.groups:
@@ -69,9 +69,11 @@ def calibrate_repeated_objects(graph: ViewGraph, size: tuple[int, int], facts: C
         chain = calibrate_affine(tracks, found.groups[0], size, facts)
         proposals = [Camera(chain.K, width=size[0], height=size[1])] if chain else []
     # objects that stand on one plane are views of planar motion
-    result = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS['auto'])
+    result = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS['auto'],
+                                   at_once=True)
     if not result and graph.parallax < PARALLAX_RATIO:
-        flat = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS['auto'], flat=True)
+        flat = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS['auto'], flat=True,
+                                     at_once=True)
         result = flat or result
     return _of_objects(result)
 

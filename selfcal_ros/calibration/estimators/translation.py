@@ -42,7 +42,7 @@ CHAIN_TRACKS_PER_VIEW = 100
 
 
 def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
-                         translated=None) -> Calibration | NoEstimate:
+                         translated=None, at_once: bool = False) -> Calibration | NoEstimate:
     """
     Calibrate from views of which some are related by pure translation.
 
@@ -54,6 +54,8 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     facts : CameraFacts
     translated : sequence of int, optional
         Frames that are related by pure translation; found from the images when not given.
+    at_once : bool
+        The views are of one instant, as objects in one image are.
 
     Returns
     -------
@@ -86,5 +88,5 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     motion = GENERAL
     if stated:
         motion = replace(motion, parallel=tuple(np.flatnonzero(np.isin(frames, translated))))
-    result = calibrate_from_motion(graph, size, facts, proposals, (motion,))
+    result = calibrate_from_motion(graph, size, facts, proposals, (motion,), at_once=at_once)
     return replace(result, findings=(said, *result.findings)) if result else result

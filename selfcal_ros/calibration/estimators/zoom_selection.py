@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
+from selfcal_ros.geometry.camera import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
 START_SIGMA = 0.03
@@ -40,7 +41,16 @@ ROUNDS, SETTLED = 3, 0.4
 
 def may_vary(problem: SelfCalibrationProblem) -> bool:
     """Tell whether it is open if the focal length varies, and constant so far."""
-    return problem.facts.focal == 'auto' and problem.motion.zoom is None
+    return (problem.facts.focal == 'auto' and problem.motion.zoom is None
+            and bool(problem.instants))
+
+
+def contradicted(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
+    """Tell whether the images contradict a constant focal length that is supposed or stated."""
+    stated = problem.facts.focal == 'constant' and not problem.facts.trusted
+    if not (may_vary(problem) or stated and problem.instants):
+        return False
+    return seems_to_vary(fit, problem)
 
 
 def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:
@@ -56,7 +66,7 @@ def seems_to_vary(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
     return found is not None and found.varies
 
 
-def settle_zoom(fit: RobustFit, problem: SelfCalibrationProblem) -> RobustFit:
+def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> RobustFit:
     """
     Choose how the focal length varies, and fit it so.
 
@@ -64,8 +74,9 @@ def settle_zoom(fit: RobustFit, problem: SelfCalibrationProblem) -> RobustFit:
     ----------
     fit : RobustFit
         With a focal length that varies.
-    problem : SelfCalibrationProblem
-        Its motion, which may leave the plane or not, is not looked at.
+    facts : CameraFacts
+    size : (int, int)
+        Width and height of the image.
 
     Returns
     -------
@@ -76,11 +87,11 @@ def settle_zoom(fit: RobustFit, problem: SelfCalibrationProblem) -> RobustFit:
     for _ in range(ROUNDS):
         before = fit.motion.zoom
         assert before is not None
-        dependence = robust_covariance_of(fit, problem.size).inflation**2
+        dependence = robust_covariance_of(fit, size).inflation**2
         found = focal_evidence(fit, before.instants, dependence)
         if found is None:
             break
-        if problem.facts.focal == 'auto' and not found.varies:
+        if facts.focal == 'auto' and not found.varies:
             still = replace(fit.state, zoom=None)
             return refit(fit, replace(fit.motion, zoom=None), still)
         zoom = replace(before, sigma=found.sigma)
