@@ -169,7 +169,7 @@ def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration
 def _with_little_parallax(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
                           moving: Calibration | NoEstimate) -> Calibration | NoEstimate:
     """Try whether the camera only rotates, or the scene is one plane."""
-    rotating = calibrate_rotating(graph.tracks, size, facts)
+    rotating = calibrate_rotating(graph.tracks, size, facts, may_zoom=not moving)
     if rotating:
         simpler = not moving or (rotating.noise_sigma_px
                                  <= ROTATION_NOISE * moving.noise_sigma_px)

@@ -27,19 +27,23 @@ import numpy as np
 
 from selfcal_ros.calibration.affine.infinite_homography_calibration import camera_from_homographies
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
-from selfcal_ros.calibration.bundle.motion import ROTATION
+from selfcal_ros.calibration.bundle.motion import MotionModel, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, LensDecision,
                                                                ORDINARY_DECENTRING)
+from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
+                                                               START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.result import Calibration, Reconstruction
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
+from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -75,7 +79,7 @@ def epipolar_noise(tracks: Tracks, frames) -> float:
 
 
 def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
-                       ) -> Calibration | NoEstimate:
+                       may_zoom: bool = True) -> Calibration | NoEstimate:
     """
     Calibrate a camera that only rotates.
 
@@ -86,6 +90,9 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     size : (int, int)
         Width and height, pixels.
     facts : CameraFacts, optional
+    may_zoom : bool
+        Whether the focal length may vary. A step along the axis looks like a zoom: where the
+        camera may have moved, it may not.
 
     Returns
     -------
@@ -108,17 +115,38 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     kept = tracks.in_frames(frames).with_at_least(2)
     names, point = np.unique(kept.track, return_inverse=True)
     order = np.argsort(frames)
-    view = order[np.searchsorted(frames[order], kept.frame)]
+    frames = frames[order]
+    view = np.searchsorted(frames, kept.frame)
     rows = np.lexsort((view, point))
     observed = Observations(view[rows], point[rows], kept.xy[rows], names)
+    bundle = bundle_of(observed, ROTATION, priors_from_facts(facts), 1.0)
+    if bundle.degrees_of_freedom < MIN_FREEDOM:
+        return NoEstimate('too_few_observations', points=len(names), images=len(frames),
+                          freedom=bundle.degrees_of_freedom, motion='rotation')
+    noise_px = epipolar_noise(tracks, frames)
+
+    def attempt(motion: MotionModel) -> Calibration | NoEstimate:
+        lens = _fit(motion, observed, homographies.H, order, conic, sigma_px, size, facts)
+        return _assess(lens, observed, frames, size, conic, noise_px)
+
+    zooming = replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
+    if facts.focal == 'varying':
+        return attempt(zooming)
+    result = attempt(ROTATION)
+    if may_zoom and facts.focal == 'auto' and not result and result.kind in (
+            'focal_not_constant', 'moved_not_rotated'):
+        return attempt(zooming) or result
+    return result
+
+
+def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.ndarray, conic,
+         sigma_px: float, size: tuple[int, int], facts: CameraFacts) -> LensDecision:
+    """Start with several cameras, and fit the lens from the best."""
     priors = priors_from_facts(facts)
+    bundle = bundle_of(observed, motion, priors, max(sigma_px, 0.02))
     best, least = None, np.inf
     for K in _starting_cameras(conic, size, facts):
-        state = _start(K, homographies.H, observed, priors.lens.name)
-        bundle = bundle_of(observed, ROTATION, priors, max(sigma_px, 0.02))
-        if bundle.degrees_of_freedom < MIN_FREEDOM:
-            return NoEstimate('too_few_observations', points=len(names), images=len(frames),
-                              freedom=bundle.degrees_of_freedom, motion='rotation')
+        state = _start(K, H, order, observed, priors.lens.name)
         state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
         cost = bundle.cost(state)
         if best is None or cost < least:
@@ -126,19 +154,21 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
         if bundle.noise_sigma(state) < 1.3 * sigma_px:
             break
     assert best is not None     # a range of focal lengths is always supposed
-    lens = _richest_lens(best, observed, facts, size)
-    return _assess(lens, observed, frames, size, conic, epipolar_noise(tracks, frames))
+    return _richest_lens(best, observed, motion, facts, size)
 
 
-def _richest_lens(state: SceneState, observed: Observations, facts: CameraFacts,
-                  size: tuple[int, int]) -> LensDecision:
+def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel,
+                  facts: CameraFacts, size: tuple[int, int]) -> LensDecision:
     """Choose the lens, if none is stated; see `choose_lens`."""
     priors = priors_from_facts(facts)
-    bundle = bundle_of(observed, ROTATION, priors, 1.0)
+    bundle = bundle_of(observed, motion, priors, 1.0)
     state = with_fixed(state, priors)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
     state = bundle.optimise(state, iterations=30, tolerance=0.1)
     bundle = bundle.with_sigma(max(bundle.noise_sigma(state), MIN_NOISE_PX))
+    fit = RobustFit(bundle, state, observed, 0)
+    if motion.zoom is not None:
+        fit = settle_zoom(fit, facts, size)
 
     def determined(trial: RobustFit, stated: CameraFacts) -> bool:
         covariance = to_parameters(trial.covariance, trial.state.lens)
@@ -146,15 +176,14 @@ def _richest_lens(state: SceneState, observed: Observations, facts: CameraFacts,
             trial.state.camera(*size), covariance, stated, trial.bundle.sigma_px).values()
 
     # a step aside that goes with the turn looks like decentring: lenses have the last word
-    return choose_lens(RobustFit(bundle, state, observed, 0), facts, size, 1.0, determined,
-                       ORDINARY_DECENTRING)
+    return choose_lens(fit, facts, size, 1.0, determined, ORDINARY_DECENTRING)
 
 
 def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
     """Drop gross errors, estimate the noise, and judge the optimum."""
     state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
-    total = len(observed.view)
-    bundle = bundle_of(observed, ROTATION, priors, max(noise_px, 0.02))
+    total, motion = len(observed.view), lens.fit.motion
+    bundle = bundle_of(observed, motion, priors, max(noise_px, 0.02))
     for _ in range(3):
         sigma = max(bundle.noise_sigma(state), 1e-6)
         near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
@@ -163,7 +192,7 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
             if len(np.unique(smaller.view)) < len(frames):
                 break
             observed, state = smaller, replace(state, points=state.points[points])
-        bundle = bundle_of(observed, ROTATION, priors, sigma)
+        bundle = bundle_of(observed, motion, priors, sigma)
         state = bundle.optimise(state, iterations=30, tolerance=0.01)
         if near.all():
             break
@@ -176,10 +205,15 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
             or abs(skew) > MAX_SKEW_FRACTION * focal:
         return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
                           motion='rotation', facts=facts)
+    fit = RobustFit(bundle, state, observed, total - len(observed.view))
+    if motion.zoom is None and not (facts.focal == 'constant' and facts.trusted) \
+            and seems_to_vary(fit, tuple(frames.astype(float).tolist()), size):
+        return NoEstimate('focal_not_constant', motion='rotation', facts=facts)
     camera = state.camera(*size)
-    dependence = cluster_robust_covariance(
-        bundle.information(state), observed.point, observed.xy, size)
-    covariance = without_held(to_parameters(dependence.covariance + lens.excess, state.lens),
+    dependence = cluster_robust_covariance(fit.information, observed.point, observed.xy, size)
+    inner = dependence.covariance + lens.excess
+    course = focal_course(fit, state, frames, inner, dependence.inflation**2)
+    covariance = without_held(to_parameters(inner, state.lens),
                               camera, facts)
     held = held_facts(facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
@@ -196,7 +230,8 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
         outlier_count=total - len(observed.view),
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points),
-        residuals=residuals, population=priors.population)
+        residuals=residuals, population=priors.population, focal=course,
+        findings=course_findings(course))
 
 
 def _starting_cameras(conic, size, facts):
@@ -210,11 +245,11 @@ def _starting_cameras(conic, size, facts):
                         [0, 0, 1]])
 
 
-def _start(K, H, observed, model: str) -> SceneState:
+def _start(K, H, order, observed, model: str) -> SceneState:
     """Rotations nearest to K^-1 H K, and mean directions of the points."""
     camera = Camera(K, model=model)
     U, _, Vt = np.linalg.svd(np.linalg.inv(K) @ H @ K)
-    R = np.concatenate([np.eye(3)[None], U @ Vt])
+    R = np.concatenate([np.eye(3)[None], U @ Vt])[order]
     rays = camera.rays(observed.xy)
     world = np.einsum('nji,nj->ni', R[observed.view], rays)
     total = np.stack([np.bincount(observed.point, column) for column in world.T], axis=1)

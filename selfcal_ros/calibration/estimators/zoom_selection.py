@@ -28,7 +28,7 @@ from selfcal_ros.calibration.bundle.robust_fit import refit, RobustFit
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
-from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence
+from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence, shape_gain
 from selfcal_ros.geometry.camera import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
@@ -50,7 +50,7 @@ def contradicted(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
     stated = problem.facts.focal == 'constant' and not problem.facts.trusted
     if not (may_vary(problem) or stated and problem.instants):
         return False
-    return seems_to_vary(fit, problem)
+    return seems_to_vary(fit, problem.instants, problem.size)
 
 
 def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:
@@ -59,11 +59,12 @@ def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:
     return replace(problem, motion=replace(problem.motion, zoom=zoom))
 
 
-def seems_to_vary(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
+def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, int]) -> bool:
     """Test whether the images contradict a constant focal length."""
-    dependence = robust_covariance_of(fit, problem.size).inflation**2
-    found = focal_evidence(fit, problem.instants, dependence)
-    return found is not None and found.varies
+    dependence = robust_covariance_of(fit, size).inflation**2
+    found = focal_evidence(fit, instants, dependence)
+    return (found is not None and found.varies
+            and found.gain > shape_gain(fit, dependence))
 
 
 def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> RobustFit:

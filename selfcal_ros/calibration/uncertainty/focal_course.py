@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, ZoomModel
 from selfcal_ros.calibration.result import FocalCourse
+from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 
 #: Least gain of log probability: half the square of four sigmas.
@@ -70,9 +71,14 @@ class FocalEvidence:
     beyond_sigma: float
 
     @property
+    def gain(self) -> float:
+        """The larger of both gains over a constant focal length."""
+        return max(self.steady_gain, self.walk_gain)
+
+    @property
     def varies(self) -> bool:
         """Tell whether the focal length is not constant, at four sigmas."""
-        return max(self.steady_gain, self.walk_gain) > SURE
+        return self.gain > SURE
 
     @property
     def sigma(self) -> float:
@@ -139,6 +145,42 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
                                            pull + rate * (own @ steady))
     return FocalEvidence(rate, 1 / np.sqrt(max(information, 1e-300)), walk_sigma,
                          0.5 * rate**2 * information, walk_gain, beyond_gain, beyond_sigma)
+
+
+def shape_gain(fit: RobustFit, dependence: float) -> float:
+    """
+    Tell how probable it is that images change their shape instead of their scale.
+
+    A rolling shutter stretches each image along its columns and shears it along its rows, each
+    by its own amount; a zoom does neither.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    dependence : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    float
+        Log of the probability over that of images of one shape, the larger of both.
+
+    """
+    below = (fit.bundle.xy + fit.linearisation.residual)[:, 1] - fit.state.lens['cy']
+    columns = {'stretch': np.column_stack([0 * below, below]),
+               'shear': np.column_stack([below, 0 * below])}
+    tests = [Supposition(name, (name,), column[:, :, None], of_views=True)
+             for name, column in columns.items()]
+    joint = joint_information(fit, tests, dependence)
+    gains = []
+    for name in columns:
+        place = joint.places[name][:, 0]
+        # what all images share is the aspect ratio, or the skew
+        mean = np.eye(len(place)) - 1 / len(place)
+        gains.append(_best_walk(mean @ joint.information[np.ix_(place, place)] @ mean,
+                                mean @ joint.score[place])[0])
+    return max(gains)
 
 
 def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
