@@ -37,7 +37,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, clock_of
-from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, over_all, settle_zoom,
+from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_vary, near_state,
+                                                               nearer, over_all, settle_zoom,
                                                                zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
@@ -60,9 +61,8 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
-#: Refusals that a focal length which varies is the reason of, or may be.
-NOT_CONSTANT = 'focal_not_constant'
-UNEXPLAINED = (NOT_CONSTANT, 'no_start', 'tracks_unexplained', 'too_many_outliers')
+#: Refusals that a focal length which varies may be the reason of.
+UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -131,15 +131,14 @@ def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
     if problem.facts.focal == 'varying' and problem.instants:
         return _attempt(zooming(problem), graph, proposals)
     result = _attempt(problem, graph, proposals)
-    if problem.facts.focal == 'auto' and not result and result.kind in UNEXPLAINED:
-        zoomed = _attempt(zooming(problem), graph, proposals)
-        result = zoomed if zoomed or result.kind == NOT_CONSTANT else result
+    if may_vary(problem) and not result and result.kind in UNEXPLAINED:
+        result = _attempt(zooming(problem), graph, proposals) or result
     return result
 
 
 def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
-             ) -> Calibration | NoEstimate:
-    """Calibrate under one kind of motion."""
+             near: RobustFit | None = None) -> Calibration | NoEstimate:
+    """Calibrate under one kind of motion; `near` is a fit to start from, too."""
     window = problem.window()
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
@@ -158,14 +157,18 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     state = with_all_points(start, medium)
     if state is None:
         return NoEstimate('start_distortion_not_invertible')
-    fit, findings = choose_shutter(first_fit(window, medium, state), medium, window)
+    fit = first_fit(window, medium, state)
+    if near is not None:
+        fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
+    fit, findings = choose_shutter(fit, medium, window)
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     mixed = _of_two_cameras(fit, window, graph)
     if mixed is not None:
         return mixed
     if contradicted(fit, window):
-        return NoEstimate(NOT_CONSTANT)
+        return (_attempt(zooming(problem), graph, proposals, fit) if may_vary(problem)
+                else NoEstimate('focal_not_constant'))
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
     if len(parallel) > 1:
@@ -192,7 +195,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
     if contradicted(fit, problem):
-        return NoEstimate(NOT_CONSTANT)
+        return (_attempt(zooming(problem), graph, proposals, model.fit) if may_vary(problem)
+                else NoEstimate('focal_not_constant'))
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, problem.facts, problem.size)
     result = assess(fit, model, problem, graph, window.facts)

@@ -24,7 +24,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import refit, RobustFit
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, refit, RobustFit,
+                                                       with_all_points)
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
@@ -67,6 +69,22 @@ def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, 
             and found.gain > shape_gain(fit, dependence))
 
 
+def near_state(near: RobustFit, observations: Observations) -> SceneState | None:
+    """Return the state of a fit, with the points of all observations."""
+    return with_all_points(replace(near.state, line_delay=0.0), observations)
+
+
+def nearer(one: RobustFit, other: RobustFit, observations: Observations) -> RobustFit:
+    """Choose the fit that explains all observations better, also those that it has dropped."""
+    sigma_px = min(one.bundle.sigma_px, other.bundle.sigma_px)
+    costs = []
+    for fit in (one, other):
+        state = with_all_points(fit.state, observations)
+        bundle = bundle_of(observations, fit.motion, fit.bundle.priors, sigma_px)
+        costs.append(np.inf if state is None else bundle.cost(bundle.refine_points(state)))
+    return one if costs[0] <= costs[1] else other
+
+
 def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> RobustFit:
     """
     Choose how the focal length varies, and fit it so.
@@ -92,7 +110,8 @@ def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> Ro
         found = focal_evidence(fit, before.instants, dependence)
         if found is None:
             break
-        if facts.focal == 'auto' and not found.varies:
+        if facts.focal == 'auto' and not (found.varies
+                                          and found.gain > shape_gain(fit, dependence)):
             still = replace(fit.state, zoom=None)
             return refit(fit, replace(fit.motion, zoom=None), still)
         zoom = replace(before, sigma=found.sigma)
