@@ -52,6 +52,7 @@ BENCHES = {
     'lenses': 'every lens, simulated: covariance, family, corners, decentring: hours',
     'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
     'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
+    'shutter': 'rolling shutter: simulated coverage, rendered videos at 30 Hz: hours',
     'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
@@ -60,7 +61,7 @@ BENCHES = {
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
 }
 #: Only when asked for by name.
-LONG = ('coverage', 'lenses', 'wide_lenses')
+LONG = ('coverage', 'lenses', 'wide_lenses', 'shutter')
 
 
 def main(argv: list[str] | None = None) -> int:

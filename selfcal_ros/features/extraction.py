@@ -33,6 +33,7 @@ from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.findings.finding import Finding, sentences
+from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
@@ -215,15 +216,18 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
     tracker, selector, kept, stamps = KltTracker(mask=mask), None, [], {}
     size = None
+    film, filmed = Film(), {}
     for count, (index, grey, stamp_ns) in enumerate(frames):
         ids, xy = tracker.add(grey)
         report('tracking', count + 1)
+        film.add(SeenPoints(ids, xy, stamp_ns))
         if selector is None:
             size = grey.shape[::-1]
             selector = KeyframeSelector(_KEYFRAME_STEP * float(np.hypot(*size)))
         if not selector.offer(ids, xy):
             continue
         kept.append((index, ids, xy))
+        filmed[index] = film.keep()
         stamps[index] = stamp_ns
         if len(kept) > max_keyframes:
             kept = kept[::2]
@@ -235,7 +239,9 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     tracks = Tracks(np.repeat(keyframes, [len(ids) for _, ids, _ in kept]),
                     np.concatenate([ids for _, ids, _ in kept] or [np.empty(0)]),
                     np.concatenate([xy for _, _, xy in kept] or [np.empty((0, 2))]),
-                    size, {index: stamps[index] for index in keyframes.tolist()})
+                    size, {index: stamps[index] for index in keyframes.tolist()},
+                    np.concatenate([filmed[index].neighbours for index in keyframes.tolist()]
+                                   or [np.empty((0, 2, 3))]))
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
     return _finish(tracks.with_at_least(2), findings, seed), keyframes
 

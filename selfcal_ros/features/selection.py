@@ -203,7 +203,9 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
         new = np.concatenate([[0], (np.diff(track) != 0).astype(int)])
         _, track = np.unique(np.cumsum(np.maximum(new, cut)), return_inverse=True)
         track = _keep_names(tracks.track, track.ravel())
-    tracks = Tracks(tracks.frame[keep], track[keep], tracks.xy[keep], size, tracks.stamps_ns)
+    beside = None if tracks.neighbours is None else tracks.neighbours[keep]
+    tracks = Tracks(tracks.frame[keep], track[keep], tracks.xy[keep], size, tracks.stamps_ns,
+                    beside)
     return tracks.with_at_least(least_views), removed, model.coefficients[0]
 
 

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from selfcal_ros.pipeline.session_state import (after, ESTIMATE_TRANSITIONS, Est
                                                 Schedule, SCHEDULE_TRANSITIONS, SessionEvent,
                                                 UNDER_WAY, WILL_BE_DROPPED)
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
+from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks
 
 #: With the memory full, an estimate whose focal length and principal point move no pixel further
@@ -116,6 +117,7 @@ class CalibrationSession:
     def _begin_section(self):
         """Forget the keyframes: what comes shares no tracks with them."""
         self._keyframes: list[Keyframe] = []
+        self._film = Film()
         self._selector = None
         self._newest_points = 0
         self._new_keyframes = 0
@@ -194,13 +196,15 @@ class CalibrationSession:
         finite = np.isfinite(xy).all(axis=1)
         # np.unique sorts, and keeps one of points that claim the same identity
         ids, first = np.unique(ids[finite], return_index=True)
-        frame = Keyframe(self._frames - 1, int(stamp_ns), ids, xy[finite][first])
+        xy = xy[finite][first]
+        self._film.add(SeenPoints(ids, xy, int(stamp_ns)))
+        frame = Keyframe(self._frames - 1, int(stamp_ns), ids, xy)
         self._newest_points = len(ids)
         if self._selector is None:
             self._selector = KeyframeSelector(self._parallax_px)
         # a nearly empty image (lens covered, motion blur) is no view of anything
         if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
-            self._keyframes.append(frame)
+            self._keyframes.append(replace(frame, filmed=self._film.keep()))
             self._new_keyframes += 1
             self._thin_out()
         return interruption
@@ -350,7 +354,8 @@ class CalibrationSession:
         tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
                         np.concatenate([f.ids for f in frames]),
                         np.concatenate([f.xy for f in frames]), self._image_size,
-                        {f.index: f.stamp_ns for f in frames})
+                        {f.index: f.stamp_ns for f in frames},
+                        np.concatenate([f.neighbours for f in frames]))
         return EstimateRequest(tracks.with_at_least(2), self.settings, self._start,
                                self._generation, len(frames), self._section)
 

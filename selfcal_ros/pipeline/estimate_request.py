@@ -24,6 +24,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.selection import drop_static, verify
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.values.neighbours import Filmed
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -88,6 +89,8 @@ class Keyframe:
         Ascending.
     xy : ndarray, shape (M, 2)
         Pixels.
+    filmed : Filmed
+        The points in the frames just before and after.
 
     """
 
@@ -95,6 +98,13 @@ class Keyframe:
     stamp_ns: int
     ids: np.ndarray
     xy: np.ndarray
+    filmed: Filmed | None = None
+
+    @property
+    def neighbours(self) -> np.ndarray:
+        """Pixels and seconds of the points just before and after, (M, 2, 3); NaN: not seen."""
+        return (np.full((len(self.ids), 2, 3), np.nan) if self.filmed is None
+                else self.filmed.neighbours)
 
 
 @dataclass(frozen=True)

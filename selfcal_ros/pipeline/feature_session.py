@@ -21,6 +21,7 @@ from typing import Any, TYPE_CHECKING
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
+from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -132,4 +133,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
                              f'texture and overlap{", also within the mask" if mask else ""}.')
-        return ExtractedTracks(found.tracks, source.description, found.findings, source.clock)
+        tracks = found.tracks
+        if source.clock == 'nominal':
+            tracks = tracks.unstamped(NOMINAL_RATE_HZ)
+        return ExtractedTracks(tracks, source.description, found.findings, source.clock)

@@ -31,10 +31,13 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 
 #: Textures are halved this many times; their sides are multiples of 2 ** (PYRAMID_LEVELS - 1).
 PYRAMID_LEVELS = 6
 _TILE = 48
+#: Surfaces are no nearer than this to a camera whose rows are read one after the other, metres.
+NEAREST_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -258,6 +261,48 @@ class Renderer:
             image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
         return image
 
+    def rolling_intensity(self, pose_at) -> np.ndarray:
+        """
+        Render rows that are read one after the other, without noise or rounding.
+
+        Within a tile the camera keeps its velocity, which is exact to second order in the time
+        that some tens of rows take.
+
+        Parameters
+        ----------
+        pose_at : callable
+            pose_at(share) → (3, 4): where the world is while the row at this share of the image's
+            height is read, from -1/2 to 1/2 about the middle row.
+
+        Returns
+        -------
+        ndarray, shape (height, width)
+
+        """
+        image, n = np.zeros((self.camera.height, self.camera.width)), self._samples
+        tops = np.array([tile[0][0].start for tile in self._tiles])
+        for top in np.unique(tops):
+            rows = self._tiles[int(np.flatnonzero(tops == top)[0])][0][0]
+            shares = (np.array([rows.start, (rows.start + rows.stop) / 2, rows.stop])
+                      / self.camera.height - 0.5)
+            first, pose, last = (np.asarray(pose_at(share), float) for share in shares)
+            # how the camera moves over the tile, in its own frame at the middle of it
+            turn = rotation_vector(last[:, :3] @ first[:, :3].T)
+            centres = [-one[:, :3].T @ one[:, 3] for one in (first, last)]
+            move = pose[:, :3] @ (centres[1] - centres[0])
+            reach = float(np.linalg.norm(turn) + np.linalg.norm(move) / NEAREST_M) / 2
+            for (rows, columns), rays, step, surfaces, inverse in self._candidates(
+                    pose, tops == top, reach):
+                high, wide = rows.stop - rows.start, columns.stop - columns.start
+                time = (np.arange(high * n) + 0.5) / (high * n) - 0.5
+                back = np.swapaxes(rotation_matrix(time[:, None] * turn), 1, 2)
+                lines = rays.reshape(3, high * n, wide * n)
+                turned = np.einsum('rij,jrc->irc', back, lines).reshape(3, -1)
+                grey = self._shade(turned, step, surfaces, inverse,
+                                   (np.repeat(time, wide * n), move))
+                image[rows, columns] = grey.reshape(high, n, wide, n).mean(axis=(1, 3))
+        return image
+
     def depth(self, cam_from_world) -> np.ndarray:
         """
         Depth (z in the optical frame, metres) at the pixel centres, NaN where nothing is hit.
@@ -279,8 +324,13 @@ class Renderer:
             image[rows, columns] = depth.reshape(high, wide)
         return image
 
-    def _candidates(self, cam_from_world):
-        """Yield (slices, rays, step, surfaces, their A) by tile, hidden surfaces left out."""
+    def _candidates(self, cam_from_world, tiles=None, reach: float = 0.0):
+        """
+        Yield (slices, rays, step, surfaces, their A) by tile, hidden surfaces left out.
+
+        Of some tiles only, and allowing for rays that move by so much.
+        """
+        tiles = np.ones(len(self._tiles), bool) if tiles is None else tiles
         pose = np.asarray(cam_from_world, dtype=float)
         pose = np.broadcast_to(pose, (self.scene.body.max() + 1, 3, 4))[self.scene.body]
         frames = pose[:, :, :3] @ self.scene.frames
@@ -291,22 +341,23 @@ class Renderer:
         a, b, w = np.moveaxis(inverse, 1, 0)
         tests = np.stack([w, a, b, w - a, w - b])
         # extremes of these linear forms over the box of each tile's rays: (tests, S, tiles)
-        low = tests[..., None] * self._low.T
-        high = tests[..., None] * self._high.T
+        low = tests[..., None] * (self._low[tiles] - reach).T
+        high = tests[..., None] * (self._high[tiles] + reach).T
         least = np.minimum(low, high).sum(axis=2)
         most = np.maximum(low, high).sum(axis=2)
         seen = (most >= 0).all(axis=0)
         covering = np.where((least >= 0).all(axis=0), least[0], 0.0).max(axis=0, initial=0.0)
         seen &= most[0] >= covering
-        for (slices, rays, step), chosen in zip(self._tiles, seen.T):
+        for place, chosen in zip(np.flatnonzero(tiles), seen.T):
+            slices, rays, step = self._tiles[place]
             yield slices, rays, step, facing[chosen], inverse[chosen]
 
-    def _shade(self, rays, step, surfaces, inverse):
-        """Grey level of every ray, shape (N,)."""
+    def _shade(self, rays, step, surfaces, inverse, motion=None):
+        """Grey level of every ray, shape (N,); motion: times (N,) and move of their origin."""
         grey = np.where(np.isfinite(rays[0]), self.background, 0.0)
         if not len(surfaces):
             return grey
-        best, a, b, w = _nearest(rays, inverse)
+        best, a, b, w = _nearest(rays, inverse, motion)
         hit = w > 0
         if not hit.all():
             best, a, b, w = best[hit], a[hit], b[hit], w[hit]
@@ -327,11 +378,21 @@ class Renderer:
         return grey
 
 
-def _nearest(rays, inverse):
-    """Index of the nearest surface on each ray, with its a, b and w; w = 0: nothing is hit."""
+def _nearest(rays, inverse, motion=None):
+    """
+    Index of the nearest surface on each ray, with its a, b and w; w = 0: nothing is hit.
+
+    Rays that start at s · m see the surfaces moved by -s · m, a change of A of rank one (Sherman
+    and Morrison 1950).
+    """
     if not len(inverse):
         return (np.zeros(rays.shape[1], dtype=int),) + (np.zeros(rays.shape[1]),) * 3
     a, b, w = np.moveaxis(inverse, 1, 0) @ rays
+    if motion is not None:
+        time, move = motion
+        shift = -(inverse @ move)
+        share = time * w / (1 + time * shift[:, 2:])
+        a, b, w = (one - shift[:, k:k + 1] * share for k, one in enumerate((a, b, w)))
     inside = (a >= 0) & (b >= 0) & (a <= w) & (b <= w)
     w = np.where(inside, w, 0.0)
     best = w.argmax(axis=0)

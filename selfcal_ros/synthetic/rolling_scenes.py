@@ -107,7 +107,8 @@ def hand(rng: np.random.Generator, length_s: float = 6.0, turn_deg: float = 20.0
 
 def record(rng: np.random.Generator, path: Path, readout_s: float, times: np.ndarray,
            camera: Camera = CAMERA, points: int = 500, noise_px: float = 0.2,
-           depth_m: tuple[float, float] = (1.5, 8.0)) -> RollingSequence:
+           depth_m: tuple[float, float] = (1.5, 8.0),
+           interval_s: float | None = None) -> RollingSequence:
     """
     Observe points that lie before the camera somewhere on its path.
 
@@ -124,29 +125,43 @@ def record(rng: np.random.Generator, path: Path, readout_s: float, times: np.nda
     noise_px : float
     depth_m : (float, float)
         Nearest and farthest in the view that a point is placed in; uniform in the inverse.
+    interval_s : float, optional
+        Between the images of a video, of which these views are some.
 
     Returns
     -------
     RollingSequence
 
     """
+    times = np.asarray(times, float)
     R, centre = path(times)
     size = np.array([camera.width, camera.height])
     depth = 1 / rng.uniform(1 / depth_m[1], 1 / depth_m[0], points)
     rays = camera.rays(rng.uniform(0, size - 1, (points, 2)))
     anchor = rng.integers(0, len(times), points)
     X = centre[anchor] + np.einsum('pji,pj->pi', R[anchor], rays * depth[:, None])
-    instants = np.broadcast_to(np.asarray(times, float)[:, None], (len(times), points))
-    taken = instants
-    for _ in range(8):
-        R, centre = path(taken)
-        local = np.einsum('vpij,vpj->vpi', R, X - centre)
-        xy = camera.project(local)
-        seen = (local[..., 2] > 0.2) & ((xy > 0) & (xy < size - 1)).all(axis=-1)
-        row = np.where(seen, xy[..., 1], (camera.height - 1) / 2)
-        taken = instants + readout_s * (row - (camera.height - 1) / 2) / camera.height
+
+    def image(times):
+        taken = instants = np.broadcast_to(times[:, None], (len(times), points))
+        for _ in range(8):
+            R, centre = path(taken)
+            local = np.einsum('vpij,vpj->vpi', R, X - centre)
+            xy = camera.project(local)
+            seen = (local[..., 2] > 0.2) & ((xy > 0) & (xy < size - 1)).all(axis=-1)
+            row = np.where(seen, xy[..., 1], (camera.height - 1) / 2)
+            taken = instants + readout_s * (row - (camera.height - 1) / 2) / camera.height
+        return xy, seen
+
+    xy, seen = image(times)
     frame, track = np.nonzero(seen)
     noisy = xy[frame, track] + rng.normal(0, noise_px, (len(frame), 2))
     stamps = {k: round(1e9 * time) for k, time in enumerate(times)}
-    tracks = Tracks(frame, track, noisy, (camera.width, camera.height), stamps)
+    beside = None
+    if interval_s is not None:
+        beside = np.full((len(frame), 2, 3), np.nan)
+        for side, step in enumerate((-interval_s, interval_s)):
+            moved, there = image(times + step)
+            beside[:, side, :2] = moved[frame, track] + rng.normal(0, noise_px, noisy.shape)
+            beside[:, side, 2] = np.where(there[frame, track], step, np.nan)
+    tracks = Tracks(frame, track, noisy, (camera.width, camera.height), stamps, beside)
     return RollingSequence(tracks.with_at_least(3), camera, readout_s)

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,6 +71,9 @@ class Tracks:
         Width and height in pixels.
     stamps_ns : dict of int to int, optional
         Acquisition time of each frame index.
+    neighbours : ndarray, shape (N, 2, 3), optional
+        Of a video: pixels of the point in the images just before and after, and seconds from
+        here to there; NaN where it was not followed. They tell how fast the camera moves.
 
     Raises
     ------
@@ -96,12 +99,14 @@ class Tracks:
     xy: np.ndarray
     image_size: tuple[int, int] | None = None
     stamps_ns: dict[int, int] | None = None
+    neighbours: np.ndarray | None = None
 
     if TYPE_CHECKING:
         # what may be given; the fields say what is kept
         def __init__(self, frame: ArrayLike, track: ArrayLike, xy: ArrayLike,
                      image_size: tuple[int, int] | None = None,
-                     stamps_ns: dict[int, int] | None = None) -> None: ...
+                     stamps_ns: dict[int, int] | None = None,
+                     neighbours: np.ndarray | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         """Check the rows and sort them by track, then frame."""
@@ -133,6 +138,8 @@ class Tracks:
             size = (int(size[0]), int(size[1]))
             if min(size) <= 0:
                 raise InputError(f'The image size must be positive, not {size}.')
+        if self.neighbours is not None:
+            object.__setattr__(self, 'neighbours', np.asarray(self.neighbours, float)[order])
         for array in (frame, track, xy):
             array.flags.writeable = False
         object.__setattr__(self, 'frame', frame)
@@ -152,7 +159,12 @@ class Tracks:
     def select(self, mask: np.ndarray) -> Tracks:
         """Keep the observations where mask (N,) is true."""
         return Tracks(self.frame[mask], self.track[mask], self.xy[mask], self.image_size,
-                      self.stamps_ns)
+                      self.stamps_ns, None if self.neighbours is None else self.neighbours[mask])
+
+    def unstamped(self, rate_hz: float) -> Tracks:
+        """Drop stamps that were made up at a rate; neighbours are then so many frames away."""
+        beside = None if self.neighbours is None else self.neighbours * [1, 1, rate_hz]
+        return replace(self, stamps_ns=None, neighbours=beside)
 
     def in_frames(self, frames) -> Tracks:
         """Keep the observations of the given frames."""

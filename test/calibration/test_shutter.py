@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.shutter import (Clock, difference_weights, local_motion,
                                                     row_shifts)
@@ -26,7 +27,10 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
+from selfcal_ros.values.neighbours import Film, SeenPoints
+from selfcal_ros.values.tracks import Tracks
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -131,3 +135,46 @@ def test_what_is_said_of_the_shutter():
     assert '0.2880 ± 0.0014 intervals' in bare.finding().sentence and bare.readout_s is None
     held = RowReadout(2e-5, 0.0, 'held', 0.288, 0.0, 480)
     assert '20 µs' in held.finding().sentence
+
+
+def test_the_images_before_and_after_tell_how_the_camera_moves(moving):
+    state, blocks, pose, times, X = moving
+    interval = 1 / 30
+
+    def seen(time, rows):
+        for _ in range(8):
+            taken = time + 0.3 * interval * (rows - 239.5) / 480
+            R, centre = pose(taken)
+            xy = CAMERA.project(np.einsum('nij,nj->ni', R, X[blocks.point] - centre))
+            rows = xy[:, 1]
+        return xy
+
+    instants = times[blocks.view]
+    xy = seen(instants, np.full(len(instants), 239.5))
+    beside = np.stack([np.column_stack([seen(instants + step * interval, xy[:, 1]),
+                                        np.full(len(xy), step)]) for step in (-1, 1)], axis=1)
+    beside[::7, 1] = np.nan
+    speed, _, known = motion_from_neighbours(state, blocks, xy, beside, 480)
+    near = [pose(times + h)[0] for h in (-1e-4, 1e-4)]
+    turn = rotation_vector(near[1] @ np.swapaxes(near[0], 1, 2)) / 2e-4 * interval
+    centre = (pose(times + 1e-4)[1] - pose(times - 1e-4)[1]) / 2e-4 * interval
+    assert known.all()
+    np.testing.assert_allclose(speed[:, :3], turn, atol=2e-3 * np.abs(turn).max())
+    moved = np.einsum('vij,vj->vi', state.path.rotations(), centre)
+    np.testing.assert_allclose(speed[:, 3:], moved, atol=2e-2 * np.abs(moved).max())
+
+
+def test_a_film_remembers_what_is_beside_the_images_that_are_kept():
+    film, kept = Film(), []
+    for k in range(4):
+        film.add(SeenPoints(np.arange(k, k + 4), np.full((4, 2), float(k)), 10**8 * k))
+        if k in (0, 2):
+            kept.append(film.keep())
+    first, second = (one.neighbours for one in kept)
+    assert np.isnan(first[:, 0]).all() and np.isnan(first[0, 1]).all()
+    np.testing.assert_allclose(first[1:, 1], [[1, 1, 0.1]] * 3)
+    np.testing.assert_allclose(second[:3, 0], [[1, 1, -0.1]] * 3)
+    np.testing.assert_allclose(second[1:, 1], [[3, 3, 0.1]] * 3)
+    tracks = Tracks(np.zeros(4), [3, 2, 1, 0], np.zeros((4, 2)), neighbours=first)
+    np.testing.assert_array_equal(tracks.neighbours, first[::-1])
+    assert np.nanmax(tracks.unstamped(30.0).neighbours[:, :, 2]) == pytest.approx(3.0)

@@ -65,6 +65,8 @@ class Observations:
         When the views were taken, where that is known.
     shutter : RowShifts, optional
         Displacements by the rows' delay, where that is estimated.
+    neighbours : ndarray, shape (N, 2, 3), optional
+        Of a video: pixels just before and after, and intervals from here to there.
 
     """
 
@@ -74,6 +76,7 @@ class Observations:
     track: np.ndarray
     clock: Clock | None = None
     shutter: RowShifts | None = None
+    neighbours: np.ndarray | None = None
 
     def select(self, mask: np.ndarray, least: int = 2) -> tuple[Observations, np.ndarray]:
         """
@@ -90,7 +93,8 @@ class Observations:
         mask = mask & (counts[self.point] >= least)
         points, index = np.unique(self.point[mask], return_inverse=True)
         return Observations(self.view[mask], index, self.xy[mask], self.track[points], self.clock,
-                            self.shutter and self.shutter.select(mask)), points
+                            self.shutter and self.shutter.select(mask),
+                            None if self.neighbours is None else self.neighbours[mask]), points
 
     def read_in_rows(self) -> Observations:
         """Return the same, with the line delay as another unknown."""
@@ -104,7 +108,7 @@ class Observations:
         The first and the last view have neighbours on one side alone: there only those near the
         middle row, read at the instant of the view.
         """
-        if self.clock is None:
+        if self.clock is None or self.neighbours is not None:
             return self
         keep = np.ones(len(self.view), bool)
         for end in (0, len(self.clock.times) - 1):
@@ -120,7 +124,8 @@ class Observations:
         if self.shutter is None or self.clock is None:
             return self
         blocks = PointBlocks(self.point, self.view)
-        return replace(self, shutter=row_shifts(state, blocks, self.xy, self.clock))
+        return replace(self, shutter=row_shifts(
+            state, blocks, self.xy, self.clock, self.neighbours))
 
     def is_displaced_like(self, other: Observations, state: SceneState, px: float) -> bool:
         """Tell whether displacements are those of others, about (pixels, root mean square)."""

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -58,8 +59,9 @@ class Clock:
         In intervals between frames, ascending.
     rows : int
         Height of the image.
-    interval_s : float, optional
-        Length of the interval, where frames have stamps.
+    unit : float
+        Length of the interval, in seconds where frames have stamps, else in frames.
+    is_stamped : bool
     known : Prior, optional
         What is stated of the line delay.
 
@@ -67,7 +69,8 @@ class Clock:
 
     times: np.ndarray
     rows: int
-    interval_s: float | None = None
+    unit: float = 1.0
+    is_stamped: bool = False
     known: Prior | None = None
 
     def of_views(self, kept: np.ndarray) -> Clock:
@@ -215,7 +218,7 @@ def local_motion(path: AxisPath, times: np.ndarray, most: int = STENCIL,
 
 
 def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
-               most: int = STENCIL) -> RowShifts:
+               neighbours: np.ndarray | None = None, most: int = STENCIL) -> RowShifts:
     """
     Displace every observation by the motion of the camera until its row is read.
 
@@ -227,6 +230,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     xy : ndarray, shape (N, 2)
         Observed pixels; their rows tell when.
     clock : Clock
+    neighbours : ndarray, shape (N, 2, 3), optional
+        Of a video; see `motion_from_neighbours`.
     most : int
         Views that tell how the camera moves at one of them.
 
@@ -236,6 +241,9 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
 
     """
     velocity, acceleration = local_motion(state.path, clock.times, most)
+    if neighbours is not None:
+        speed, change, known = motion_from_neighbours(state, blocks, xy, neighbours, clock.rows)
+        velocity[known], acceleration[known] = speed[known], change[known]
     view, path = blocks.view, state.path
     Y = state.points[blocks.point]
     placed = np.einsum('nij,nj->ni', path.rotations()[view], Y[:, :3])
@@ -273,7 +281,7 @@ def pace_doubt(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         to tell anything.
 
     """
-    every, fewer = (row_shifts(state, blocks, xy, clock, most).slope
+    every, fewer = (row_shifts(state, blocks, xy, clock, None, most).slope
                     for most in (STENCIL, STENCIL - 2))
     size = float(np.sqrt(np.mean(every**2)))
     return float(np.sqrt(np.mean((every - fewer)**2))) / max(size, 1e-300)

@@ -36,7 +36,7 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
-from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, clock_of
+from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, timed
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_vary, near_state,
                                                                nearer, over_all, settle_zoom,
                                                                zooming)
@@ -96,8 +96,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     Calibration or NoEstimate
 
     """
-    observations = replace(observations_of(graph.tracks, graph.frames),
-                           clock=clock_of(graph, size, facts))
+    observations = timed(observations_of(graph.tracks, graph.frames), graph, size, facts)
     if len(graph.frames) < 3:
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
@@ -160,7 +159,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if near is not None:
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
-    fit, findings = choose_shutter(fit, medium, window)
+    shutter = choose_shutter(fit, medium, window)
+    fit, findings = shutter.fit, shutter.findings
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     mixed = _of_two_cameras(fit, window, graph)
@@ -179,7 +179,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         if turned:
             findings += (Finding('frames_turned_estimated',
                                  turned_deg=float(np.degrees(turned))),)
-    model = choose_model(window, fit, len(medium.view) / len(problem.observations.view))
+    model = shutter.widened(
+        choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.motion
     if motion.parallel:

@@ -21,14 +21,16 @@ is decided with it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import MATRIX_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.shutter import Clock, LINE_DELAY, pace_doubt
+from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.row_readout import RowReadout
@@ -39,10 +41,14 @@ from selfcal_ros.geometry.camera import CameraFacts
 
 #: A line delay is estimated where it differs from zero by so many sigmas.
 CERTAIN_SIGMAS = 4.0
+#: Beyond so many, the sigmas of the camera allow for it.
+DOUBTFUL_SIGMAS = 2.5
 #: Fewer views tell too little of how the camera moves at each of them.
 MIN_VIEWS = 6
 #: Where the motion at the views is less certain than this share, their neighbours are too far.
 MAX_DOUBT = 0.3
+#: Where fewer of the neighbours of views were followed, they are not used.
+MOST_FOLLOWED = 0.3
 #: Sigma of the readout time, in intervals between frames, beyond which it is open.
 OPEN_INTERVALS = 0.25
 
@@ -76,6 +82,9 @@ def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clo
     stamped = bool((np.diff(taken) > 0).all())
     times = (taken - taken[0]) * 1e-9 if stamped else np.asarray(frames - frames[0], float)
     interval = float(np.median(np.diff(times)))
+    if graph.tracks.neighbours is not None and np.isfinite(graph.tracks.neighbours).any():
+        # a video: the interval is that between its images, not between the views
+        interval = float(np.nanmedian(np.abs(graph.tracks.neighbours[:, :, 2])))
     known = None
     if facts.line_delay_s is not None:
         if not stamped:
@@ -83,10 +92,75 @@ def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clo
                                 'and it is estimated.')
         scale = size[1] / interval
         known = Prior(facts.line_delay_s * scale, facts.line_delay_sigma_s * scale)
-    return Clock(times / interval, size[1], interval if stamped else None, known)
+    return Clock(times / interval, size[1], interval, stamped, known)
 
 
-def line_delay_of(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
+def timed(observations: Observations, graph: ViewGraph, size: tuple[int, int],
+          facts: CameraFacts) -> Observations:
+    """Add when the views were taken, and where points were just before and after."""
+    clock = clock_of(graph, size, facts)
+    beside = observations.neighbours
+    if clock is None or beside is None or np.isfinite(beside).all(axis=2).mean() < MOST_FOLLOWED:
+        beside = None
+    else:
+        beside = beside * [1, 1, 1 / clock.unit]
+    return replace(observations, clock=clock, neighbours=beside)
+
+
+@dataclass(frozen=True)
+class DelayTest:
+    """
+    What one Gauss-Newton step says of the line delay.
+
+    Attributes
+    ----------
+    value, sigma : float
+        Dependence of the errors included.
+    shift : ndarray, shape (k,)
+        How the unknowns of the lens move with it.
+
+    """
+
+    value: float
+    sigma: float
+    shift: np.ndarray
+
+    def differs(self, sigmas: float) -> bool:
+        """Tell whether the line delay is farther from zero than so many sigmas."""
+        return abs(self.value) > sigmas * self.sigma
+
+
+@dataclass(frozen=True)
+class ShutterDecision:
+    """
+    How the rows are read.
+
+    Attributes
+    ----------
+    fit : RobustFit
+        With a line delay where that is estimated.
+    findings : tuple of Finding
+        What keeps it from being estimated, where the images ask for it.
+    shift : ndarray, shape (k,), optional
+        What a line delay that is doubtful would do to the lens.
+
+    """
+
+    fit: RobustFit
+    findings: tuple[Finding, ...] = ()
+    shift: np.ndarray | None = None
+
+    def widened(self, model: ModelDecision) -> ModelDecision:
+        """Let the covariance hold what a line delay that was not estimated may do."""
+        if self.shift is None:
+            return model
+        shift, free = np.zeros(len(model.fit.state.lens)), model.fit.bundle.unknowns.free
+        count = len(MATRIX_NAMES)
+        shift[:count] = self.shift[:count] * free[:count]
+        return replace(model, profile_excess=model.profile_excess + np.outer(shift, shift))
+
+
+def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
     """
     Estimate the line delay by one Gauss-Newton step from an optimum.
 
@@ -99,8 +173,7 @@ def line_delay_of(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
 
     Returns
     -------
-    value, sigma : float
-        Dependence of the errors included.
+    DelayTest
 
     """
     observations = fit.observations
@@ -109,15 +182,16 @@ def line_delay_of(fit: RobustFit, size: tuple[int, int]) -> tuple[float, float]:
     bundle = bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
     information = bundle.information(fit.state)
     place = bundle.unknowns.places((LINE_DELAY,))[0]
-    step = -bundle.inverse(information.system)[place] @ information.system.gradient
+    step = -bundle.inverse(information.system) @ information.system.gradient
     inflation = cluster_robust_covariance(information, observations.point, observations.xy,
                                           size).inflation
     sigma = float(np.sqrt(information.covariance[place, place])) * inflation
-    return fit.state.line_delay + float(step), sigma
+    return DelayTest(fit.state.line_delay + float(step[place]), sigma,
+                     step[bundle.unknowns.lens])
 
 
 def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCalibrationProblem,
-                   ) -> tuple[RobustFit, tuple[Finding, ...]]:
+                   ) -> ShutterDecision:
     """
     Estimate the line delay where the images show one, or where rows are said to be read in turn.
 
@@ -131,29 +205,24 @@ def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCali
 
     Returns
     -------
-    RobustFit
-    tuple of Finding
-        What keeps it from being estimated, where the images ask for it.
+    ShutterDecision
 
     """
     facts, size = problem.facts, problem.size
     if observations.clock is None:
-        return fit, ()
-    stated = facts.shutter == 'rolling' or facts.line_delay_s is not None
-    if not (stated or _is_certain(fit, size)):
-        return fit, ()
+        return ShutterDecision(fit)
+    if facts.shutter == 'rolling' or facts.line_delay_s is not None:
+        return ShutterDecision(_with_line_delay(fit, observations))
+    tested = score_line_delay(fit, size)
+    if not tested.differs(CERTAIN_SIGMAS):
+        return ShutterDecision(fit, shift=tested.shift if tested.differs(DOUBTFUL_SIGMAS)
+                               else None)
     rolling = _with_line_delay(fit, observations)
-    if not (stated or _is_certain(rolling, size)):
-        return fit, ()
-    if stated or _is_paced(rolling):
-        return rolling, ()
-    return fit, (Finding('rolling_shutter_suspected'),)
-
-
-def _is_certain(fit: RobustFit, size: tuple[int, int]) -> bool:
-    """Tell whether the line delay differs from zero beyond chance."""
-    value, sigma = line_delay_of(fit, size)
-    return abs(value) > CERTAIN_SIGMAS * sigma
+    if not score_line_delay(rolling, size).differs(CERTAIN_SIGMAS):
+        return ShutterDecision(fit, shift=tested.shift)
+    if observations.neighbours is not None or _is_paced(rolling):
+        return ShutterDecision(rolling)
+    return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
 
 
 def _is_paced(fit: RobustFit) -> bool:
@@ -190,7 +259,7 @@ def readout_of(fit: RobustFit, inflation: float) -> RowReadout | None:
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
     value, sigma = fit.state.line_delay, inflation * float(np.sqrt(fit.covariance[place, place]))
-    seconds = None if clock.interval_s is None else clock.interval_s / clock.rows
+    seconds = clock.unit / clock.rows if clock.is_stamped else None
     return RowReadout(None if seconds is None else value * seconds,
                       None if seconds is None else sigma * seconds,
                       'held' if shutter.is_held else 'estimated', value, sigma, clock.rows)
