@@ -382,8 +382,7 @@ def _nearest(rays, inverse, motion=None):
     """
     Index of the nearest surface on each ray, with its a, b and w; w = 0: nothing is hit.
 
-    Rays that start at s · m see the surfaces moved by -s · m, a change of A of rank one (Sherman
-    and Morrison 1950).
+    Rays that start at s · m see the surfaces moved by -s · m, a change of A of rank one.
     """
     if not len(inverse):
         return (np.zeros(rays.shape[1], dtype=int),) + (np.zeros(rays.shape[1]),) * 3
