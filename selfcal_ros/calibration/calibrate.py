@@ -23,11 +23,15 @@ import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
-from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
-                                                                   MOTION_MODELS)
+from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion, finish,
+                                                                   MOTION_MODELS, NOT_CONSTANT,
+                                                                   problem_of, settled,
+                                                                   UNEXPLAINED)
+from selfcal_ros.calibration.estimators.pivot import decide_pivot
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
-from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
+                                                         judge_rotations, RotationFit)
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
@@ -49,6 +53,14 @@ DOUBTFUL_PARALLAX = 10.0
 #: Rotation alone is taken where it leaves no more than so many times the noise: depths that
 #: rest on so little would lead the calibration astray.
 ROTATION_NOISE = 1.2
+#: So is whether it turns about a point where the pair in the middle has less.
+USUAL_PARALLAX = 12.0
+#: That is tried where rotation alone leaves less than so many times the noise, and the search for
+#: a rotation ends where its first start leaves more than so many times.
+PIVOT_RATIO, HOPELESS = 8.0, 20.0
+#: A path is short when its extent is less than this share of the points' depth. A longer one
+#: shows in the images, and needs no model of its own.
+SHORT_WAY = 0.3
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
@@ -140,10 +152,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     elif views is not None:
         result = calibrate_few_views(graph, size, facts, [start] if start else [])
     else:
-        result = calibrate_from_motion(graph, size, facts, [start] if start else [],
-                                       MOTION_MODELS[motion])
-        if graph.parallax < DOUBTFUL_PARALLAX and len(graph.frames) >= ROTATION_MIN_VIEWS:
-            result = _with_little_parallax(graph, size, facts, motion, result)
+        result = _calibrate_moving(graph, size, facts, motion, [start] if start else [])
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
             of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, start=start)
@@ -166,10 +175,32 @@ def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration
     return replace(result, findings=(left_out, *result.findings))
 
 
-def _with_little_parallax(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
-                          moving: Calibration | NoEstimate) -> Calibration | NoEstimate:
-    """Try whether the camera only rotates, or the scene is one plane."""
-    rotating = calibrate_rotating(graph.tracks, size, facts, may_zoom=not moving)
+def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
+                      proposals: list[Camera]) -> Calibration | NoEstimate:
+    """Calibrate from planar or general motion, or what looks like it with little parallax."""
+    enough = len(graph.frames) >= ROTATION_MIN_VIEWS
+    little = enough and graph.parallax < DOUBTFUL_PARALLAX
+    doubtful = little or (enough and graph.usual_parallax < USUAL_PARALLAX)
+    turning: RotationFit | NoEstimate | None = None
+    is_weak = False
+    if doubtful and facts.focal != 'varying':
+        turning = fit_rotations(graph.tracks, size, facts,
+                                np.inf if little else HOPELESS * graph.noise_px)
+        is_weak = isinstance(turning, RotationFit) and (
+            turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
+    if is_weak and isinstance(turning, RotationFit):
+        turned = _about_a_point(graph, size, facts, motion, turning)
+        if turned is not None:
+            return turned
+    moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
+                                   is_weak=is_weak)
+    if not little or (moving and turning is not None):
+        return moving
+    if turning is None:
+        rotating = calibrate_rotating(graph.tracks, size, facts, not moving)
+    else:
+        rotating = (judge_rotations(turning, size, facts) if isinstance(turning, RotationFit)
+                    else turning)
     if rotating:
         simpler = not moving or (rotating.noise_sigma_px
                                  <= ROTATION_NOISE * moving.noise_sigma_px)
@@ -178,6 +209,28 @@ def _with_little_parallax(graph: ViewGraph, size: tuple[int, int], facts: Camera
         plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
         return plane or moving
     return moving
+
+
+def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
+                   turning: RotationFit) -> Calibration | NoEstimate | None:
+    """Try whether the camera only turns, about its centre or a point beside it; None if not."""
+    problem = problem_of(graph, size, facts)
+    if isinstance(problem, NoEstimate):
+        return None
+    decided = decide_pivot(problem, graph, turning)
+    if isinstance(decided, NoEstimate):
+        return None
+    problem, decision = decided
+    if decision.is_rotation and motion == 'auto':
+        rotating = judge_rotations(turning, size, facts, may_zoom=False)
+        if rotating:
+            return replace(rotating, covariance=rotating.covariance
+                           + decision.hidden(rotating, size))
+    if decision.holds and decision.moved_share < SHORT_WAY:
+        result = finish(settled(problem, decision.model), decision.model, graph, facts)
+        # a focal length that varies is for the free motions
+        return result if result or result.kind not in (NOT_CONSTANT, *UNEXPLAINED) else None
+    return None
 
 
 def _size_from(tracks: Tracks) -> tuple[int, int]:

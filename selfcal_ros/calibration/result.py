@@ -35,8 +35,8 @@ from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.optimise import Elimination
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
-MOTIONS = ('none', 'rotation', 'translation', 'planar', 'circular', 'general', 'known-object',
-           'unknown')
+MOTIONS = ('none', 'rotation', 'pivot', 'translation', 'planar', 'circular', 'general',
+           'known-object', 'unknown')
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from selfcal_ros.geometry.rotation import rotation_vector
 WHY = {'planar': '; motion about one axis explains the images',
        'circular': '; motion about one axis explains the images',
        'rotation': '; one homography explains every pair of images',
+       'pivot': '; a point beside the camera keeps its place in all views',
        'general': '; no planar motion explains the images'}
 
 

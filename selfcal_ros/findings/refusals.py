@@ -141,6 +141,12 @@ REFUSALS: dict[str, Phrase] = {
         'The images show parallax. A rotation about the optical centre explains none.',
         'Calibrate with --motion auto, or rotate the camera about its optical centre before '
         'distant structure.'),
+    'points_behind': Phrase(
+        'The images do not determine the camera, which moved little beside its rotations: their '
+        'best explanation puts {share:percent} % of the points behind it.',
+        'Beside large rotations a small translation is nearly confounded with the focal length '
+        'and the principal point.',
+        'Move the camera further between the images, or turn it about its optical centre.'),
     'rotations_leave_open': Phrase(
         'The rotations do not determine {missing}; turn the camera further and about more than '
         'one axis.',

@@ -37,6 +37,9 @@ class MotionModel:
         Views that are stated to share one orientation: related by pure translation.
     fixed_centre : bool
         The camera only turns; the points are directions.
+    fixed_pivot : bool
+        The camera turns about a fixed point that is not its centre, such as the axes of a
+        pan-tilt head: all views share one translation, from that point to the camera.
     zoom : ZoomModel, optional
         How the focal length varies; None: it is constant.
 
@@ -46,6 +49,7 @@ class MotionModel:
     height_sigma: float = 0.0
     parallel: tuple[int, ...] = ()
     fixed_centre: bool = False
+    fixed_pivot: bool = False
     zoom: ZoomModel | None = None
 
     def of_views(self, views: np.ndarray) -> MotionModel:
@@ -69,3 +73,5 @@ NEARLY_PLANAR = MotionModel(np.radians(1.0), 0.02)
 GENERAL = MotionModel(np.inf, np.inf)
 #: A camera that only turns.
 ROTATION = MotionModel(np.inf, np.inf, fixed_centre=True)
+#: A camera that turns about a fixed point beside it.
+PIVOT = MotionModel(np.inf, np.inf, fixed_pivot=True)

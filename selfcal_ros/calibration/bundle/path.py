@@ -135,6 +135,10 @@ class AxisPath:
         angle[views], tilt[views] = angle[first], tilt[first]
         return replace(self, angle=angle, tilt=tilt)
 
+    def about(self, place: np.ndarray) -> AxisPath:
+        """Return views with the world's origin at one place (3,), before the mount."""
+        return replace(self, translation=np.broadcast_to(place, self.translation.shape).copy())
+
     def moved(self, shared: np.ndarray, steps: np.ndarray) -> AxisPath:
         """Return the path after steps of `SHARED_NAMES` (2,) and `VIEW_NAMES` (V, 6)."""
         mount = self.mount @ rotation_matrix(np.array([shared[0], shared[1], 0.0]))
@@ -242,6 +246,11 @@ def path_unknowns(motion: MotionModel, views: int, lens_names: tuple[str, ...]) 
         # no plane: the world's directions are gauge, too
         free[tilts[0]] = False
         free[axis] = False
+    if motion.fixed_pivot:
+        # the world's origin is the point that stays
+        moves = unknowns.of_views(*_MOVES)
+        free[moves[0]] = True
+        unknowns.moves_with[moves] = moves[0]
     if motion.height_sigma == 0:
         free[unknowns.of_views('height')] = False
     if motion.fixed_centre:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
@@ -56,6 +57,8 @@ FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
 MINIMUM_FREEDOM = 40
+#: With more than this share of the points behind the cameras the scene is inside out.
+MAX_BEHIND = 0.03
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
 #: it unobservable comes with advice.
 ADVISED_FRACTION = 0.05
@@ -122,6 +125,14 @@ def _can_be_checked(found: _Optimum) -> NoEstimate | None:
     return unchecked(found.fit.bundle)
 
 
+def _is_ahead(found: _Optimum) -> NoEstimate | None:
+    """Refuse a scene inside out, which free translations find beside large rotations."""
+    if not found.problem.is_weak:
+        return None
+    share = share_behind(found.fit)
+    return None if share < MAX_BEHIND else NoEstimate('points_behind', share=share)
+
+
 def _is_determined(found: _Optimum) -> NoEstimate | None:
     """Refuse a motion that leaves parameters of K open, and tell which would not."""
     missing, status = found.missing, found.status
@@ -137,7 +148,7 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
 ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be_checked,
-                    _is_determined)
+                    _is_determined, _is_ahead)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
@@ -165,7 +176,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     held = held_facts(facts)
     outliers = fit.outliers + graph.rejected
-    path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned)
+    path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
+                         problem.motion.fixed_pivot)
     status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
     optimum = _Optimum(fit, model, problem, path, status, held,
                        outliers / max(outliers + len(fit.observations.view), 1), graph.noise_px,

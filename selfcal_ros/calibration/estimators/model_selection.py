@@ -33,7 +33,8 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
                                                                     ClusterCovariance,
                                                                     jackknife_excess)
 from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
-from selfcal_ros.calibration.uncertainty.profile_likelihood import profile_likelihood_excess
+from selfcal_ros.calibration.uncertainty.profile_likelihood import (profile_likelihood_excess,
+                                                                    PROFILED_FRACTION)
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
@@ -124,7 +125,9 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     if largest_turn_rad(fit.state.path, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
         every = tuple(range(len(fit.state.path)))
         turned = hold_parallel(fit, every, problem.size)[1] > 0
-    fit, profile_excess = profile_likelihood_excess(fit, problem.size, fraction)
+    # beside a large rotation a short lever leaves a valley, steep wherever the optimum is wrong
+    fit, profile_excess = profile_likelihood_excess(
+        fit, problem.size, fraction, 0.0 if problem.is_weak else PROFILED_FRACTION)
     curved = second_order_covariance(fit, problem.size, fraction * known)
     profile_excess = profile_excess + (curved + lens.excess) / known
     shared = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)

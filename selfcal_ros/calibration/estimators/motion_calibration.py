@@ -25,6 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
@@ -61,7 +62,8 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
-#: Refusals that a focal length which varies may be the reason of.
+#: Refusal of a focal length that varies, and those that it may be the reason of.
+NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
@@ -70,7 +72,7 @@ MODEL_TRACKS_PER_VIEW = 100
 def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts,
                           proposals: list[Camera], motions: tuple[MotionModel, ...],
                           flat: bool = False, at_once: bool = False,
-                          ) -> Calibration | NoEstimate:
+                          is_weak: bool = False) -> Calibration | NoEstimate:
     """
     Calibrate from planar or general motion.
 
@@ -90,12 +92,32 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         want of parallax.
     at_once : bool
         The views are of one instant, as objects in one image are: nothing varies over time.
+    is_weak : bool
+        Suppose that the translations are small beside the rotations.
 
     Returns
     -------
     Calibration or NoEstimate
 
     """
+    problem = problem_of(graph, size, facts, flat, at_once)
+    if isinstance(problem, NoEstimate):
+        return problem
+    problem = replace(problem, is_weak=is_weak)
+    for motion in motions:
+        result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
+        if result or result.values.get('motion') != 'general':
+            break
+    if result and result.focal is not None and motion is not motions[0]:
+        # a focal length that was held constant may have hidden the plane
+        planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
+        result = planar if planar and planar.focal is not None else result
+    return result
+
+
+def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat: bool = False,
+               at_once: bool = False) -> SelfCalibrationProblem | NoEstimate:
+    """Set up what is to be explained; see `calibrate_from_motion`."""
     observations = timed(observations_of(graph.tracks, graph.frames), graph, size, facts)
     if len(graph.frames) < 3:
         held = held_facts(facts)
@@ -109,19 +131,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                                      bend=graph.bend,
                                      instants=() if at_once else tuple(
                                          float(frame) for frame in graph.frames))
-    bundle = bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0)
-    refusal = unchecked(bundle)
-    if refusal is not None:
-        return refusal
-    for motion in motions:
-        result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
-        if result or result.values.get('motion') != 'general':
-            break
-    if result and result.focal is not None and motion is not motions[0]:
-        # a focal length that was held constant may have hidden the plane
-        planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
-        result = planar if planar and planar.focal is not None else result
-    return result
+    refusal = unchecked(bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0))
+    return problem if refusal is None else refusal
 
 
 def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
@@ -163,12 +174,12 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit, findings = shutter.fit, shutter.findings
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
-    mixed = _of_two_cameras(fit, window, graph)
+    mixed = of_two_cameras(fit, window, graph)
     if mixed is not None:
         return mixed
     if contradicted(fit, window):
         return (_attempt(zooming(problem), graph, proposals, fit) if may_vary(problem)
-                else NoEstimate('focal_not_constant'))
+                else NoEstimate(NOT_CONSTANT))
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
     if len(parallel) > 1:
@@ -181,6 +192,15 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
                                  turned_deg=float(np.degrees(turned))),)
     model = shutter.widened(
         choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
+    problem, stated = settled(problem, model), problem.facts
+    result = finish(problem, model, graph, stated)
+    if not result and result.kind == NOT_CONSTANT and may_vary(problem):
+        return _attempt(zooming(problem), graph, proposals, model.fit)
+    return replace(result, findings=(*findings, *result.findings)) if result else result
+
+
+def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibrationProblem:
+    """Return the problem under the models that were chosen on some of its views."""
     # what the window's motion was found to be, and of all views which are parallel
     motion = model.fit.motion
     if motion.parallel:
@@ -190,22 +210,40 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if model.fit.observations.shutter is not None:
         observations = problem.observations.surely_timed().read_in_rows()
         problem = replace(problem, observations=observations)
+    return problem
+
+
+def finish(problem: SelfCalibrationProblem, model: ModelDecision, graph: ViewGraph,
+           stated: CameraFacts) -> Calibration | NoEstimate:
+    """
+    Estimate from all views and tracks under the models that were chosen, and judge.
+
+    Parameters
+    ----------
+    problem : SelfCalibrationProblem
+        As `settled` returns it.
+    model : ModelDecision
+    graph : ViewGraph
+    stated : CameraFacts
+        As the user stated them.
+
+    """
     extended = extend(problem, model)
     if isinstance(extended, NoEstimate):
         return extended.saying(facts=problem.facts)
-    fit = fit_robustly(problem.observations, extended, motion, model.fit.bundle.priors,
+    fit = fit_robustly(problem.observations, extended, problem.motion, model.fit.bundle.priors,
                        model.fit.bundle.sigma_px)
     if contradicted(fit, problem):
-        return (_attempt(zooming(problem), graph, proposals, model.fit) if may_vary(problem)
-                else NoEstimate('focal_not_constant'))
+        return NoEstimate(NOT_CONSTANT)
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, problem.facts, problem.size)
-    result = assess(fit, model, problem, graph, window.facts)
-    return replace(result, findings=(*findings, *result.findings)) if result else result
+    if problem.is_weak:
+        fit = seen_ahead(fit)
+    return assess(fit, model, problem, graph, stated)
 
 
-def _of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
-                    ) -> NoEstimate | None:
+def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
+                   ) -> NoEstimate | None:
     """Refuse images of two cameras, and tell which they are."""
     if fit.motion.zoom is not None:
         return None

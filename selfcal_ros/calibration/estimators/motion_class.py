@@ -100,7 +100,7 @@ def largest_turn_rad(path: AxisPath, keeps_plane: bool) -> float:
 
 
 def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
-                  turned: bool = True) -> PathDescription:
+                  turned: bool = True, pivots: bool = False) -> PathDescription:
     """
     Classify the motion of an optimum of the bundle adjustment.
 
@@ -113,6 +113,8 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
         False: the motion was estimated without a plane.
     turned : bool
         Whether the images show a rotation at all.
+    pivots : bool
+        Whether the camera was supposed to turn about a fixed point.
 
     Returns
     -------
@@ -125,7 +127,8 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
     # horizon ~ K^-T axis; its direction in the image is across (axis_x, axis_y)
     roll = float(np.arctan2(axis[0], abs(axis[1])))
     findings = []
-    motion, refusal = ('planar' if keeps_plane else 'general'), None
+    motion = 'planar' if keeps_plane else 'pivot' if pivots else 'general'
+    refusal = None
     if not turned:
         motion = 'translation'
         refusal = NoEstimate('no_rotation')

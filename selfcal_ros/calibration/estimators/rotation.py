@@ -21,7 +21,8 @@ directions of the points, with its covariance.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -78,6 +79,42 @@ def epipolar_noise(tracks: Tracks, frames) -> float:
     return float(np.median(np.sqrt(cost / (4 * np.maximum(data.counts - 7, 1)))))
 
 
+@dataclass(frozen=True)
+class RotationFit:
+    """
+    The best explanation of views by rotations alone, not yet judged.
+
+    Attributes
+    ----------
+    lens : LensDecision
+    observed : Observations
+    frames : ndarray of int, shape (V,)
+        Frame of each view.
+    H : ndarray, shape (V - 1, 3, 3)
+        Homographies from the reference, which is the first in `order`.
+    order : ndarray of int, shape (V,)
+    conic : ConicCalibration or NoEstimate
+    sigma_px, noise_px : float
+        Of the homographies, and of the epipolar geometry.
+
+    """
+
+    lens: LensDecision
+    observed: Observations
+    frames: np.ndarray
+    H: np.ndarray
+    order: np.ndarray
+    conic: Any
+    sigma_px: float
+    noise_px: float
+
+    @property
+    def left_px(self) -> float:
+        """Standard deviation of what the rotations leave, robustly."""
+        fit = self.lens.fit
+        return fit.bundle.noise_sigma(fit.state)
+
+
 def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
                        may_zoom: bool = True) -> Calibration | NoEstimate:
     """
@@ -102,6 +139,19 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
 
     """
     facts = CameraFacts() if facts is None else facts
+    found = fit_rotations(tracks, size, facts, varying=facts.focal == 'varying')
+    return (found if isinstance(found, NoEstimate)
+            else judge_rotations(found, size, facts, may_zoom))
+
+
+def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
+                  hopeless_px: float = np.inf, varying: bool = False,
+                  ) -> RotationFit | NoEstimate:
+    """
+    Explain views by rotations alone; see `calibrate_rotating`.
+
+    Where the first start leaves more than `hopeless_px` no other is tried.
+    """
     tracks = tracks.with_at_least(2)
     if len(tracks.frames) < 2:
         return NoEstimate('too_few_images_share_points')
@@ -123,24 +173,35 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     if bundle.degrees_of_freedom < MIN_FREEDOM:
         return NoEstimate('too_few_observations', points=len(names), images=len(frames),
                           freedom=bundle.degrees_of_freedom, motion='rotation')
-    noise_px = epipolar_noise(tracks, frames)
+    lens = _fit(_zooming(frames) if varying else ROTATION, observed, homographies.H, order, conic,
+                sigma_px, size, facts, hopeless_px)
+    return lens if isinstance(lens, NoEstimate) else RotationFit(
+        lens, observed, frames, homographies.H, order, conic, sigma_px,
+        epipolar_noise(tracks, frames))
 
-    def attempt(motion: MotionModel) -> Calibration | NoEstimate:
-        lens = _fit(motion, observed, homographies.H, order, conic, sigma_px, size, facts)
-        return _assess(lens, observed, frames, size, conic, noise_px)
 
-    zooming = replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
-    if facts.focal == 'varying':
-        return attempt(zooming)
-    result = attempt(ROTATION)
+def judge_rotations(found: RotationFit, size: tuple[int, int], facts: CameraFacts,
+                    may_zoom: bool = True) -> Calibration | NoEstimate:
+    """Tell whether rotations alone explain the views, and what they determine."""
+    result = _assess(found.lens, found.observed, found.frames, size, found.conic, found.noise_px)
     if may_zoom and facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
-        return attempt(zooming) or result
+        lens = _fit(_zooming(found.frames), found.observed, found.H, found.order, found.conic,
+                    found.sigma_px, size, facts)
+        if not isinstance(lens, NoEstimate):
+            return _assess(lens, found.observed, found.frames, size, found.conic,
+                           found.noise_px) or result
     return result
 
 
+def _zooming(frames: np.ndarray) -> MotionModel:
+    """Return rotations with a focal length that varies."""
+    return replace(ROTATION, zoom=ZoomModel(tuple(frames.astype(float).tolist()), START_SIGMA))
+
+
 def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.ndarray, conic,
-         sigma_px: float, size: tuple[int, int], facts: CameraFacts) -> LensDecision:
+         sigma_px: float, size: tuple[int, int], facts: CameraFacts,
+         hopeless_px: float = np.inf) -> LensDecision | NoEstimate:
     """Start with several cameras, and fit the lens from the best."""
     priors = priors_from_facts(facts)
     bundle = bundle_of(observed, motion, priors, max(sigma_px, 0.02))
@@ -151,7 +212,11 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
         cost = bundle.cost(state)
         if best is None or cost < least:
             best, least = state, cost
-        if bundle.noise_sigma(state) < 1.3 * sigma_px:
+        left_px = bundle.noise_sigma(state)
+        if left_px > hopeless_px:
+            return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
+                              facts=facts)
+        if left_px < 1.3 * sigma_px:
             break
     assert best is not None     # a range of focal lengths is always supposed
     return _richest_lens(best, observed, motion, facts, size)

@@ -60,6 +60,10 @@ class FlatScene:
         H = np.concatenate([np.eye(3)[None], chained.H])
         return cls(H[np.argsort(order)])
 
+    def of_views(self, first: int, last: int) -> FlatScene:
+        """Return the homographies of a stretch of the views."""
+        return FlatScene(self.homographies[first:last])
+
     def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
               exact: bool) -> SceneState | None:
         """

@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import (planar_start,
                                                                       relative_rotations,
                                                                       spanning_order)
+from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.supposed_lens import (Bend, likely_focal_lengths,
                                                                   supposed_camera)
@@ -49,8 +50,10 @@ class SelfCalibrationProblem:
     """
     What every start is judged on.
 
-    `flat` where the scene may be one plane; `bend` is that of the lens which the pairs show,
-    for radii in half image diagonals; `instants` tell when each view was taken, in any unit.
+    `flat` where the scene may be one plane, `pivot` where the camera turns about a fixed point;
+    `bend` is that of the lens which the pairs show, for radii in half image diagonals; `instants`
+    tell when each view was taken, in any unit; `is_weak` where the translations are small beside
+    the rotations.
     """
 
     observations: Observations
@@ -60,8 +63,10 @@ class SelfCalibrationProblem:
     noise_px: float
     motion: MotionModel = NEARLY_PLANAR
     flat: FlatScene | None = None
+    pivot: PivotPath | None = None
     bend: Bend = ()
     instants: tuple[float, ...] = ()
+    is_weak: bool = False
 
     @property
     def views(self) -> int:
@@ -71,6 +76,8 @@ class SelfCalibrationProblem:
     def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
               exact: bool) -> SceneState | None:
         """Start under a supposed calibration; see `planar_start`."""
+        if self.pivot is not None:
+            return self.pivot.start(blocks, xy, camera)
         if self.flat is not None:
             return self.flat.start(blocks, xy, camera, exact)
         return planar_start(self.pairs, blocks, xy, camera, exact)
@@ -95,10 +102,11 @@ class SelfCalibrationProblem:
         observations = self.observations
         inside = (observations.view >= first) & (observations.view < last)
         within, _ = observations.select(inside)
-        flat = self.flat and FlatScene(self.flat.homographies[first:last])
+        flat = self.flat and self.flat.of_views(first, last)
+        pivot = self.pivot and self.pivot.of_views(first, last)
         views = np.arange(first, last)
-        return replace(self, pairs=pairs, flat=flat, instants=self.instants[first:last],
-                       motion=self.motion.of_views(views),
+        return replace(self, pairs=pairs, flat=flat, pivot=pivot,
+                       instants=self.instants[first:last], motion=self.motion.of_views(views),
                        observations=replace(within, view=within.view - first,
                                             clock=within.clock and within.clock.of_views(views)))
 

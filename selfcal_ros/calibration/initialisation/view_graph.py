@@ -76,6 +76,8 @@ class ViewGraph:
     parallax : float
         What a homography leaves of the pair that it explains worst, in units of that pair's
         noise, through the lens; near 1 the scene is one plane or the camera only rotated.
+    usual_parallax : float
+        The same of the pair in the middle.
     division : float
         lambda of the division model that bends the epipolar lines, for radii in half diagonals
         of the image (`geometry/division.py`); 0 where straight lines suffice. Of one
@@ -94,6 +96,7 @@ class ViewGraph:
     noise_px: float
     rejected: int
     parallax: float
+    usual_parallax: float = float('inf')
     division: float = 0.0
     division_sigma: float = float('inf')
     lens: DivisionModel | None = None
@@ -310,5 +313,6 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = 
     inliers = [(p.xy_first, p.xy_second) for p in pairs]
     turning, left_px = homography_lens(lens, inliers, max(median, MIN_NOISE_PX), size)
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
-                     float(left_px.max()) / max(median, MIN_NOISE_PX), turning.division,
+                     float(left_px.max()) / max(median, MIN_NOISE_PX),
+                     float(np.median(left_px)) / max(median, MIN_NOISE_PX), turning.division,
                      turning.sigma, lens.model)

@@ -47,6 +47,7 @@ BETTER_BY = 0.05
 
 
 def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: float = 1.0,
+                              least: float = PROFILED_FRACTION,
                               ) -> tuple[RobustFit, np.ndarray]:
     """
     Compare the cost along the valley of a weak optimum with the quadratic.
@@ -60,6 +61,10 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
     fraction : float
         Of all observations that the fit uses; its own sigmas are larger than those of all by
         the root of it, and the valley is followed so far only.
+    least : float
+        Nothing is followed where every sigma is a smaller share of what makes a parameter
+        unobservable. 0: not only the worst parameter is followed, but focal length and
+        principal point, too.
 
     Returns
     -------
@@ -72,32 +77,48 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
     """
     joint = fraction * fit.covariance
     lens, unknowns = fit.state.lens, fit.bundle.unknowns
-    inner = unknowns.lens
     limits = observability_limits(fit.state.camera(*size))
     sigma = np.sqrt(np.diag(to_parameters(joint, lens)))
     place = int(np.argmax(sigma / limits))
-    weakest = lens.names[place]
-    if weakest == 'aspect' and not unknowns.free[place]:
-        place, weakest = 0, 'f'
+    if lens.names[place] == 'aspect' and not unknowns.free[place]:
+        place = 0
     nothing = np.zeros((len(lens),) * 2)
-    if not PROFILED_FRACTION * limits[place] < sigma[place] < UNOBSERVABLE_FACTOR * limits[place]:
+    if not least * limits[place] < sigma[place] < UNOBSERVABLE_FACTOR * limits[place]:
         return fit, nothing
+    places = [place] if least else [place, *(
+        other for other in lens.places(('f', 'cx', 'cy')) if other != place)]
+    scale = np.outer(limits, limits)
+    excess = nothing
+    for place in places:
+        if not joint[place, place] > 0:
+            continue
+        found = _beyond(fit, place, joint, fraction)
+        if isinstance(found, RobustFit):
+            return profile_likelihood_excess(found, size, fraction, least)
+        values, vectors = np.linalg.eigh(found / scale)
+        excess = excess + scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
+    # what is held has no variance, not even that of rounding
+    free = unknowns.free[unknowns.lens]
+    return fit, excess * np.outer(free, free)
+
+
+def _beyond(fit: RobustFit, place: int, joint: np.ndarray, fraction: float,
+            ) -> np.ndarray | RobustFit:
+    """Covariance (k, k) along the way of one parameter, less that to first order."""
+    lens = fit.state.lens
+    name, inner = lens.names[place], fit.bundle.unknowns.lens
     per_sigma = joint[place] / np.sqrt(joint[place, place])
-    likely = USUAL_ASPECT - lens['aspect'] if weakest == 'aspect' else 0.0
+    likely = USUAL_ASPECT - lens['aspect'] if name == 'aspect' else 0.0
     sides = []
     for side in (-1, 1):
-        found = _displaced(fit, weakest, side * per_sigma, fraction, max(side * likely, 0.0))
+        found = _displaced(fit, name, side * per_sigma, fraction, max(side * likely, 0.0))
         if isinstance(found, RobustFit):
-            return profile_likelihood_excess(found, size, fraction)
+            return found
         sides.append(found)
     # truths and estimates lie to either side equally often: the mean square of both ways
-    scale = np.outer(limits, limits)
-    first_order = np.outer(per_sigma[inner], per_sigma[inner])
-    more = (np.einsum('si,sj->ij', sides, sides) / 2 - first_order) / scale
-    values, vectors = np.linalg.eigh(more)
-    excess = scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
-    # what is held has no variance, not even that of rounding
-    return fit, excess * np.outer(unknowns.free[inner], unknowns.free[inner])
+    more: np.ndarray = (np.einsum('si,sj->ij', sides, sides) / 2
+                        - np.outer(per_sigma[inner], per_sigma[inner]))
+    return more
 
 
 def _displaced(fit: RobustFit, name: str, sigma: np.ndarray, fraction: float, least: float = 0.0,

@@ -1,0 +1,227 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A camera that turns about a fixed point beside it: a pan-tilt head, a wrist, a turn on the spot.
+
+Beside large rotations a small translation is nearly confounded with focal length and principal
+point. Rotations alone then explain the images with a bias, and free translations explain them
+also inside out, each with sigmas that are far too small. What the camera did has three unknowns,
+the lever from it to that point, and with these the optimum is as well behaved as any.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.depths import cost_ahead
+from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import with_fixed
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, OUTLIER_SIGMAS,
+                                                       refit, RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.lens_selection import with_lens
+from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
+                                                                ModelDecision,
+                                                                robust_covariance_of)
+from selfcal_ros.calibration.estimators.motion_calibration import (MODEL_TRACKS_PER_VIEW,
+                                                                   of_two_cameras)
+from selfcal_ros.calibration.estimators.rotation import RotationFit
+from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
+from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
+from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
+from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.estimate import NoEstimate
+
+#: So many starts are followed to the end.
+RIVALS = 4
+#: Free translations beside a short lever are not regular unknowns, and lower the cost by up to
+#: five times what their number lets expect though the point is fixed.
+NEARLY_FIXED = 6.0
+#: A lever that lowers the cost by more than so many sigmas beyond chance may as well be there.
+TOLD_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class PivotDecision:
+    """
+    What the images say of a turn about a fixed point.
+
+    Attributes
+    ----------
+    model : ModelDecision
+    rotation_excess, rotation_freedom : float
+        Twice the rise of the cost where the camera only turns, and how many unknowns less.
+    general_excess, general_freedom : float
+        Twice the fall of the cost where it translates freely, and how many unknowns more.
+    moved_share : float
+        Extent of the camera's path over the usual depth of the points.
+
+    """
+
+    model: ModelDecision
+    rotation_excess: float
+    rotation_freedom: float
+    general_excess: float
+    general_freedom: float
+    moved_share: float
+
+    @property
+    def is_rotation(self) -> bool:
+        """Tell whether there may be no lever at all, by a likelihood ratio at 4 sigma."""
+        excess, freedom = self.rotation_excess, self.rotation_freedom
+        return excess <= freedom + 4 * float(np.sqrt(2 * freedom))
+
+    def hidden(self, rotating: Calibration, size: tuple[int, int]) -> np.ndarray:
+        """
+        Return what a lever too short to be told from none adds to a covariance.
+
+        Parameters
+        ----------
+        rotating : Calibration
+            By rotations alone.
+        size : (int, int)
+            Width and height of the image.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+            Of the parameters of `rotating`.
+
+        """
+        beyond = max(self.rotation_excess - self.rotation_freedom, 0.0)
+        other = self.model.fit.state.camera(*size)
+        away = np.zeros(len(rotating.parameter_names))
+        count = len(MATRIX_PARAMETERS)
+        away[:count] = other.parameters[:count] - rotating.camera.parameters[:count]
+        away[[name in rotating.held_by for name in rotating.parameter_names]] = 0
+        # no bias is larger, in sigmas, than the root of what it costs
+        square = float(away @ np.linalg.pinv(rotating.covariance, hermitian=True) @ away)
+        share = min(beyond / np.sqrt(2 * self.rotation_freedom) / TOLD_SIGMAS, 1.0)
+        return share * min(1.0, beyond / max(square, 1e-300)) * np.outer(away, away)
+
+    @property
+    def holds(self) -> bool:
+        """Tell whether the point may be fixed."""
+        return self.general_excess < NEARLY_FIXED * self.general_freedom
+
+
+def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: RotationFit,
+                 ) -> tuple[SelfCalibrationProblem, PivotDecision] | NoEstimate:
+    """
+    Explain views by turns about a fixed point.
+
+    Parameters
+    ----------
+    problem : SelfCalibrationProblem
+    graph : ViewGraph
+    turning : RotationFit
+        The same views by rotations alone.
+
+    Returns
+    -------
+    SelfCalibrationProblem
+        With the path that was found.
+    PivotDecision
+
+    """
+    place = {int(frame): k for k, frame in enumerate(turning.frames)}
+    if set(place) != {int(frame) for frame in graph.frames}:
+        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
+    fit = turning.lens.fit
+    state = with_lens(fit, 'plumb_bob') if fit.state.lens.model.is_perspective else fit.state
+    rotations = state.path.cam_from_world()[[place[int(f)] for f in graph.frames], :, :3]
+    rotations = rotations @ rotations[0].T
+    problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
+    window = problem.window()
+    start = best_pivot_start(window, state)
+    if start is None:
+        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
+    medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
+    standing = with_all_points(start, medium)
+    if standing is None:
+        return NoEstimate('start_distortion_not_invertible')
+    shutter = choose_shutter(first_fit(window, medium, standing), medium, window)
+    fit = shutter.fit
+    mixed = of_two_cameras(fit, window, graph)
+    if mixed is not None:
+        return mixed
+    model = shutter.widened(
+        choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
+    fit = model.fit
+    assert problem.pivot is not None
+    problem = replace(problem, pivot=replace(problem.pivot,
+                                             lever=fit.state.path.translation[0]))
+    dependence = robust_covariance_of(fit, problem.size).inflation**2
+    still = refit(fit, ROTATION, _without_lever(fit.state))
+    free = refit(fit, GENERAL)
+    weight = np.abs(fit.state.points[:, 3]) / np.linalg.norm(fit.state.points[:, :3], axis=1)
+    # the lever itself is open along a common axis of all turns
+    moved = float(np.sqrt(np.ptp(fit.state.path.centres(), axis=0) @ np.ptp(
+        fit.state.path.centres(), axis=0)))
+    return problem, PivotDecision(
+        model, 2 * (still.cost - fit.cost) / dependence, len(fit.state.points) + 2,
+        2 * (fit.cost - free.cost) / dependence,
+        free.bundle.unknowns.count - fit.bundle.unknowns.count, moved * float(np.median(weight)))
+
+
+def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> SceneState | None:
+    """Follow levers in several directions on a share of the tracks; take the likeliest."""
+    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
+    camera = turned.camera(*problem.size)
+    priors = start_priors(problem, camera)
+    coarse = bundle_of(few, problem.motion, priors, 5 * problem.noise_px)
+    fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
+    assert problem.pivot is not None
+    tried = []
+    for state in problem.pivot.starts(coarse.blocks, few.xy, camera):
+        state = coarse.refine_points(with_fixed(state, priors))
+        state = coarse.optimise(state, iterations=15, tolerance=1.0)
+        state = fine.optimise(state, iterations=15, tolerance=0.5)
+        noise_px = fine.noise_sigma(state)
+        if np.isfinite(noise_px):
+            tried.append((noise_px, state))
+    if not tried:
+        return None
+    # a long bent valley leads to the optimum, slowly, and few tracks mislead there
+    medium, _ = problem.observations.select(
+        problem.observations.longest(MODEL_TRACKS_PER_VIEW))
+    least_px = min(noise_px for noise_px, _ in tried)
+    rivals = []
+    for noise_px, state in sorted(tried, key=lambda one: one[0])[:RIVALS]:
+        standing = with_all_points(state, medium)
+        if standing is not None:
+            fit = fit_robustly(medium, standing, problem.motion, priors, noise_px, rounds=3)
+            rivals.append(replace(fit, bundle=fit.bundle.with_sigma(least_px)))
+    # the mirror image of a scene explains its images about as well
+    return min(rivals, key=_badness).state if rivals else None
+
+
+def _badness(fit: RobustFit) -> float:
+    """Cost of all observations: of outliers what makes them such."""
+    return cost_ahead(fit) + 0.5 * OUTLIER_SIGMAS**2 * fit.outliers
+
+
+def _without_lever(state: SceneState) -> SceneState:
+    """Return the state of a camera that only turns, the points in their mean directions."""
+    path = AxisPath(state.path.mount, state.path.angle, state.path.tilt,
+                    np.zeros_like(state.path.translation))
+    points = state.points * [1.0, 1.0, 1.0, 0.0]
+    return replace(state, path=path,
+                   points=points / np.linalg.norm(points, axis=1, keepdims=True))

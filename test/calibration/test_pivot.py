@@ -1,0 +1,118 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Turns about a point beside the camera: right within true sigmas, whatever the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros.calibration.bundle.depths import inverse_depths, seen_ahead, share_behind
+from selfcal_ros.calibration.bundle.motion import PIVOT
+from selfcal_ros.calibration.bundle.path import AxisPath, path_unknowns
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
+from selfcal_ros.synthetic.hard_scenes import CAMERA, scene
+
+STRAIGHT = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
+
+
+def head(seed, lever=(0.0, 0.015, 0.05), turn_deg=14.0, views=10, count=160, **options):
+    """Turn a camera about a point that stays at `lever` in its frame, metres."""
+    rng = np.random.default_rng([seed, 41])
+    time = np.linspace(0, 2 * np.pi, views)
+    waves = rng.uniform(0, 2 * np.pi, (3, 2))
+    turns = np.radians(turn_deg) * np.column_stack(
+        [np.sin(time + a) + np.sin(2 * time + b) for a, b in waves])
+    R = rotation_matrix(turns)
+    poses = np.concatenate([R, np.tile(lever, (views, 1))[:, :, None]], axis=2)
+    return scene(rng, poses, count=count, depth_m=(1.0, 6.0), **options)
+
+
+def away(result, camera=CAMERA):
+    """Return the largest deviation of fx, cx, cy in stated sigmas."""
+    error = result.camera.parameters[[0, 2, 3]] - camera.parameters[[0, 2, 3]]
+    return float(np.abs(error / [result.sigma[name] for name in ('fx', 'cx', 'cy')]).max())
+
+
+def test_a_short_lever_is_found_and_the_result_is_right_from_any_start():
+    tracks = head(0, views=8, count=120).tracks
+    far = Camera([[800, 0, 300], [0, 800, 260], [0, 0, 1]], width=640, height=480)
+    results = [calibrate(tracks, facts=STRAIGHT, start=start) for start in (CAMERA, far)]
+
+    for result in results:
+        assert result.motion == 'pivot'
+        assert away(result) < 4
+    assert np.ptp([result.camera.K[0, 0] for result in results]) < 0.1 * results[0].sigma['fx']
+
+
+def test_without_a_lever_it_is_a_rotation():
+    result = calibrate(head(2, lever=(0, 0, 0)).tracks, facts=STRAIGHT)
+
+    assert result.motion == 'rotation'
+    assert away(result) < 4
+
+
+def state_of(sequence, tracks):
+    """Put the truth together as a state of the adjustment."""
+    poses = sequence.cam_from_world
+    path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(poses[:, :, :3])),
+                   translation=poses[:, :, 3])
+    names, point = np.unique(tracks.track, return_inverse=True)
+    rows = np.lexsort((tracks.frame, point))
+    points = np.column_stack([sequence.points[names], np.ones(len(names))])
+    observed = Observations(tracks.frame[rows], point[rows], tracks.xy[rows], names)
+    return observed, SceneState(Lens.of(sequence.camera), path,
+                                points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def test_one_translation_is_shared_by_all_views():
+    unknowns = path_unknowns(PIVOT, 7, ())
+    moves = unknowns.of_views('x', 'y', 'height')
+
+    assert unknowns.count == 3 * 6 + 3
+    assert (unknowns.moves_with[moves] == moves[0]).all()
+
+
+def test_points_behind_the_camera_are_counted_and_a_mirrored_scene_is_turned_round():
+    sequence = head(3, noise_px=0.0)
+    observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
+    bundle = bundle_of(observed, PIVOT, priors_from_facts(STRAIGHT), 0.2)
+    fit = RobustFit(bundle, state, observed, 0)
+    mirrored = replace(fit, state=replace(
+        state, path=replace(state.path, translation=-state.path.translation),
+        points=state.points * [1, 1, 1, -1]))
+
+    assert (inverse_depths(fit) > 0).all() and share_behind(fit) == 0
+    assert (inverse_depths(mirrored) < 0).all()
+    assert mirrored.cost == pytest.approx(fit.cost, abs=1e-6)
+    assert (inverse_depths(seen_ahead(mirrored)) > 0).all()
+
+
+def test_the_lever_follows_from_rays_and_orientations():
+    sequence = head(4, noise_px=0.0)
+    observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
+    blocks = PointBlocks(observed.point, observed.view)
+    R = state.path.rotations()
+    rays = np.einsum('nji,nj->ni', R[observed.view], sequence.camera.rays(observed.xy))
+    lever = lever_direction(blocks, rays, R)
+
+    true = state.path.translation[0] / np.linalg.norm(state.path.translation[0])
+    assert abs(lever @ true) == pytest.approx(1, abs=1e-6)
