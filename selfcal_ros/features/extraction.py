@@ -24,6 +24,8 @@ import os
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.features.curvature import curvature_bias, ideal_fisheye
+from selfcal_ros.features.epipolar import choose_division
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
@@ -37,6 +39,8 @@ from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
+#: Pairs of keyframes that tell how wide a lens is.
+_JUDGES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
@@ -185,11 +189,11 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
             features.append(found)
             report('features', len(features))
     size = (last[1], last[0])
-    matches, division, static = match_pairs(features, propose_pairs(features), size, seed,
-                                            lambda share: report('matching', share))
+    matches, bend, static = match_pairs(features, propose_pairs(features), size, seed,
+                                        lambda share: report('matching', share))
     image, place, track, contradictory = link(features, matches)
-    if division:
-        findings.append(Finding('division_model', distortion=float(division)))
+    if not bend.straight:
+        findings.append(Finding('division_model', distortion=float(bend.coefficients[0])))
     if static:
         findings.append(Finding('static_matches', matches=int(static)))
     if contradictory:
@@ -203,7 +207,7 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     xy = np.concatenate([feature.xy for feature in features])[node]
     size_px = np.concatenate([feature.size_px for feature in features])[node]
     report('registration', 0)
-    xy, good, sigma_px = refine(images, image, track, xy, size_px)
+    xy, good, sigma_px = refine(images, image, track, xy, size_px, ideal_fisheye(bend))
     if good.any():
         good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *_SIGMA_LIMIT_PX)
     findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
@@ -226,7 +230,7 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
             selector = KeyframeSelector(_KEYFRAME_STEP * float(np.hypot(*size)))
         if not selector.offer(ids, xy):
             continue
-        kept.append((index, ids, xy))
+        kept.append((index, ids, xy, *tracker.appearances))
         filmed[index] = film.keep()
         stamps[index] = stamp_ns
         if len(kept) > max_keyframes:
@@ -235,15 +239,29 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
             selector.lost_share = min(0.7, 1.3 * selector.lost_share)
     if size is None:
         raise InputError('There is no image in the input.')
-    keyframes = np.array([index for index, _, _ in kept], dtype=int)
-    tracks = Tracks(np.repeat(keyframes, [len(ids) for _, ids, _ in kept]),
-                    np.concatenate([ids for _, ids, _ in kept] or [np.empty(0)]),
-                    np.concatenate([xy for _, _, xy in kept] or [np.empty((0, 2))]),
+    keyframes = np.array([one[0] for one in kept], dtype=int)
+    tracks = Tracks(np.repeat(keyframes, [len(one[1]) for one in kept]),
+                    np.concatenate([one[1] for one in kept] or [np.empty(0)]),
+                    np.concatenate(_straightened(kept, size, seed) or [np.empty((0, 2))]),
                     size, {index: stamps[index] for index in keyframes.tolist()},
                     np.concatenate([filmed[index].neighbours for index in keyframes.tolist()]
                                    or [np.empty((0, 2, 3))]))
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
     return _finish(tracks.with_at_least(2), findings, seed), keyframes
+
+
+def _straightened(kept, size, seed) -> list[np.ndarray]:
+    """Positions of every keyframe, without what the curvature of a wide lens does to them."""
+    pairs = []
+    for (_, ids_a, xy_a, *_), (_, ids_b, xy_b, *_) in itertools.pairwise(kept):
+        _, a, b = np.intersect1d(ids_a, ids_b, return_indices=True)
+        pairs.append((xy_a[a], xy_b[b]))
+    judges = sorted(pairs, key=lambda pair: -len(pair[0]))[:_JUDGES]
+    camera = ideal_fisheye(choose_division(judges, size, seed=seed))
+    if camera is None:
+        return [one[2] for one in kept]
+    return [xy - curvature_bias(camera, anchors, xy, affine)
+            for _, _, xy, anchors, affine in kept]
 
 
 def _finish(tracks, findings: list[Finding], seed):

@@ -164,6 +164,11 @@ class KltTracker:
         self._registration = PatchRegistration(half_px=7)
         self.reset()
 
+    @property
+    def appearances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the templates were taken, pixels (N, 2), and their warps since (N, 2, 2)."""
+        return self._anchors.copy(), self._affine.copy()
+
     def reset(self) -> None:
         """Forget everything but the counter of ids: ids never come twice."""
         self._grey: np.ndarray | None = None
@@ -172,6 +177,7 @@ class KltTracker:
         self._xy = np.empty((0, 2))
         self._affine = np.empty((0, 2, 2))
         self._residue = np.empty((0, 2))
+        self._anchors = np.empty((0, 2))
         self._templates: Templates | None = None
 
     def add(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -239,6 +245,7 @@ class KltTracker:
             return
         self._ids, self._xy = self._ids[mask], self._xy[mask]
         self._affine, self._residue = self._affine[mask], self._residue[mask]
+        self._anchors = self._anchors[mask]
         self._templates = self._templates.select(mask)
 
     def _anchor(self, rows, smooth):
@@ -251,6 +258,7 @@ class KltTracker:
         self._templates.solver[rows] = fresh.solver
         self._templates.sigma[rows] = fresh.sigma
         self._residue[rows] = self._xy[rows] - whole
+        self._anchors[rows] = self._xy[rows]
         self._affine[rows] = np.eye(2)
 
     def _replenish(self, grey, smooth):
@@ -268,5 +276,6 @@ class KltTracker:
         self._xy = np.concatenate([self._xy, xy])
         self._affine = np.concatenate([self._affine, np.tile(np.eye(2), (count, 1, 1))])
         self._residue = np.concatenate([self._residue, np.zeros((count, 2))])
+        self._anchors = np.concatenate([self._anchors, xy])
         self._templates = (fresh if self._templates is None or not len(self._templates)
                            else self._templates.extended(fresh))

@@ -20,9 +20,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from selfcal_ros.features.curvature import curvature_bias
 from selfcal_ros.features.matching import Features, ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
 from selfcal_ros.features.registration import PatchRegistration
+from selfcal_ros.geometry.camera import Camera
 
 _REGISTRATION = PatchRegistration(half_px=7)
 _MIN_CORRELATION = 0.75
@@ -86,7 +88,8 @@ def _components(a, b, image):
     return component, bad
 
 
-def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px: np.ndarray):
+def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px: np.ndarray,
+           camera: Camera | None = None):
     """
     Register every observation against one reference view of its track.
 
@@ -102,6 +105,8 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
         Pixels.
     size_px : ndarray, shape (N,)
         Standard deviation of the blob: coarse ones are registered at a coarser scale.
+    camera : Camera, optional
+        Roughly that of the images, if it is wide: what its curvature does is taken off.
 
     Returns
     -------
@@ -149,7 +154,11 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
             found = found + (affine @ residue[at][:, :, None])[:, :, 0]
             shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
             good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
-            refined[rows[good]] = found[good] * scale
+            found = found * scale
+            if camera is not None:
+                found -= scale**2 * curvature_bias(camera, xy[reference[track[rows]]], found,
+                                                   affine)
+            refined[rows[good]] = found[good]
             registered[rows[good]] = True
             sigma[rows] = scale * templates.position_sigma(correlation, at)
     return refined, registered, sigma

@@ -26,6 +26,7 @@ import numpy as np
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
 from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.features.mask import ImageMask
+from selfcal_ros.geometry.division import DivisionModel
 
 #: Ratio of the distances to the best and the second best descriptor (Lowe, 2004, section 7.1).
 RATIO = 0.8
@@ -291,7 +292,7 @@ def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
 
 
 def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
-                seed: int = 0, progress=None) -> tuple[list[ImagePairMatches], float, int]:
+                seed: int = 0, progress=None) -> tuple[list[ImagePairMatches], DivisionModel, int]:
     """
     Match image pairs, first the distinctive features, then all along epipolar curves.
 
@@ -312,8 +313,8 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
     -------
     matches : list of ImagePairMatches
         Only pairs whose geometry was found.
-    division : float
-        Distortion used for the verification: the first coefficient of the division model.
+    bend : DivisionModel
+        Distortion used for the verification.
     static : int
         Largest number of matches of one pair that stayed still while others moved.
 
@@ -346,7 +347,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
             matches.append(ImagePairMatches(*pair, *found))
         if progress:
             progress(0.8 + 0.2 * (count + 1) / len(pairs))
-    return matches, model.coefficients[0], static
+    return matches, model, static
 
 
 def _verified(first: Features, second: Features, a, b, candidates, epipolar: EpipolarImages,

@@ -13,7 +13,7 @@
 # limitations under the License.
 """The parts of the tracker's benches: what gets in the way, how it is judged, peers."""
 
-from bench import visp_peer
+from bench import tracking_poses, visp_peer
 from bench.hindrances import CLEAN_IMAGES, HIDDEN_FROM, HINDRANCES
 from bench.inputs import data_folder
 from bench.tables import Report
@@ -62,7 +62,9 @@ def test_a_rendered_object_is_followed_within_the_bars():
     assert np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1).mean()) < 0.5
 
 
-def test_a_missed_bar_is_told(capsys):
+def test_a_missed_bar_is_told(capsys, monkeypatch):
+    # one sequence tells as much of the report as all do
+    monkeypatch.setattr(tracking_poses, 'SEEDS', tracking_poses.SEEDS[:1])
     report = Report()
     coverage(report, 24)
     assert 'largest difference from the nominal share' in capsys.readouterr().out

@@ -143,8 +143,8 @@ def test_images_without_features_match_nothing():
     blank = detect(np.full((120, 160), 80, np.uint8))
     assert len(blank.xy) == 0
     assert propose_pairs([blank] * 12)
-    matches, division, _ = match_pairs([blank] * 3, propose_pairs([blank] * 3), (160, 120))
-    assert matches == [] and division == 0
+    matches, bend, _ = match_pairs([blank] * 3, propose_pairs([blank] * 3), (160, 120))
+    assert matches == [] and bend.straight
     assert link([blank] * 3, matches)[0].size == 0
 
 
