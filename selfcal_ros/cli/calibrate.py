@@ -134,6 +134,9 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.views is not None and args.motion != 'general':
         raise ArgumentError('--views needs --motion general; or limit the images with '
                             '--max-keyframes.')
+    if args.focal == 'varying' and (known or args.motion == 'repeated'):
+        raise ArgumentError('--focal varying is for an unknown scene in several images; leave it '
+                            'out.')
     if args.motion == 'known-object' and not known:
         raise ArgumentError('--motion known-object needs --object, for example '
                             'chessboard:9x6:0.025 (inner corners, metres), or --track with the '

@@ -18,13 +18,20 @@ import json
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
+from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence, shape_gain
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict
-from selfcal_ros.synthetic.hard_scenes import hand, s_curve, vehicle
+from selfcal_ros.synthetic.hard_scenes import hand, rolled, s_curve, scene, vehicle
 from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
@@ -109,6 +116,56 @@ def test_a_warm_up_is_one_unknown():
 
     assert result.focal is not None and result.focal.is_steady
     assert np.abs(result.focal.fx - fx).max() < 4 * result.focal.sigma.max()
+
+
+def test_a_constant_one_that_is_stated_is_tested():
+    rng = np.random.default_rng([4, 14])
+    scale = np.where(np.arange(VIEWS) < 3, 1.0, 1.05)
+    tracks = zoomed(vehicle(rng, s_curve(VIEWS), count=100), scale, rng).tracks
+    refused = calibrate(tracks, motion='planar', facts=replace(FACTS, focal='constant'))
+
+    assert not refused and refused.kind == 'focal_not_constant'
+
+
+def test_a_head_that_turns_may_zoom():
+    rng = np.random.default_rng([5, 14])
+    turns = np.radians(12 * rng.standard_normal((VIEWS, 3)))
+    R = rotation_matrix(turns)
+    scale = np.linspace(1.0, 1.1, VIEWS)
+    head = scene(rng, np.concatenate([R, np.zeros((VIEWS, 3, 1))], axis=2), count=150)
+    result = calibrate(zoomed(head, scale, rng).tracks, motion='rotation', facts=FACTS)
+
+    assert result and result.focal is not None
+    fx = 520 * scale[list(result.frames)]
+    assert (np.abs(result.focal.fx - fx) < 4 * result.focal.sigma).all()
+    assert np.abs(result.focal.fx / fx - 1).max() < 0.01
+
+
+def fitted(sequence):
+    """Return the optimum of a constant camera near the truth."""
+    tracks = sequence.tracks.with_at_least(2)
+    names, point = np.unique(tracks.track, return_inverse=True)
+    observations = Observations(tracks.frame, point, tracks.xy, names)
+    points = np.column_stack([sequence.points[names], np.ones(len(names))])
+    state = SceneState(Lens.of(sequence.camera),
+                       AxisPath.of_poses(np.eye(3), sequence.cam_from_world),
+                       points / np.linalg.norm(points, axis=1, keepdims=True))
+    bundle = bundle_of(observations, GENERAL, priors_from_facts(FACTS), 0.2)
+    state = bundle.optimise(state, iterations=30, tolerance=0.01)
+    return RobustFit(bundle.with_sigma(bundle.noise_sigma(state)), state, observations, 0)
+
+
+def test_images_that_change_their_shape_are_no_zooms():
+    rng = np.random.default_rng([6, 14])
+    turns = 15 * np.sin(np.linspace(0, 9, VIEWS))[:, None] * [0.3, 1.0, 0.5]
+    still = hand(rng, turns, count=100)
+    scales = np.where(np.arange(VIEWS) < 3, 1.0, 1.02)
+    zooms, rolls = fitted(zoomed(still, scales, rng)), fitted(rolled(still, rng, 0.05))
+
+    assert focal_evidence(zooms, tuple(range(VIEWS)), 1.0).gain > 2 * shape_gain(zooms, 1.0)
+    assert focal_evidence(rolls, tuple(range(VIEWS)), 1.0).gain < 0.5 * shape_gain(rolls, 1.0)
+    quiet = focal_evidence(fitted(zoomed(still, np.ones(VIEWS), rng)), tuple(range(VIEWS)), 1.0)
+    assert not quiet.varies
 
 
 def test_steps_of_a_free_view_sum_to_zero():

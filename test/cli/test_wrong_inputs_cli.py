@@ -52,6 +52,7 @@ def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
     (['good.csv', '--aspect-ratio-sigma', '-1'], 'sigma'),
     (['good.csv', '--topic', '/image'], 'topic'),
     (['good.csv', '--motion', 'known-object'], 'needs --object'),
+    (['good.csv', '--motion', 'repeated', '--focal', 'varying'], 'leave it out'),
     (['good.csv', '--ply', 'camera.yaml'], 'same name'),
     (['good.csv', '--max-keyframes', '1'], 'at least 3'),
     (['good.csv', '--image-size', '0', '480'], 'image size'),
