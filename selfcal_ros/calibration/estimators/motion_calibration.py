@@ -37,7 +37,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
-from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter, timed
+from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
+                                                               timed)
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_vary, near_state,
                                                                nearer, over_all, settle_zoom,
                                                                zooming)
@@ -154,12 +155,15 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
     start, noise_px = best_start(window, proposals)
-    if start is None or not noise_px < EXPLAINED * problem.noise_px:
-        as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
-        if not np.isfinite(noise_px):
-            return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
-        return NoEstimate('tracks_unexplained', left_px=float(noise_px),
-                          noise_px=problem.noise_px, motion=as_far_as_told)
+    as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
+    if start is None or not np.isfinite(noise_px):
+        return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
+    unexplained = NoEstimate('tracks_unexplained', left_px=float(noise_px),
+                             noise_px=problem.noise_px, motion=as_far_as_told)
+    # rows that are read in turn leave more, until their delay is estimated
+    is_explained = noise_px < EXPLAINED * problem.noise_px
+    if not (is_explained or may_be_rolling(window, noise_px)):
+        return unexplained
     # far out of the plane, against a prior that pulls there: no need to go on
     if problem.motion.keeps_plane and out_of_plane_rad(start.path) > 2 * MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(start.path))
@@ -172,6 +176,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
     shutter = choose_shutter(fit, medium, window)
     fit, findings = shutter.fit, shutter.findings
+    if not (is_explained or fit.observations.shutter is not None):
+        return unexplained
     if problem.motion.keeps_plane and out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
         return not_planar(out_of_plane_rad(fit.state.path))
     mixed = of_two_cameras(fit, window, graph)

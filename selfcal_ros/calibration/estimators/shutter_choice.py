@@ -49,6 +49,9 @@ MIN_VIEWS = 6
 MAX_DOUBT = 0.3
 #: Where fewer of the neighbours of views were followed, they are not used.
 MOST_FOLLOWED = 0.3
+#: A start under a rolling shutter may leave so many times the noise of pairs of images, and so
+#: much of the image's longer side.
+ROLLING_NOISE, ROLLING_FRACTION = 20.0, 0.01
 #: Sigma of the readout time, in intervals between frames, beyond which it is open.
 OPEN_INTERVALS = 0.25
 
@@ -223,6 +226,13 @@ def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCali
     if observations.neighbours is not None or _is_paced(rolling):
         return ShutterDecision(rolling)
     return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
+
+
+def may_be_rolling(problem: SelfCalibrationProblem, left_px: float) -> bool:
+    """Tell whether a line delay may be what makes a start leave so much."""
+    return (problem.observations.clock is not None and problem.motion.zoom is None
+            and left_px < min(ROLLING_NOISE * problem.noise_px,
+                              ROLLING_FRACTION * max(problem.size)))
 
 
 def _is_paced(fit: RobustFit) -> bool:
