@@ -23,6 +23,7 @@ images were read like all others.
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import projection
@@ -75,12 +76,14 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
     count = np.bincount(view[followed], minlength=blocks.view_count)
     middle, motion = (rows - 1) / 2, np.zeros((blocks.view_count, 12))
     own = state.line_delay * (xy[:, 1] - middle) / rows
-    sides = [(row, neighbours[row, side, 2]
+    row = np.flatnonzero(followed)
+    sum_of = csr_array((np.ones(len(row)), (view[row], np.arange(len(row)))),
+                       shape=(blocks.view_count, len(row)))
+    sides = [(neighbours[row, side, 2]
               + state.line_delay * (neighbours[row, side, 1] - middle) / rows,
-              neighbours[row, side, :2] - xy[row])
-             for side in (0, 1) for row in (np.flatnonzero(followed),)]
+              neighbours[row, side, :2] - xy[row]) for side in (0, 1)]
 
-    def seen(row: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def seen(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (M, 2) at a time after the instant, and derivatives (M, 2, 12)."""
         powers = np.column_stack([time, 0.5 * time**2])
         moved = np.einsum('mp,mpk->mk', powers, motion[view[row]].reshape(-1, 2, 6))
@@ -94,9 +97,9 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
 
     for _ in range(_ITERATIONS):
         matrix, slope = np.zeros((blocks.view_count, 144)), np.zeros((blocks.view_count, 12))
-        for row, time, step in sides:
-            later, by_later = seen(row, time)
-            now, by_now = seen(row, own[row])
+        now, by_now = seen(own[row])
+        for time, step in sides:
+            later, by_later = seen(time)
             residual, J = later - now - step, by_later - by_now
             sound = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1)
             residual, J = np.where(sound[:, None], residual, 0), np.where(
@@ -105,9 +108,8 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
             share = sound * huber_weights(
                 length / max(robust_sigma(residual.ravel()), 1e-6), HUBER)
             J_weighted = np.swapaxes(J, 1, 2) * share[:, None, None]
-            index = view[row]
-            np.add.at(matrix, index, (J_weighted @ J).reshape(-1, 144))
-            np.add.at(slope, index, (J_weighted @ residual[:, :, None])[:, :, 0])
+            matrix += sum_of @ (J_weighted @ J).reshape(-1, 144)
+            slope += sum_of @ (J_weighted @ residual[:, :, None])[:, :, 0]
         normal = matrix.reshape(-1, 12, 12)
         scale = np.einsum('vii->vi', normal)
         floor = 1e-9 * scale.max(axis=1, keepdims=True) + 1e-300
