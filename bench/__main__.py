@@ -34,6 +34,7 @@ BENCHES = {
     'coverage': 'is the stated covariance of K true? 90 cells, 1000 runs each: hours',
     'si_degenerate': 'degenerate motions and scenes: right, or refused for the right reason',
     'hard_scenes': 'sequences at the edge: never confidently wrong, never refused needlessly',
+    'suppositions': 'wrong facts, two cameras, mirrored images, a prism: named or silent',
     'rendered_drive': 'rendered drive, images to K, beside COLMAP',
     'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
     'dinosaur': 'the turntable of vgg_dino: steps and fixed points',

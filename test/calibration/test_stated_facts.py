@@ -19,85 +19,122 @@ import numpy as np
 import pytest
 
 from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.stated_facts import examine_facts
+from selfcal_ros.calibration.initialisation.problem import observations_of
+from selfcal_ros.calibration.uncertainty.prism import possible_prism
+from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.synthetic.few_view_scenes import general_views
 
-SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
-TOLD = ('fact_contradicted', 'fact_doubtful', 'fact_trusted')
+SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2', focal='constant',
+                     shutter='global')
+SIZE = (640, 480)
 
 
-def tracks_of(seed: int, aspect: float = 1.0, skew: float = 0.0, views: int = 6):
+def seen_by(seed: int, aspect: float = 1.0, skew: float = 0.0, views: int = 6, lens=(-0.12, 0.05)):
     """Show a cloud of points to a hand-held camera that may not be what is stated of it."""
-    camera = Camera([[520, skew, 328], [0, 520 * aspect, 235], [0, 0, 1]], [-0.12, 0.05], 640, 480)
-    return general_views(np.random.default_rng(seed), camera, views=views, points=60,
-                         noise_px=0.2).tracks
+    camera = Camera([[520, skew, 328], [0, 520 * aspect, 235], [0, 0, 1]], lens, *SIZE)
+    return general_views(np.random.default_rng(seed), camera, views=views, points=70, noise_px=0.2)
 
 
-def ask(tracks, **stated):
-    """Calibrate hand-held tracks under facts."""
-    return calibrate(tracks, motion='general', facts=replace(SQUARE, **stated))
+def optimum(scene, facts=SQUARE, xy=None):
+    """Fit from the true path, under facts that may be wrong."""
+    tracks = scene.tracks if xy is None else Tracks(scene.tracks.frame, scene.tracks.track, xy,
+                                                    SIZE)
+    observations = observations_of(tracks, tracks.frames)
+    first = scene.cam_from_world[0]
+    R = scene.cam_from_world[:, :, :3] @ first[:, :3].T
+    t = scene.cam_from_world[:, :, 3] - R @ first[:, 3]
+    path = AxisPath.of_poses(np.eye(3), np.concatenate([R, t[:, :, None]], axis=2))
+    priors = priors_from_facts(facts)
+    state = with_fixed(SceneState(Lens.of(scene.camera), path), priors)
+    return fit_robustly(observations, with_all_points(state, observations), GENERAL, priors, 0.3)
 
 
-def kinds(result) -> list:
-    """List what was found of facts."""
-    found = [one.kind for one in result.findings if one.kind in TOLD]
-    return found if result else [result.kind, *found]
+def verdict(scene, **stated):
+    """Ask the images about what is stated."""
+    facts = replace(SQUARE, **stated)
+    return examine_facts(optimum(scene, facts), facts, SIZE, 1.0)
 
 
-@pytest.mark.parametrize('wrong, fact, value', [
-    ({'aspect': 1.03}, 'aspect ratio', 1.03), ({'skew': 3.0}, 'skew', 3.0)])
-def test_a_wrong_fact_is_named_with_what_the_images_prefer(wrong, fact, value):
-    result = ask(tracks_of(1, **wrong))
+@pytest.mark.parametrize('true, stated, fact, values', [
+    ({'aspect': 1.02}, {}, 'aspect ratio', [1.02]),
+    ({'skew': 3.0}, {}, 'skew', [3.0]),
+    ({}, {'principal_point': (319.5, 239.5)}, 'principal point', [328, 235]),
+    ({}, {'distortion': 'none'}, 'lens model', [-0.12, 0.05, 0, 0]),
+    # a fact with a sigma is held against it
+    ({'aspect': 1.02}, {'aspect_ratio_sigma': 0.003}, 'aspect ratio', [1.02])])
+def test_a_wrong_fact_is_named_with_what_the_images_prefer(true, stated, fact, values):
+    found = verdict(seen_by(1, **true), **stated)
+    first = found.contradicted[0]
 
-    assert not result and result.kind == 'fact_contradicted' and result.values['fact'] == fact
-    preferred, = result.values['preferred']
-    assert abs(preferred['value'] - value) < 4 * preferred['sigma'] < 0.3 * abs(value)
-    assert f'stated {fact}' in result.reason
-
-
-def test_principal_point_and_lens_are_facts_as_any_other():
-    tracks = tracks_of(2)
-
-    assert ask(tracks, principal_point=(319.5, 239.5)).values['fact'] == 'principal point'
-    assert kinds(ask(tracks, principal_point=(328, 235))) == []
-    assert ask(tracks, distortion='none').values['fact'] == 'lens model'
+    assert first.fact == fact and len(found.contradicted) == 1
+    for one, value in zip(first.preferred, values):
+        assert abs(one['value'] - value) < 4 * one['sigma']
+    assert first.sigmas > 4
 
 
 def test_true_facts_are_let_pass():
-    assert [kinds(ask(tracks_of(seed))) for seed in range(3, 5)] == [[]] * 2
+    for seed in range(2, 6):
+        assert not verdict(seen_by(seed), principal_point=(328, 235)).contradicted
+    assert not verdict(seen_by(2, aspect=1.02), aspect_ratio_sigma=0.02).contradicted
 
 
-def test_declared_exact_it_is_kept_and_told():
-    result = ask(tracks_of(1, aspect=1.03), trusted=True)
+def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():
+    tracks = seen_by(1, aspect=1.02).tracks
+    refused = calibrate(tracks, motion='general', facts=SQUARE)
+    kept = calibrate(tracks, motion='general', facts=replace(SQUARE, trusted=True))
 
-    assert result and 'fact_trusted' in kinds(result)
-    assert np.isclose(result.camera.K[1, 1], result.camera.K[0, 0])
-
-
-@pytest.mark.parametrize('sigma, found', [(0.003, ['fact_contradicted']), (0.03, [])])
-def test_a_fact_with_a_sigma_is_held_against_it(sigma, found):
-    result = ask(tracks_of(4, aspect=1.03), aspect_ratio_sigma=sigma)
-
-    assert kinds(result) in (found, ['fact_doubtful'] if found else [])
-    assert not result or abs(result.camera.K[1, 1] / 520 / 1.03 - 1) < 4 * result.sigma['fy'] / 520
+    assert not refused and refused.kind == 'fact_contradicted'
+    assert 'stated aspect ratio' in refused.reason and '--trust-facts' in refused.advice
+    assert kept and 'fact_trusted' in [one.kind for one in kept.findings]
+    assert np.isclose(kept.camera.K[1, 1], kept.camera.K[0, 0])
 
 
-def test_images_of_two_cameras_are_parted_and_one_of_them_is_calibrated():
-    tracks = tracks_of(5, views=12)
-    second = tracks.frame % 3 == 1
-    xy = np.where(second[:, None], (tracks.xy - [328, 235]) * 1.06 + [334, 232], tracks.xy)
-    result = ask(Tracks(tracks.frame, tracks.track, xy, tracks.image_size))
+def test_images_of_two_cameras_are_parted():
+    scene = seen_by(5, views=12)
+    frame, xy = scene.tracks.frame, scene.tracks.xy
+    of_two = np.where((frame % 3 == 1)[:, None], (xy - [328, 235]) * 1.03 + [332, 233], xy)
+    # an image that is cut elsewhere from the middle on
+    cut = xy - np.where(frame >= 6, 8.0, 0.0)[:, None]
+    # a lens that zooms is one camera
+    zoomed = (xy - [328, 235]) * (1 + 0.004 * frame[:, None]) + [328, 235]
 
-    assert result and result.findings[0].kind == 'other_camera_left_out'
-    assert result.findings[0].values['left_out'] == [1, 4, 7, 10]
-    assert abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx']
+    assert np.flatnonzero(two_cameras(optimum(scene, xy=of_two), 1.0)).tolist() == [1, 4, 7, 10]
+    assert two_cameras(optimum(scene, xy=cut), 1.0).tolist() in (
+        [False] * 6 + [True] * 6, [True] * 6 + [False] * 6)
+    assert two_cameras(optimum(scene, xy=zoomed), 1.0) is None
+    assert two_cameras(optimum(scene), 1.0) is None
+
+
+def test_two_kinds_of_focal_lengths_alternate_or_zoom():
+    spread = 0.001 * np.random.default_rng(0).standard_normal(12)
+
+    assert two_focal_lengths(spread + 0.1 * (np.arange(12) % 4 == 1)).sum() == 3
+    assert two_focal_lengths(0.1 * np.sin(np.arange(12))) is None
+    assert two_focal_lengths(spread + 0.1 * (np.arange(12) > 5)) is None
 
 
 def test_mirrored_images_are_named_before_anything_is_estimated():
-    tracks = tracks_of(6, views=8)
+    tracks = seen_by(6, views=8).tracks
     xy = tracks.xy.copy()
     flipped = np.isin(tracks.frame, (2, 3, 6))
-    xy[flipped, 0] = tracks.image_size[0] - 1 - xy[flipped, 0]
-    result = ask(Tracks(tracks.frame, tracks.track, xy, tracks.image_size))
+    xy[flipped, 0] = SIZE[0] - 1 - xy[flipped, 0]
+    result = calibrate(Tracks(tracks.frame, tracks.track, xy, SIZE), facts=SQUARE)
 
     assert not result and result.kind == 'images_mirrored'
     assert result.values['mirrored'] == (2, 3, 6)
+
+
+def test_a_lens_that_is_much_decentred_may_be_a_prism():
+    facts = replace(SQUARE, distortion='radtan')
+    fit = optimum(seen_by(7, lens=(-0.12, 0.05, 0.004, -0.003)), facts)
+    wider = possible_prism(fit, fit.lens_covariance, 1.0).covariance
+    assert np.sqrt(np.diag(wider)[2:4]).min() > 1
+    fit = optimum(seen_by(7, lens=(-0.12, 0.05, 0.0003, 0)), facts)
+    assert possible_prism(fit, fit.lens_covariance, 1.0) is None

@@ -63,6 +63,9 @@ MAX_BEHIND = 0.03
 #: it unobservable comes with advice.
 ADVISED_FRACTION = 0.05
 
+#: What a wrong fact leaves of the images, and who declares it exact accepts.
+OF_WRONG_FACTS = ('tracks_unexplained', 'smooth_misfit')
+
 
 @dataclass(frozen=True)
 class _Optimum:
@@ -184,7 +187,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                        field, verdict, covariance)
     for accepted in ACCEPTANCE_TESTS:
         refusal = accepted(optimum)
-        if refusal is not None:
+        if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):
             # a wrong fact leaves residuals that look like a scene or a lens that is not right
             refusal = refusal if verdict.cause is None else verdict.cause
             return refusal.saying(**{'status': status, 'facts': facts, **refusal.values,

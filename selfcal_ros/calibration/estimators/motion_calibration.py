@@ -48,7 +48,7 @@ from selfcal_ros.calibration.initialisation.problem import observations_of, Self
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras
+from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -143,7 +143,8 @@ def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
         return _attempt(zooming(problem), graph, proposals)
     result = _attempt(problem, graph, proposals)
     if may_vary(problem) and not result and result.kind in UNEXPLAINED:
-        result = _attempt(zooming(problem), graph, proposals) or result
+        zoomed = _attempt(zooming(problem), graph, proposals)
+        result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
     return result
 
 
@@ -251,9 +252,10 @@ def finish(problem: SelfCalibrationProblem, model: ModelDecision, graph: ViewGra
 def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
                    ) -> NoEstimate | None:
     """Refuse images of two cameras, and tell which they are."""
-    if fit.motion.zoom is not None:
-        return None
-    second = two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
+    if fit.state.zoom is not None:
+        second = two_focal_lengths(fit.state.zoom.log_focal)
+    else:
+        second = two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
     if second is None:
         return None
     frames = np.array(window.instants, dtype=int)

@@ -39,15 +39,14 @@ from selfcal_ros.geometry.estimate import NoEstimate
 
 #: A fact is contradicted where what the images say would be an accident so rarely; what is an
 #: accident less often than the second is allowed for in the sigmas.
-CONTRADICTED, DOUBTED = 1e-4, 0.01
+CONTRADICTED, DOUBTED = 1e-4, 0.03
 #: A camera that would move by more than so many of its sigmas is refused.
 SILENT_SIGMAS = 4.0
 #: A parameter that a contradicted fact holds may be off by the first share of the focal length,
 #: and any other parameter of K by the second, whatever sigmas that misfit has widened.
 HELD_FRACTION, MOVED_FRACTION = 1e-3, 5e-3
-#: Largest errors of facts that nobody would notice on a data sheet: of the aspect ratio, and of
-#: skew and principal point as shares of the focal length.
-PLAUSIBLE = {'aspect': 0.02, 'skew': 0.004, 'cx': 0.02, 'cy': 0.02}
+#: Errors of facts that are not unusual: of skew and principal point as shares of the focal length.
+PLAUSIBLE = {'aspect': 0.02, 'skew': 0.004, 'cx': 0.02, 'cy': 0.02, 'p1': 1e-3, 'p2': 1e-3}
 #: Coefficients that a stated lens holds at zero, and that the images are asked about.
 HELD_COEFFICIENTS = {'none': ('k1', 'k2', 'p1', 'p2'), 'radial1': ('k2', 'p1', 'p2'),
                      'radial2': ('k3', 'p1', 'p2'), 'radial3': ('p1', 'p2'), 'radtan': ('k3',)}
@@ -98,8 +97,8 @@ class FactsVerdict:
     doubted : tuple of Contradiction
         What may be an accident.
     unchecked : tuple of (str, str, float, ndarray)
-        Facts that the images cannot check: which, an unknown that it is about, an error that
-        would not show, and what that would do to the parameters of the camera (k,).
+        What the images let pass: a fact, an unknown that it is about, an error that would not
+        show, and what that would do to the parameters of the camera (k,).
     trusted : bool
         Whether the facts were declared exact.
 
@@ -127,6 +126,11 @@ class FactsVerdict:
                 and not any(one.is_large for one in self.contradicted)):
             return None
         return self.cause
+
+    @property
+    def is_kept(self) -> bool:
+        """Tell whether a fact counts that the images contradict."""
+        return self.trusted and bool(self.contradicted)
 
     @property
     def cause(self) -> NoEstimate | None:
@@ -164,12 +168,15 @@ class FactsVerdict:
             shift = one.shift * estimated
             wider = wider + np.outer(shift, shift)
             found.append(Finding(kind, **one.values))
+        told: dict[str, Finding] = {}
         for fact, unknown, error, shift in self.unchecked:
             beyond, place = _in_sigmas(shift, wider)
-            if beyond > SILENT_SIGMAS and not self.trusted:
-                found.append(Finding('fact_unchecked', fact=fact, unknown=unknown, error=error,
+            if beyond > max(SILENT_SIGMAS, told[fact].values['sigmas'] if fact in told else 0):
+                told[fact] = Finding('fact_unchecked', fact=fact, unknown=unknown, error=error,
                                      name=names[place], change=float(abs(shift[place])),
-                                     sigmas=beyond))
+                                     sigmas=beyond)
+        if not self.trusted:
+            found += told.values()
         return wider, tuple(found)
 
 
@@ -211,8 +218,8 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
         about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
         tested = sorted(_tested(fit, about, known), key=lambda one: one.p_value)
         if not asked:
-            unchecked = tuple(_unchecked(fit, one) for one in tested
-                              if one.name in _ABOUT and one.p_value > DOUBTED)
+            unchecked = tuple(error for one in tested if one.p_value > DOUBTED
+                              for error in _unchecked(fit, one))
         for one in tested:
             if one.p_value > DOUBTED:
                 return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
@@ -297,16 +304,18 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
                                          bool(held_off.any() or moved > MOVED_FRACTION))
 
 
-def _unchecked(fit: RobustFit, tested: Tested) -> tuple[str, str, float, np.ndarray]:
-    """Return an error of a fact that would not show, and what it would do to the camera."""
-    lens, f = fit.state.lens, fit.state.lens['f']
-    largest = np.array([PLAUSIBLE[name] * (1 if name == 'aspect' else f)
-                        for name in tested.unknowns])
-    place = int(np.argmin(largest / np.maximum(tested.sigma, 1e-300)))
-    error = min(float(largest[place]), 2 * float(tested.sigma[place]))
-    step = error * tested.response[:, place]
-    step[lens.places((tested.unknowns[place],))] += error
-    return tested.name, tested.unknowns[place], error, _parameters_step(lens.values, step)
+def _unchecked(fit: RobustFit, tested: Tested) -> list[tuple[str, str, float, np.ndarray]]:
+    """Return errors of a fact that would not show, and what each would do to the camera."""
+    lens = fit.state.lens
+    found = []
+    for place, name in enumerate(tested.unknowns):
+        if name in PLAUSIBLE:
+            unit = lens['f'] if name in ('skew', 'cx', 'cy') else 1.0
+            error = min(PLAUSIBLE[name] * unit, 2 * float(tested.sigma[place]))
+            step = error * tested.response[:, place]
+            step[lens.places((name,))] += error
+            found.append((tested.name, name, error, _parameters_step(lens.values, step)))
+    return found
 
 
 def _parameters_step(values: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -16,8 +16,9 @@ Images of two cameras in one folder: views that fall into two groups.
 
 Every view gets a focal length and a principal point of its own, as further unknowns of the
 optimum. Of all ways to part the views in two, the one is sought whose difference of cameras the
-images favour most. It counts where it explains nearly all that views differ by, and where views
-of the two alternate: what changes slowly is a lens that zooms.
+images favour most. It counts where it explains nearly all that views differ by: two levels explain
+at most three quarters of a steady change, and 81 % of a sine. Where one camera follows the other
+without alternating, they must differ in more than the focal length: else the lens was set anew.
 """
 
 from __future__ import annotations
@@ -32,9 +33,13 @@ from selfcal_ros.calibration.uncertainty.suppositions import (joint_information,
 #: Views differ where that they do not would be an accident so rarely.
 ACCIDENT = 1e-8
 #: Share of what the views differ by that two cameras explain, at least.
-EXPLAINED_SHARE = 0.7
-#: Changes from one camera to the other, at least; fewer are a lens that was set anew.
-CHANGES = 3
+EXPLAINED_SHARE = 0.85
+#: Changes from one camera to the other that no zoom makes. With fewer, the principal point must
+#: tell as much as the second, and as that share of all, in chi-square.
+CHANGES, OF_PRINCIPAL_POINT = 3, (50.0, 0.2)
+#: Two kinds of focal lengths are two where each spreads by less than this share of the gap; an
+#: even spread would have 0.3.
+TIGHT = 0.1
 #: Rounds of single views that change sides.
 ROUNDS = 100
 _CAMERA = 'one camera'
@@ -66,14 +71,45 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
     every = joint.test_along(np.eye(len(joint.score)), _CAMERA, ('f',) * len(joint.score))
     if views < 6 or chi2.sf(every.chi2, every.freedom) > ACCIDENT:
         return None
-    starts = (np.arange(views) % 2 == 1, *_halves(joint))
+    starts = (np.arange(views) % 2 == 1, np.arange(views) >= views // 2, *_halves(joint))
     found = [_improved(joint, start) for start in starts]
     total, second = max(found, key=lambda one: one[0])
     total *= joint.pull**2 / joint.factor
-    changes = int(np.count_nonzero(np.diff(second)))
-    if changes < CHANGES or total - 3 < EXPLAINED_SHARE * (every.chi2 - every.freedom):
+    if total - 3 < EXPLAINED_SHARE * (every.chi2 - every.freedom):
         return None
+    if np.count_nonzero(np.diff(second)) < CHANGES:
+        focal = np.zeros((len(joint.score), 1))
+        focal[joint.places[_CAMERA][second, 0]] = 1
+        of_point = total - joint.test_along(focal, _CAMERA, ('f',)).chi2
+        least, share = OF_PRINCIPAL_POINT
+        if of_point < max(least, share * total):
+            return None
     return second
+
+
+def two_focal_lengths(log_focal: np.ndarray) -> np.ndarray | None:
+    """
+    Look for two cameras among views that each have a focal length.
+
+    Parameters
+    ----------
+    log_focal : ndarray, shape (V,)
+
+    Returns
+    -------
+    ndarray of bool, shape (V,)
+        Views of the longer focal length; None where the focal lengths are not of two kinds that
+        alternate.
+
+    """
+    ordered = np.sort(log_focal)
+    place = int(np.argmax(np.diff(ordered)))
+    second = log_focal > ordered[place]
+    if min(second.sum(), (~second).sum()) < 2 or np.count_nonzero(np.diff(second)) < CHANGES:
+        return None
+    gap = log_focal[second].mean() - log_focal[~second].mean()
+    within = max(log_focal[second].std(), log_focal[~second].std())
+    return second if within < TIGHT * gap else None
 
 
 def _halves(joint: JointInformation) -> list[np.ndarray]:
