@@ -200,7 +200,7 @@ REMARKS: dict[str, Phrase] = {
         'The difference may be an accident: it is one in a hundred calibrations.',
         'Check the fact, or state it with a sigma.'),
     'fact_unchecked': Phrase(
-        'The images cannot check the stated {fact}: an error of {error:.2g} in {unknown} would '
+        'The images cannot check the stated {fact}. An error of {error:.2g} in {unknown} would '
         'not show, and move {name} by {change:.2g} px, {sigmas:.0f} of its sigmas.',
         'The motion leaves the fact open. The sigmas hold if the fact is exact.',
         'State the fact with a sigma, or move so that the images tell.'),

@@ -14,7 +14,7 @@
 """
 A lens that is decentred by more than most: or is its glass a prism?
 
-A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992, equation 14), nearly
+A thin prism moves the image by s₁ r², s₂ r² (Weng, Cohen and Herniou 1992), nearly
 as decentring p₁, p₂ and a step of the principal point do together. No file of ROS has names for
 it, and images seldom tell one from the other. So where decentring is found that is certain, and
 larger than that of ordinary lenses, as much of it again may be a prism: s has the variance of
