@@ -102,7 +102,7 @@ def _most_agree(found: _Optimum) -> NoEstimate | None:
 
 def _facts_hold(found: _Optimum) -> NoEstimate | None:
     """Refuse what rests on a fact that the images contradict."""
-    return found.stated.refusal(found.covariance)
+    return found.stated.refusal(found.covariance, found.fit.state.lens['f'])
 
 
 def _is_explained(found: _Optimum) -> NoEstimate | None:

@@ -42,6 +42,8 @@ from selfcal_ros.geometry.estimate import NoEstimate
 CONTRADICTED, DOUBTED = 1e-4, 0.03
 #: A camera that would move by more than so many of its sigmas is refused.
 SILENT_SIGMAS = 4.0
+#: What moves by less than this share of the focal length the sigmas can hold, however many.
+HELD_SHARE = 2e-3
 #: A parameter that a contradicted fact holds may be off by the first share of the focal length,
 #: and any other parameter of K by the second, whatever sigmas that misfit has widened.
 HELD_FRACTION, MOVED_FRACTION = 1e-3, 5e-3
@@ -109,7 +111,7 @@ class FactsVerdict:
     unchecked: tuple[tuple[str, str, float, np.ndarray], ...]
     trusted: bool
 
-    def refusal(self, covariance: np.ndarray) -> NoEstimate | None:
+    def refusal(self, covariance: np.ndarray, focal_px: float) -> NoEstimate | None:
         """
         Refuse a camera that rests on a wrong fact by more than its sigmas hold.
 
@@ -117,12 +119,14 @@ class FactsVerdict:
         ----------
         covariance : ndarray, shape (k, k)
             Of the parameters of the camera, under the facts.
+        focal_px : float
 
         """
         if not self.contradicted or self.trusted:
             return None
         shift = np.sum([one.shift for one in self.contradicted], axis=0)
-        if (_in_sigmas(shift, covariance)[0] <= SILENT_SIGMAS
+        moved = np.abs(shift[:len(MATRIX_PARAMETERS)]).max() / focal_px
+        if ((_in_sigmas(shift, covariance)[0] <= SILENT_SIGMAS or moved < HELD_SHARE)
                 and not any(one.is_large for one in self.contradicted)):
             return None
         return self.cause

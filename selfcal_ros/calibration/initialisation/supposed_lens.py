@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients, LensModel
@@ -69,9 +70,13 @@ def supposed_camera(focal_px: float, size: tuple[int, int], facts: CameraFacts,
     coefficients = np.zeros(len(model.coefficients))
     if is_strong(bend):
         coefficients = bent(model, names, bend, half / focal_px)
-    return Camera(np.array([[focal_px, facts.skew or 0.0, centre[0]],
-                            [0, focal_px * aspect, centre[1]], [0, 0, 1]]), coefficients,
-                  size[0], size[1], model.name)
+    K = np.array([[focal_px, facts.skew or 0.0, centre[0]], [0, focal_px * aspect, centre[1]],
+                  [0, 0, 1]])
+    try:
+        return Camera(K, coefficients, size[0], size[1], model.name)
+    except ArgumentError:
+        # no lens of this family bends so: the adjustment begins without
+        return Camera(K, (), size[0], size[1], model.name)
 
 
 def supposed_model(facts: CameraFacts, bend: Bend) -> tuple[LensModel, tuple[str, ...]]:
