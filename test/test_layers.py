@@ -29,8 +29,9 @@ CALIBRATION_FLOOR = {
     'row_readout': 0, 'result': 1, 'observability': 1,
     'bundle': 2, 'planar': 2, 'affine': 2,
     'initialisation': 3, 'uncertainty': 3, 'structure': 3,
-    'estimators': 4, 'known_object': 4, 'monitoring': 4,
-    'calibrate': 5}
+    'moving': 4,
+    'estimators': 5, 'known_object': 5, 'monitoring': 5,
+    'calibrate': 6}
 #: The same of the object tracker.
 RORAPID_FLOOR = {
     'options': 1, 'tracked_frame': 1, 'projection': 1, 'region': 1, 'visibility': 1, 'model': 1,

@@ -33,6 +33,7 @@ from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.optimise import Elimination
+from selfcal_ros.values.track_labels import TrackLabels
 
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'pivot', 'translation', 'planar', 'circular', 'general',
@@ -273,6 +274,8 @@ class Calibration:
         Where the focal length varies: that of every frame. The camera's is the geometric mean.
     shutter : RowReadout, optional
         The rolling shutter, where rows are read one after the other.
+    labels : TrackLabels, optional
+        What every track is, where things moved by themselves or matches jumped.
 
     Examples
     --------
@@ -310,6 +313,7 @@ class Calibration:
     population: Population | None = field(default=None, repr=False)
     focal: FocalCourse | None = field(default=None, repr=False)
     shutter: RowReadout | None = None
+    labels: TrackLabels | None = field(default=None, repr=False)
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""

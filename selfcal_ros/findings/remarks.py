@@ -112,6 +112,22 @@ REMARKS: dict[str, Phrase] = {
         '{groups} group{groups:plural} of translated views ({sizes} of {views} views).',
         'The views of a group have one orientation. The closed form starts from the first group.',
         'Nothing.'),
+    'tracks_moving': Phrase(
+        '{share:percent} % of the tracks move by themselves: they belong to {bodies:number} '
+        'moving thing{bodies:plural} and have no part in the calibration.',
+        'Tracks that the still scene does not explain fit a rigid motion of their own. They are '
+        'labelled, and no outliers.',
+        'Nothing; where most of the image moves, record another scene.'),
+    'tracks_jump': Phrase(
+        '{share:percent} % of the tracks jump from one point of the scene to another, as on a '
+        'repeated pattern; both parts are used.',
+        'Such a track is two points that stand still. Tiles, racks and bricks look alike.',
+        'Nothing; where many jump, avoid the pattern or track in smaller steps.'),
+    'tracks_unexplained_whole': Phrase(
+        '{share:percent} % of the tracks contradict the still scene as a whole and fit no other '
+        'rigid motion; they were left out.',
+        'They may be people, leaves, shadows, reflections, or wrong matches.',
+        'Record a scene where less moves.'),
     'motion_suggestion': Phrase(
         '{images} more images in which you {motion:motion} would bring {sigma:sigmas} (from the '
         'Fisher information).',

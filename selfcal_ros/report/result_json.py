@@ -66,8 +66,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'value' and 'sigma'; the last two None without a structure that was adjusted), 'facts',
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
-        'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), and 'shutter'
-        (`RowReadout`).
+        'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
+        (`RowReadout`), and 'labels' (tracks by what they are, where something moves by itself or
+        jumps).
 
     """
     fixed = result.fixed_points if result else None
@@ -110,6 +111,8 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         found['findings'] = findings
     if result and result.shutter is not None:
         found['shutter'] = result.shutter.as_dict()
+    if result and result.labels is not None:
+        found['labels'] = {name: result.labels.of(name) for name in result.labels.names}
     return to_jsonable(found)
 
 

@@ -28,8 +28,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
-                                                       with_all_points)
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
+                                                       RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -46,6 +46,7 @@ from selfcal_ros.calibration.initialisation.multi_start import best_start, START
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.moving.sorting import moving_findings, sort_tracks, stands_out
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -66,6 +67,8 @@ MAX_TURN_RAD = np.radians(1.0)
 #: Refusal of a focal length that varies, and those that it may be the reason of.
 NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
+#: Where less than this share of what a view shows stands still, it may as well be the rest.
+LEAST_STILL = 0.5
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -175,6 +178,11 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if near is not None:
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
+    if window.views == problem.views:
+        # before what moves is taken for a shutter or a zoom
+        again = _of_still_tracks(fit, medium, problem, graph)
+        if again is not None:
+            return again
     shutter = choose_shutter(fit, medium, window)
     fit, findings = shutter.fit, shutter.findings
     if not (is_explained or fit.observations.shutter is not None):
@@ -261,6 +269,35 @@ def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGr
     frames = np.array(window.instants, dtype=int)
     return NoEstimate('two_cameras', first=frames[~second].tolist(),
                       second=frames[second].tolist(), all_views=len(second) == len(graph.frames))
+
+
+def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem,
+                     graph: ViewGraph) -> Calibration | None:
+    """Calibrate from what stands still, where something that moves or jumps is found."""
+    frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
+    if graph.given is None or fit.motion.zoom is not None or fit.observations.shutter is not None:
+        return None
+    if not stands_out(fit, tried, graph.tracks.in_frames(frames), graph.given.in_frames(frames)):
+        return None
+    found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
+    findings = moving_findings(found[0].labels) if found else ()
+    if not found or not findings:
+        return None
+    sorted_tracks, still = found
+    # two cameras, or one that zooms, part the tracks as well: those are asked for next
+    if sorted_tracks.still_share < LEAST_STILL:
+        return None
+    # what is explained is no outlier, and has no vote any more
+    rest = replace(graph, tracks=sorted_tracks.static, given=None,
+                   rejected=sorted_tracks.contradicting)
+    observations = replace(observations_of(rest.tracks, rest.frames),
+                           clock=problem.observations.clock)
+    result = _attempt_any_focal(replace(problem, observations=observations), rest,
+                                [still.state.camera(*problem.size)])
+    # a zoom moves tracks, too: where the still ones ask for it, all of them are to tell
+    if not result or result.focal is not None:
+        return None
+    return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))
 
 
 def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:

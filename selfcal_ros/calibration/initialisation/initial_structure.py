@@ -321,7 +321,8 @@ def _step_direction(d_old, d_new, planar) -> np.ndarray:
 
 
 def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
-                 camera: Camera, exact: bool) -> SceneState | None:
+                 camera: Camera, exact: bool, relative: np.ndarray | None = None,
+                 ) -> SceneState | None:
     """
     Start for planar motion under a supposed calibration.
 
@@ -336,6 +337,8 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
     exact : bool
         True: rotations about one axis only, which noise disturbs least. False: keep the tilt
         that the images show, which a road vehicle's pitch needs.
+    relative : ndarray, shape (len(pairs), 3, 3), optional
+        Rotation of every pair where it is known; `relative_rotations` by default.
 
     Returns
     -------
@@ -344,7 +347,8 @@ def planar_start(pairs: list[PairGeometry], blocks: PointBlocks, xy: np.ndarray,
 
     """
     views = blocks.view_count
-    relative = relative_rotations(pairs, camera)
+    if relative is None:
+        relative = relative_rotations(pairs, camera)
     axis = common_axis(relative)
     mount = align_z(axis)
     if exact:

@@ -87,6 +87,8 @@ class ViewGraph:
         lens: of one plane, or of a camera that only turned.
     lens : DivisionModel, optional
         The model that the pairs' F and `noise_px` go by; None for straight lines.
+    given : Tracks, optional
+        All observations of tracks with two or more, those of other geometry too.
 
     """
 
@@ -100,6 +102,7 @@ class ViewGraph:
     division: float = 0.0
     division_sigma: float = float('inf')
     lens: DivisionModel | None = None
+    given: Tracks | None = None
 
     @property
     def bend(self) -> tuple[float, ...]:
@@ -315,4 +318,4 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = 
     return ViewGraph(frames[largest], kept, pairs, median, rejected,
                      float(left_px.max()) / max(median, MIN_NOISE_PX),
                      float(np.median(left_px)) / max(median, MIN_NOISE_PX), turning.division,
-                     turning.sigma, lens.model)
+                     turning.sigma, lens.model, tracks)

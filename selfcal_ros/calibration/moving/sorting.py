@@ -1,0 +1,285 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Sort tracks by what explains the whole of them: the still scene, a body, a jump, or nothing.
+
+The robust adjustment rejects observations one by one. Of a thing that moves it keeps those that
+agree with some point by chance, along epipolar lines most of all, and these pull the camera their
+way. So tracks go as a whole, and what explains them is looked for: rigid bodies first, then jumps
+from one still point to another, as on a repeated pattern.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
+from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
+                                                       with_all_points)
+from selfcal_ros.calibration.initialisation.problem import observations_of
+from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
+from selfcal_ros.calibration.moving.track_test import CHANCE, freedom_of, test_tracks, TrackTest
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
+                                             UNEXPLAINED)
+from selfcal_ros.values.tracks import Tracks
+
+#: A track that a body explains as well as a point that stands still counts with neither, unless
+#: the squares differ by more than this, in sigma².
+CLEAR = 12.0
+#: Rejected tracks stand out when they are so many, with this share of the observations; short
+#: ones go with a single gross error.
+FEW_TRACKS, FEW, LONG = 4, 0.015, 5
+#: Turns of sorting and fitting, unless fewer than this share of the labels change.
+ROUNDS, SETTLED = 6, 0.002
+#: More tracks than this share that nothing explains are told.
+MANY = 0.05
+
+
+@dataclass(frozen=True)
+class SortedTracks:
+    """
+    Tracks by what they are.
+
+    Attributes
+    ----------
+    labels : TrackLabels
+    static : Tracks
+        Observations of still points; both parts of tracks that jumped, the later one under a
+        new identity.
+    contradicting : int
+        Observations that nothing explains.
+    still_share : float
+        Of the observations that are explained, those of still points; in the view with fewest.
+
+    """
+
+    labels: TrackLabels
+    static: Tracks
+    contradicting: int
+    still_share: float
+
+
+def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tracks) -> bool:
+    """
+    Tell whether so many tracks were rejected as a whole that they may be something else.
+
+    Parameters
+    ----------
+    fit : RobustFit
+    tried : Observations
+        That it began with.
+    agreeing, given : Tracks
+        Observations of the fit's views that agree with the geometry of pairs, and all.
+
+    """
+    names, length = np.unique(given.track, return_counts=True)
+    if not len(names):
+        return False
+    kept = np.zeros(len(names), int)
+    some, count = np.unique(agreeing.track, return_counts=True)
+    kept[np.searchsorted(names, some)] = count
+    kept[np.searchsorted(names, tried.track)] = 0
+    kept[np.searchsorted(names, fit.observations.track)] = np.bincount(fit.observations.point)
+    long = length >= LONG
+    lost = long & (2 * kept < length)
+    return bool(lost.sum() >= FEW_TRACKS and length[lost].sum() > FEW * length[long].sum())
+
+
+def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[int, int],
+                rng: np.random.Generator) -> tuple[SortedTracks, RobustFit] | None:
+    """
+    Sort tracks by what explains them, and fit the still ones, in turns.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        Of what seemed to stand still.
+    tracks : Tracks
+        All that were given.
+    frames : ndarray of int, shape (V,)
+        Of the fit's views.
+    size : (int, int)
+        Width and height of the image.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    SortedTracks
+    RobustFit
+        Of the still tracks.
+        None where they do not stand by themselves.
+
+    """
+    tracks = tracks.select(np.isin(tracks.frame, frames)).with_at_least(2)
+    identity, point = np.unique(tracks.track, return_inverse=True)
+    observations = Observations(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity)
+    label = np.full(len(identity), -1)
+    test = test_tracks(fit.bundle, fit.state, observations)
+    for _ in range(ROUNDS):
+        if test is None:
+            return None
+        before = label
+        label = np.where(np.where(test.tested, test.explained, test.lost == 0),
+                         STATIC, UNEXPLAINED)
+        changed = np.mean(before != label)
+        if changed < SETTLED:
+            break
+        refitted = _fitted(fit, tracks.select(test.agrees & (label[point] == STATIC)), frames)
+        if refitted is None:
+            break
+        fit = refitted
+        test = test_tracks(fit.bundle, fit.state, observations)
+    if test is None:
+        return None
+    # a thing that moves is still in no two halves of a long track; short halves prove nothing
+    doubtful = np.flatnonzero((label == UNEXPLAINED) & test.tested)
+    cut = _jumps(fit, observations, doubtful, VERIFYING_VIEWS)
+    label[list(cut)] = JUMPED
+    bodies = _bodies(fit, observations, test, label, size, rng)
+    doubtful = np.flatnonzero((label == UNEXPLAINED) & test.tested)
+    cut.update(_jumps(fit, observations, doubtful, VERIFYING_VIEWS - 1))
+    agrees = test.agrees & (label[point] == STATIC)
+    parts = [tracks.select(agrees)]
+    later = int(identity.max()) + 1
+    for place, (rows, second) in cut.items():
+        label[place] = JUMPED
+        track = tracks.track[rows] * ~second + (later + place) * second
+        parts.append(Tracks(tracks.frame[rows], track, tracks.xy[rows]))
+    static = Tracks(np.concatenate([one.frame for one in parts]),
+                    np.concatenate([one.track for one in parts]),
+                    np.concatenate([one.xy for one in parts]), tracks.image_size,
+                    tracks.stamps_ns).with_at_least(2)
+    final = _fitted(fit, static, frames)
+    known = label[point] >= UNCLEAR
+    return None if final is None else (SortedTracks(
+        TrackLabels(identity, label, bodies), static, int(np.sum(~known & ~test.agrees)),
+        _still_share(observations, label)), final)
+
+
+def _still_share(observations: Observations, label: np.ndarray) -> float:
+    """Share of the observations of still points, in the view where it is least, of all judged."""
+    views = int(observations.view.max()) + 1
+    judged = np.isin(label, (STATIC, JUMPED)) | (label >= MOVING) | (label == UNCLEAR)
+    still = np.isin(label, (STATIC, JUMPED))
+    seen = np.bincount(observations.view, judged[observations.point], views)
+    share = np.bincount(observations.view, still[observations.point], views) / np.maximum(seen, 1)
+    return float(share.min())
+
+
+def moving_findings(labels: TrackLabels) -> tuple[Finding, ...]:
+    """Tell what moves by itself and what jumps; empty where that is little."""
+    found = []
+    shares = [labels.share(f'moving {k + 1}') for k in range(labels.bodies)]
+    if sum(shares) > FEW:
+        found.append(Finding('tracks_moving', share=float(sum(shares)), bodies=len(shares),
+                             shares=[float(share) for share in shares]))
+    jumped = labels.share('jumped')
+    if jumped > FEW:
+        found.append(Finding('tracks_jump', share=float(jumped)))
+    unexplained = labels.share('unexplained')
+    if unexplained > MANY:
+        found.append(Finding('tracks_unexplained_whole', share=float(unexplained)))
+    return tuple(found)
+
+
+def _fitted(fit: RobustFit, tracks: Tracks, frames: np.ndarray) -> RobustFit | None:
+    """Fit other tracks from where a fit stands."""
+    observations = observations_of(tracks, frames)
+    if len(np.unique(observations.view)) < len(frames):
+        return None
+    state = with_all_points(fit.state, observations)
+    if state is None:
+        return None
+    return fit_robustly(observations, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+
+
+def _bodies(fit: RobustFit, observations: Observations, test: TrackTest, label: np.ndarray,
+            size: tuple[int, int], rng: np.random.Generator) -> int:
+    """Label the tracks of rigid bodies; returns how many there are."""
+    rest, places = observations.select(
+        (label == UNEXPLAINED)[observations.point] & test.tested[observations.point])
+    if not len(places):
+        return 0
+    bodies: list[RigidBody] = []
+    for body, members in find_bodies(rest, fit.state.camera(*size), fit.bundle.sigma_px, rng):
+        label[places[members]] = MOVING + len(bodies)
+        bodies.append(body)
+    for body in bodies:
+        _doubt(body, observations, test, label)
+    return len(bodies)
+
+
+def _doubt(body: RigidBody, observations: Observations, test: TrackTest,
+           label: np.ndarray) -> None:
+    """Take the tracks out that the body explains as well as the still scene does."""
+    found = body.test(observations)
+    if found is None:
+        return
+    own, seen = found
+    whole = own.length == test.length[seen]
+    alike = own.square + 16 * own.lost < test.square[seen] + 16 * test.lost[seen] + CLEAR
+    either = seen[own.explained & whole & alike & (label[seen] == STATIC)]
+    label[either] = UNCLEAR
+
+
+def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least: int,
+           ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """
+    Find tracks that are one still point, then another, each in at least so many views.
+
+    Returns
+    -------
+    dict
+        By track the rows of its observations that agree, and which of them are the later part's.
+
+    """
+    first = np.searchsorted(observations.point, places)
+    end = np.searchsorted(observations.point, places, side='right')
+    length = end - first
+    rows: list[np.ndarray] = []
+    part: list[np.ndarray] = []
+    which: list[int] = []
+    for place, begin, count in zip(places, first, length):
+        for cut in range(least, count - least + 1):
+            if max(cut, count - cut) < VERIFYING_VIEWS:
+                continue
+            rows.append(np.arange(begin, begin + count))
+            part.append(2 * len(which) + (np.arange(count) >= cut))
+            which.append(place)
+    if not which:
+        return {}
+    row, piece, owner = np.concatenate(rows), np.concatenate(part), np.array(which)
+    halves = Observations(observations.view[row], piece, observations.xy[row],
+                          np.arange(2 * len(owner)))
+    test = test_tracks(fit.bundle, fit.state, halves)
+    if test is None:
+        return {}
+    square, lost = (np.add.reduceat(values, np.arange(0, 2 * len(owner), 2))
+                    for values in (test.square, test.lost))
+    freedom = freedom_of(test.length - test.lost).reshape(-1, 2).sum(axis=1)
+    sound = (chi2.sf(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
+        lost <= np.add.reduceat(test.length, np.arange(0, 2 * len(owner), 2)) / 4)
+    cost = np.where(sound, square + 16 * lost, np.inf)
+    found = {}
+    for place in np.unique(owner):
+        mine = np.flatnonzero(owner == place)
+        best = mine[np.argmin(cost[mine])]
+        if np.isfinite(cost[best]):
+            own = (piece // 2 == best) & test.agrees
+            found[int(place)] = (row[own], piece[own] % 2 == 1)
+    return found

@@ -1,0 +1,163 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Does a point that stands still explain a whole track?
+
+Single observations of a thing that moves often agree with some point, most of all along epipolar
+lines; the track as a whole does not. So whole tracks are judged, by the sum of their squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import bdtrik
+from scipy.stats import chi2
+
+from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
+from selfcal_ros.calibration.bundle.robust_fit import (Observations, OUTLIER_SIGMAS,
+                                                       with_all_points)
+from selfcal_ros.calibration.bundle.state import SceneState
+
+#: A track that is as it should be fails by chance in less than this share.
+CHANCE = 1e-4
+#: Observations lost by chance are judged by tracks that kept more than this share.
+MOSTLY = 0.5
+#: Fewer tracks do not tell the noise.
+LEAST_FOR_SCALE = 20
+
+
+@dataclass(frozen=True)
+class TrackTest:
+    """
+    How well one path of the camera explains tracks, each by a point of its own.
+
+    Attributes
+    ----------
+    length, lost : ndarray of int, shape (P,)
+        Observations of each track, and those of them that are gross errors.
+    square : ndarray, shape (P,)
+        Sum of squared residuals of the others, in sigma².
+    explained : ndarray of bool, shape (P,)
+        Tracks that are as they should be: no more lost than others lose, and no more left than
+        noise leaves.
+    tested : ndarray of bool, shape (P,)
+        Tracks long enough to contradict.
+    agrees : ndarray of bool, shape (N,)
+        Observations that are no gross errors.
+
+    """
+
+    length: np.ndarray
+    lost: np.ndarray
+    square: np.ndarray
+    explained: np.ndarray
+    tested: np.ndarray
+    agrees: np.ndarray
+
+
+def freedom_of(count: np.ndarray) -> np.ndarray:
+    """Degrees of freedom that so many views of one point leave."""
+    return np.maximum(2 * count - 3, 0)
+
+
+def test_tracks(bundle: Bundle, state: SceneState, observations: Observations,
+                spread: float = 1.0) -> TrackTest | None:
+    """
+    Judge every track by the poses of a state.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Of any observations; gives the model, the facts and the noise.
+    state : SceneState
+        Its poses and lens are held.
+    observations : Observations
+        Of the tracks.
+    spread : float
+        Variance of the sum over a track over that of independent errors, at most.
+
+    Returns
+    -------
+    TrackTest or None
+        None where the lens does not see the observations.
+
+    """
+    placed = with_all_points(state, observations)
+    if placed is None:
+        return None
+    # an adjustment counts the views that it is given
+    state = replace(placed, path=placed.path.of_views(np.arange(observations.view.max() + 1)))
+    own = Bundle(bundle.model, observations.view, observations.point, observations.xy,
+                 priors=bundle.priors, sigma_px=bundle.sigma_px)
+    state = own.refine_points(state)
+    distance = np.linalg.norm(own.residuals(state), axis=1) / bundle.sigma_px
+    distance = np.nan_to_num(distance, nan=np.inf)
+    return judged(observations.point, distance, spread)
+
+
+def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0) -> TrackTest:
+    """
+    Judge tracks by the residuals of their observations.
+
+    Parameters
+    ----------
+    point : ndarray of int, shape (N,)
+        Track of every observation, from zero.
+    distance : ndarray, shape (N,)
+        Length of its residual, sigmas.
+    spread : float
+        See `test_tracks`.
+
+    Returns
+    -------
+    TrackTest
+
+    """
+    count = int(point.max(initial=-1)) + 1
+    distance = distance / _scale(point, distance, count)
+    agrees = distance < OUTLIER_SIGMAS * np.sqrt(spread)
+    length = np.bincount(point, minlength=count)
+    left = np.bincount(point, agrees, count).astype(int)
+    lost = length - left
+    square = np.bincount(point, np.where(agrees, distance**2, 0.0), count)
+    freedom = freedom_of(left)
+    quiet = chi2.sf(square / spread, np.maximum(freedom, 1)) > CHANCE
+    tested = length >= VERIFYING_VIEWS
+    explained = tested & quiet & (left >= VERIFYING_VIEWS)
+    for _ in range(3):
+        usual = explained & (lost <= MOSTLY * length)
+        share = (lost[usual].sum() + 1) / (length[usual].sum() + 1)
+        # so many are lost of a track of this length by chance
+        most = np.ceil(bdtrik(1 - 1e-3, length, min(share, 0.9)))
+        explained &= lost <= np.maximum(most, 1)
+    return TrackTest(length, lost, square, explained, tested, agrees)
+
+
+def _scale(point: np.ndarray, distance: np.ndarray, count: int) -> float:
+    """
+    Noise of the median track over the stated one, at most one.
+
+    What moves with part of the scene makes the stated noise large, and then hides in it.
+    """
+    length = np.bincount(point, minlength=count)
+    worst = np.zeros(count)
+    np.maximum.at(worst, point, distance)
+    good = (worst < OUTLIER_SIGMAS) & (length >= VERIFYING_VIEWS)
+    if good.sum() < LEAST_FOR_SCALE:
+        return 1.0
+    square = np.bincount(point, distance**2, count)[good]
+    return float(min(1.0, np.sqrt(np.median(square / chi2.median(freedom_of(length[good]))))))

@@ -1,0 +1,143 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Things that move by themselves and tracks that jump, against the truth."""
+
+import json
+
+import numpy as np
+import pytest
+
+from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
+from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
+from selfcal_ros.calibration.moving.track_test import judged
+from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.report.result_json import result_to_json
+from selfcal_ros.values.track_labels import TrackLabels
+
+CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), width=640, height=480)
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
+NOISE_PX, VIEWS = 0.2, 10
+
+
+def poses(rng):
+    """Hand-held: turns about all axes, steps in all directions; cam_from_world (V, 3, 4)."""
+    time = np.linspace(0, 2 * np.pi, VIEWS)[:, None]
+    turns = 0.35 * np.sin(time * [1, 2, 1] + rng.uniform(0, 6, 3)) * [1, 1, 0.5]
+    centres = 0.9 * np.sin(time * [1, 1, 2] + rng.uniform(0, 6, 3)) * [1, 0.6, 0.4]
+    R = rotation_matrix(turns)
+    return np.concatenate([R, -R @ centres[..., None]], axis=2)
+
+
+def seen(points, path, rng):
+    """Observe points (V, P, 3) that may move: frame, point, pixels of those in the image."""
+    local = np.einsum('vij,vpj->vpi', path[:, :, :3], points) + path[:, None, :, 3]
+    xy = CAMERA.project(local)
+    inside = (local[..., 2] > 0.5) & ((xy > 0) & (xy < [640, 480])).all(axis=2)
+    frame, point = np.nonzero(inside)
+    return frame, point, xy[inside] + NOISE_PX * rng.standard_normal((len(frame), 2))
+
+
+def world(rng, moving=0, jumping=0):
+    """Tracks of a cloud, the last of them on a thing that moves or on a repeated pattern."""
+    path, count = poses(rng), 150
+    still = rng.uniform([-3, -2.2, 4], [3, 2.2, 9], (count, 3))
+    points = np.tile(still, (VIEWS, 1, 1))
+    if moving:
+        body = rng.uniform(-0.7, 0.7, (moving, 3))
+        turns = rotation_matrix(np.outer(np.linspace(0, 0.8, VIEWS), [0.2, 1, 0]))
+        way = np.array([-1.2, 0.3, 5]) + np.outer(np.linspace(0, 1, VIEWS), [2.2, 0.3, -0.5])
+        points[:, -moving:] = np.einsum('vij,pj->vpi', turns, body) + way[:, None]
+    if jumping:
+        late = np.arange(VIEWS)[:, None] >= rng.integers(3, VIEWS - 2, jumping)
+        points[:, -jumping:] += late[..., None] * [0.4, 0, 0]
+    frame, point, xy = seen(points, path, rng)
+    return Tracks(frame, point, xy, (640, 480)).with_at_least(3)
+
+
+def off_by(result):
+    """Errors of fx, cx, cy in sigmas."""
+    error = result.camera.parameters[[0, 2, 3]] - CAMERA.parameters[[0, 2, 3]]
+    return error / [result.sigma[name] for name in ('fx', 'cx', 'cy')]
+
+
+def test_a_thing_that_moves_is_labelled_and_has_no_part():
+    tracks = world(np.random.default_rng(4), moving=40)
+    result = calibrate(tracks, motion='general', facts=FACTS)
+    assert result, str(result)
+    assert np.abs(off_by(result)).max() < 4
+    labels = result.labels
+    own = np.concatenate([labels.of(f'moving {k + 1}') for k in range(labels.bodies)])
+    true = np.unique(tracks.track)[np.unique(tracks.track) >= 110]
+    assert np.isin(true, own).mean() > 0.9
+    assert np.mean(own < 110) < 0.05
+    assert 'tracks_moving' in [one.kind for one in result.findings]
+    assert result.outlier_count < 0.02 * len(tracks)
+    told = json.loads(result_to_json(result))['labels']
+    assert sorted(told) == sorted(labels.names)
+    assert sum(len(some) for some in told.values()) == len(labels.track)
+
+
+def test_tracks_that_jump_are_used_in_two_parts():
+    tracks = world(np.random.default_rng(5), jumping=30)
+    result = calibrate(tracks, motion='general', facts=FACTS)
+    assert result and np.abs(off_by(result)).max() < 4
+    jumped = result.labels.of('jumped')
+    assert len(jumped) > 20 and (jumped >= 120).all()
+    assert len(result.reconstructed.tracks) > len(np.unique(tracks.track))
+
+
+def test_a_still_scene_is_not_sorted():
+    result = calibrate(world(np.random.default_rng(6)), motion='general', facts=FACTS)
+    assert result and result.labels is None
+    assert 'labels' not in json.loads(result_to_json(result))
+
+
+def test_motion_of_two_views_from_few_matches():
+    rng = np.random.default_rng(7)
+    R, t = rotation_matrix(np.array([0.05, -0.1, 0.02])), np.array([0.6, 0, 0.8])
+    X = rng.uniform([-0.5, -0.5, 3], [0.5, 0.5, 4], (14, 3))
+    a, b = X, X @ R.T + 0.4 * t
+    b[:3] = rng.uniform([-0.5, -0.5, 3], [0.5, 0.5, 4], (3, 3))
+    a, b = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (a, b))
+    found, direction, agree = relative_motion(a, b, 1e-4, rng)
+    assert agree[3:].all() and agree.sum() <= 12
+    assert np.allclose(found, R, atol=1e-6)
+    assert abs(direction @ t) == pytest.approx(1, abs=1e-6)
+    assert np.abs(epipolar_angles(R[None], t[None], a, b)[0, 3:]).max() < 1e-12
+    assert relative_motion(a[:5], b[:5], 1e-4, rng) is None
+
+
+def test_few_still_tracks_fail_by_chance():
+    rng = np.random.default_rng(8)
+    point = np.repeat(np.arange(3000), 6)
+    # a point takes three of twelve degrees of freedom
+    distance = np.sqrt(rng.chisquare(2, len(point)) * 0.75)
+    gross = rng.random(len(point)) < 0.02
+    found = judged(point, np.where(gross, 50.0, distance))
+    assert found.explained.mean() > 0.99
+    drifted = judged(point, np.where(point < 300, distance + 2.2, distance))
+    assert drifted.explained[:300].mean() < 0.1 and drifted.explained[300:].mean() > 0.99
+
+
+def test_shares_of_labels():
+    labels = TrackLabels(np.arange(4), np.array([0, 0, 3, 5]), bodies=2)
+    assert labels.of('jumped').tolist() == [2] and labels.of('moving 2').tolist() == [3]
+    assert labels.share('moving 1') == 0
+
+
+def test_an_absurd_bend_is_no_lens():
+    # what things that move made of the epipolar lines of a recording
+    camera = supposed_camera(500.0, (640, 480), CameraFacts(), (-9.0, 40.0))
+    assert np.isfinite(camera.rays(np.array([[320.0, 240.0], [400.0, 300.0]]))).all()
