@@ -54,6 +54,8 @@ RIVALS = 4
 #: Free translations beside a short lever are not regular unknowns, and lower the cost by up to
 #: five times what their number lets expect though the point is fixed.
 NEARLY_FIXED = 6.0
+#: Where more than this share of the observations contradict, it is the point that moves.
+MOST_LOST = 0.1
 #: A lever that lowers the cost by more than so many sigmas beyond chance may as well be there.
 TOLD_SIGMAS = 2.0
 
@@ -119,7 +121,10 @@ class PivotDecision:
     @property
     def holds(self) -> bool:
         """Tell whether the point may be fixed."""
-        return self.general_excess < NEARLY_FIXED * self.general_freedom
+        fit = self.model.fit
+        lost = fit.outliers / (fit.outliers + len(fit.observations.view))
+        return (lost < MOST_LOST
+                and self.general_excess < NEARLY_FIXED * self.general_freedom)
 
 
 def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: RotationFit,
