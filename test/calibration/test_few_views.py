@@ -13,6 +13,7 @@
 # limitations under the License.
 """Four general views, and equal objects in one image: truth within sigma, or a refusal."""
 
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -52,7 +53,8 @@ def test_four_general_views_suffice_without_a_fact_of_the_pixels(camera):
 def test_the_modulus_constraint_finds_a_principal_point_that_the_sweep_does_not():
     tracks = general_views(np.random.default_rng(7), OUTSIDE).tracks
     with mock.patch.object(multi_start, 'MODULUS_MAX_VIEWS', 0):
-        assert not calibrate(tracks, motion='general', facts=NO_FACT)
+        # a focal length that is asked whether it varies is searched for once more
+        assert not calibrate(tracks, motion='general', facts=replace(NO_FACT, focal='constant'))
     assert_near(calibrate(tracks, motion='general', facts=NO_FACT), OUTSIDE)
 
 
