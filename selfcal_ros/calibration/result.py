@@ -35,8 +35,6 @@ from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.optimise import Elimination
 from selfcal_ros.values.track_labels import TrackLabels
 
-#: Kind of a refusal that knows something of the camera, yet too little for a calibration.
-HINT = 'only_a_hint'
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'pivot', 'translation', 'planar', 'circular', 'general',
            'known-object', 'unknown')
@@ -442,11 +440,6 @@ class NotCalibrated:
         advice = ' '.join(filter(None, [refusal.advice, *(one.sentence for one in further)]))
         return NotCalibrated(refusal.reason, advice, motion, tuple(int(f) for f in frames), facts,
                              dict(status), software, refusal.kind, values, further)
-
-    @property
-    def is_hint(self) -> bool:
-        """Whether `values` has a focal length, which is a hint but no calibration."""
-        return self.kind == HINT
 
     def __bool__(self) -> Literal[False]:
         """Be false: there is no calibration."""

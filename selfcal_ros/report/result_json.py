@@ -54,8 +54,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     Returns
     -------
     dict
-        'status' ('calibrated', 'hint' or 'not_calibrated'), 'reason', 'advice', 'motion',
-        'camera',
+        'status' ('calibrated' or 'not_calibrated'), 'reason', 'advice', 'motion', 'camera',
         'lens' ('model' and 'coefficients' by name), 'sigma', 'covariance' (square, in the order
         of 'parameter_names'), 'parameter_names', 'parameters', 'held_by', 'frames',
         'reprojection_rms_px', 'noise_sigma_px', 'observations', 'outliers', 'fixed_points',
@@ -75,8 +74,7 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     fixed = result.fixed_points if result else None
     found: dict[str, Any] = {
         'schema': SCHEMA,
-        'status': ('calibrated' if result else 'hint' if result.is_hint
-                   else 'not_calibrated'),
+        'status': 'calibrated' if result else 'not_calibrated',
         'reason': '' if result else result.reason,
         'advice': '' if result else result.advice,
         'motion': result.motion,

@@ -32,7 +32,7 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
                                                    without_held)
-from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT, Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
@@ -57,9 +57,6 @@ FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
 MINIMUM_FREEDOM = 40
-#: A turn that is smaller in all, with a larger share of uncertainty in the focal length, gives a
-#: hint: what is supposed of noise and path weighs more there than the images.
-SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 #: With more than this share of the points behind the cameras the scene is inside out.
 MAX_BEHIND = 0.03
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
@@ -152,19 +149,9 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
         status=status, further=found.motion_for(names))
 
 
-def _turned_enough(found: _Optimum) -> NoEstimate | None:
-    """Call a doubtful focal length from a small turn what it is: a hint."""
-    focal = found.fit.state.lens['f']
-    sigma = float(np.sqrt(found.covariance[0, 0])) / focal
-    if found.path.rotation_rad >= SMALL_TURN_RAD or sigma <= HINT_SIGMA:
-        return None
-    return NoEstimate(HINT, focal_px=float(focal), sigma_px=sigma * float(focal),
-                      turned_deg=float(np.degrees(found.path.rotation_rad)))
-
-
 #: What an optimum must pass to be a calibration, in the order in which it is tried.
 ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be_checked,
-                    _is_determined, _is_ahead, _turned_enough)
+                    _is_determined, _is_ahead)
 
 
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
