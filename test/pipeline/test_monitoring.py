@@ -97,6 +97,7 @@ class FakeCalibration:
 
     sigma_px: float
     camera: Camera = Camera([[520, 0, 320], [0, 520, 240], [0, 0, 1]], (), *SIZE)
+    focal: None = None
 
     @property
     def sigma(self):

@@ -27,7 +27,8 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
-from selfcal_ros.calibration.estimators.stated_facts import examine_facts, FactsVerdict
+from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
+                                                              LENS_MODEL)
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
@@ -168,6 +169,9 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         findings = (*dependence.findings('track'), *field.findings())
     ratio, added = model.jackknife
     verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2)
+    if field is not None and facts.distortion != 'none':
+        # what the lens does beyond its model is in the sigmas, or too much for any lens
+        verdict = verdict.without(LENS_MODEL)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
     prism = possible_prism(fit, inner, dependence.inflation**2)

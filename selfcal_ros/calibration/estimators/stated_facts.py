@@ -52,6 +52,8 @@ PLAUSIBLE = {'aspect': 0.02, 'skew': 0.004, 'cx': 0.02, 'cy': 0.02, 'p1': 1e-3, 
 #: Coefficients that a stated lens holds at zero, and that the images are asked about.
 HELD_COEFFICIENTS = {'none': ('k1', 'k2', 'p1', 'p2'), 'radial1': ('k2', 'p1', 'p2'),
                      'radial2': ('k3', 'p1', 'p2'), 'radial3': ('p1', 'p2'), 'radtan': ('k3',)}
+#: The fact that a stated lens is.
+LENS_MODEL = 'lens model'
 #: Unknowns of the lens that each fact is about.
 _ABOUT = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
 
@@ -72,6 +74,8 @@ class Contradiction:
         How the parameters of the camera move where the fact is released.
     is_large : bool
         Whether a parameter of the calibration matrix would be off by much.
+    has_sigma : bool
+        Whether the fact was stated with a sigma.
 
     """
 
@@ -80,6 +84,7 @@ class Contradiction:
     sigmas: float
     shift: np.ndarray
     is_large: bool
+    has_sigma: bool = False
 
     @property
     def values(self) -> dict:
@@ -131,6 +136,11 @@ class FactsVerdict:
             return None
         return self.cause
 
+    def without(self, fact: str) -> FactsVerdict:
+        """Return the verdict without what concerns one fact."""
+        return replace(self, contradicted=tuple(o for o in self.contradicted if o.fact != fact),
+                       doubted=tuple(o for o in self.doubted if o.fact != fact))
+
     @property
     def is_kept(self) -> bool:
         """Tell whether a fact counts that the images contradict."""
@@ -169,8 +179,10 @@ class FactsVerdict:
             if self.trusted:
                 found.append(Finding('fact_trusted', **one.values))
                 continue
-            shift = one.shift * estimated
-            wider = wider + np.outer(shift, shift)
+            # what is no more than doubtful, the sigma that was stated holds already
+            if kind == 'fact_doubtful' or not one.has_sigma:
+                shift = one.shift * estimated
+                wider = wider + np.outer(shift, shift)
             found.append(Finding(kind, **one.values))
         told: dict[str, Finding] = {}
         for fact, unknown, error, shift in self.unchecked:
@@ -245,7 +257,7 @@ def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
               if set(about) <= set(fit.bundle.priors)}
     held = tuple(name for name in HELD_COEFFICIENTS.get(facts.distortion, ())
                  if name in fit.state.lens.names)
-    return {**stated, 'lens model': held} if held else stated
+    return {**stated, LENS_MODEL: held} if held else stated
 
 
 def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float) -> list[Tested]:
@@ -254,7 +266,7 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float) -> 
         return []
     bundle, lens = fit.bundle, fit.state.lens
     shared = fit.linearisation.shared
-    if 'lens model' in about:
+    if LENS_MODEL in about:
         free = bundle.unknowns.free.copy()
         free[bundle.unknowns.lens] = True
         shared = bundle.model.linearise(fit.state, bundle.blocks, bundle.xy,
@@ -305,7 +317,8 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     shift = state.camera().parameters - fit.state.camera().parameters
     moved = np.abs(shift[:len(MATRIX_PARAMETERS)]).max() / lens['f']
     return freed, p_value, Contradiction(tested.name, preferred, float(np.sqrt(total)), shift,
-                                         bool(held_off.any() or moved > MOVED_FRACTION))
+                                         bool(held_off.any() or moved > MOVED_FRACTION),
+                                         any(priors[name].sigma > 0 for name in tested.unknowns))
 
 
 def _unchecked(fit: RobustFit, tested: Tested) -> list[tuple[str, str, float, np.ndarray]]:
