@@ -43,7 +43,7 @@ from selfcal_ros.values.tracks import Tracks
 CLEAR = 12.0
 #: Rejected tracks stand out when they are so many, with this share of the observations; short
 #: ones go with a single gross error.
-FEW_TRACKS, FEW, LONG = 4, 0.015, 5
+FEW_TRACKS, FEW, LONG = 4, 0.04, 5
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
