@@ -182,7 +182,6 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
     little = enough and graph.parallax < DOUBTFUL_PARALLAX
     doubtful = little or (enough and graph.usual_parallax < USUAL_PARALLAX)
     turning: RotationFit | NoEstimate | None = None
-    turned: Calibration | NoEstimate | None = None
     is_weak = False
     if doubtful and facts.focal != 'varying':
         turning = fit_rotations(graph.tracks, size, facts,
@@ -191,12 +190,10 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
             turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
     if is_weak and isinstance(turning, RotationFit):
         turned = _about_a_point(graph, size, facts, motion, turning)
-        if turned:
+        if turned is not None:
             return turned
     moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
                                    is_weak=is_weak)
-    if isinstance(turned, NoEstimate):
-        return _advised_by(turned, moving)
     if not little or (moving and turning is not None):
         return moving
     if turning is None:
@@ -212,16 +209,6 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
         return plane or moving
     return moving
-
-
-def _advised_by(turned: NoEstimate, moving: Calibration | NoEstimate) -> NoEstimate:
-    """Refuse a turn about a point, but advise a vehicle as one: it cannot look up and down."""
-    motion = moving.motion if moving else moving.values.get('motion')
-    if motion not in ('planar', 'circular'):
-        return turned
-    findings = moving.findings if moving else tuple(moving.values.get('further', ()))
-    advice = tuple(one for one in findings if one.kind == 'motion_suggestion')
-    return turned.saying(further=advice) if advice else turned
 
 
 def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,

@@ -27,17 +27,20 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
-from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel
+from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist, twist_matrix
+from selfcal_ros.geometry.rotation import (align_z, rotation_matrix, rotation_vector,
+                                           swing_twist, twist_matrix)
 
 #: Views and points of a motion that is simulated.
 VIEWS, POINTS = 12, 150
+#: Turns have one axis where they leave it by no more than this share of themselves.
+ONE_AXIS = 0.03
 
 
 @dataclass(frozen=True)
@@ -115,8 +118,11 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
         return sorted(found, key=lambda one: one.worst_share)
 
     zoom = fit.motion.zoom and replace(fit.motion.zoom, instants=tuple(range(VIEWS)))
-    if fit.motion.keeps_plane:
-        found = rank(_in_the_plane(state.path), replace(fit.motion, parallel=(), zoom=zoom))
+    level = state.path if fit.motion.keeps_plane else _about_one_axis(state.path)
+    if level is not None and (fit.motion.keeps_plane or fit.motion.fixed_pivot):
+        # who turned on the spot about one axis may be a vehicle
+        motion = fit.motion if fit.motion.keeps_plane else PLANAR
+        found = rank(_in_the_plane(level), replace(motion, parallel=(), zoom=zoom))
         if found and found[0].worst_share < 1:
             return found
     return rank(_anyhow(state.path), replace(GENERAL, zoom=zoom))
@@ -166,6 +172,18 @@ def _depths(fit: RobustFit) -> np.ndarray | None:
         depth = local[:, 2] / state.points[point, 3]
     depth = depth[np.isfinite(depth) & (depth > 0)]
     return np.quantile(depth, np.linspace(0.1, 0.9, 17)) if len(depth) > 10 else None
+
+
+def _about_one_axis(path: AxisPath) -> AxisPath | None:
+    """Return the path with its common axis upright; None where its turns have several axes."""
+    R = path.cam_from_world()[:, :, :3]
+    _, size, axes = np.linalg.svd(rotation_vector(R @ R[0].T))
+    if size[1] > ONE_AXIS * size[0]:
+        return None
+    mount = align_z(axes[0])
+    poses = path.cam_from_world()
+    upright = np.concatenate([R @ R[0].T @ mount, poses[:, :, 3:]], axis=2)
+    return AxisPath.of_poses(mount, upright)
 
 
 def _in_the_plane(path: AxisPath):
