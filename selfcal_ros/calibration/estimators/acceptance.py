@@ -28,7 +28,7 @@ from selfcal_ros.calibration.estimators.model_selection import ModelDecision, ro
 from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
-                                                              LENS_MODEL)
+                                                             LENS_MODEL)
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
