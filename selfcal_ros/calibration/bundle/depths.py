@@ -56,9 +56,7 @@ def inverse_depths(fit: RobustFit) -> np.ndarray:
     inverse = np.linalg.inv(H + floor[:, None, None] * np.eye(3))
     by_weight = tangent_basis(state.points)[:, 3]
     sigma = np.sqrt(np.einsum('pi,pij,pj->p', by_weight, inverse, by_weight))
-    points = state.points[blocks.point]
-    turned = np.einsum('nij,nj->ni', state.path.rotations()[blocks.view], points[:, :3])
-    placed = (turned + state.path.translation[blocks.view] * points[:, 3:]) @ state.path.mount.T
+    placed = state.placed(blocks) @ state.path.mount.T
     if state.lens.model.is_perspective:
         toward = placed[:, 2]
     else:

@@ -66,11 +66,8 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
         False where too few points were followed.
 
     """
-    view, Y, path = blocks.view, state.points[blocks.point], state.path
-    placed = np.einsum('nij,nj->ni', path.rotations()[view], Y[:, :3])
-    placed += path.translation[view] * Y[:, 3:]
-    sign = state.signs(placed @ path.mount.T, blocks, xy)[1][:, None]
-    placed, weight = placed * sign, Y[:, 3:] * sign
+    view, path = blocks.view, state.path
+    placed, weight = state.placed_ahead(blocks, xy)
     there = np.isfinite(neighbours).all(axis=2)
     followed = there.all(axis=1)
     count = np.bincount(view[followed], minlength=blocks.view_count)

@@ -30,6 +30,8 @@ from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.lenses.population import lens_population, Population
 
 
+#: Sigma of p1 and p2 among ordinary lenses.
+ORDINARY_DECENTRING = 1e-3
 #: While starts are compared: standard deviation of the coefficients among ordinary lenses.
 START_SIGMA = {'plumb_bob': {'k1': 0.2, 'k2': 0.1},
                'rational_polynomial': {'k1': 0.2, 'k2': 0.1},

@@ -293,6 +293,11 @@ def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) 
     return RobustFit(bundle, state, fit.observations, fit.outliers)
 
 
+def is_chance(excess: float, freedom: float) -> bool:
+    """Tell whether so many unknowns lower twice the cost so much by chance, at 4 sigma."""
+    return bool(excess <= freedom + 4 * np.sqrt(2 * freedom))
+
+
 def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFit, bool]:
     """
     Decide whether the plane of motion is exact.
@@ -318,7 +323,7 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
     exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
     freedom = 3 * len(flat.path) - 1
     excess = 2 * (exact.cost - relaxed.cost) / dependence
-    if excess <= freedom + 4 * np.sqrt(2 * freedom):
+    if is_chance(excess, freedom):
         return exact, True
     fit = relaxed
     for _ in range(3):

@@ -245,11 +245,7 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
         speed, change, known = motion_from_neighbours(state, blocks, xy, neighbours, clock.rows)
         velocity[known], acceleration[known] = speed[known], change[known]
     view, path = blocks.view, state.path
-    Y = state.points[blocks.point]
-    placed = np.einsum('nij,nj->ni', path.rotations()[view], Y[:, :3])
-    placed += path.translation[view] * Y[:, 3:]
-    sign = state.signs(placed @ path.mount.T, blocks, xy)[1][:, None]
-    placed, weight = placed * sign, Y[:, 3:] * sign
+    placed, weight = state.placed_ahead(blocks, xy)
     delay = clock.delays(xy)
     tau = (state.line_delay * delay)[:, None]
     rate = velocity[view] + tau * acceleration[view]

@@ -78,6 +78,19 @@ class SceneState(BundleState):
         """Return pixels (N, 2) of views (N,) as the camera of `lens` would see them."""
         return xy if self.zoom is None else self.zoom.unzoomed(xy, view, self.lens)
 
+    def placed(self, blocks: PointBlocks) -> np.ndarray:
+        """Return the points of observations (N, 3) in the frames of views, before the mount."""
+        Y = self.points[blocks.point]
+        placed: np.ndarray = np.einsum('nij,nj->ni', self.path.rotations()[blocks.view], Y[:, :3])
+        placed += self.path.translation[blocks.view] * Y[:, 3:]
+        return placed
+
+    def placed_ahead(self, blocks: PointBlocks, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `placed` (N, 3) and the points' last coordinates (N, 1), by `signs`."""
+        placed = self.placed(blocks)
+        sign = self.signs(placed @ self.path.mount.T, blocks, xy)[1][:, None]
+        return placed * sign, self.points[blocks.point][:, 3:] * sign
+
     def signs(self, X: np.ndarray, blocks: PointBlocks, xy: np.ndarray,
               ) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -28,8 +28,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES
-from selfcal_ros.calibration.bundle.priors import (population_of, Prior, Priors,
-                                                   priors_from_facts, with_fixed)
+from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, population_of, Prior,
+                                                   Priors, priors_from_facts, with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
@@ -43,8 +43,6 @@ POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'ratio
 REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 #: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
 DECENTRING = np.geomspace(2e-4, 5e-3, 9)
-#: That of a lens of which nothing is known, where it cannot be estimated.
-ORDINARY_DECENTRING = 1e-3
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12

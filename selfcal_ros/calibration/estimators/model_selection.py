@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import to_parameters
-from selfcal_ros.calibration.bundle.robust_fit import (choose_motion, fit_robustly,
+from selfcal_ros.calibration.bundle.robust_fit import (choose_motion, fit_robustly, is_chance,
                                                        Observations, refit, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
@@ -154,7 +154,7 @@ def hold_parallel(fit: RobustFit, parallel: tuple[int, ...], size: tuple[int, in
     held = refit(fit, motion, replace(fit.state, path=fit.state.path.aligned(motion)))
     freedom = 3 * (len(parallel) - 1)
     excess = 2 * (held.cost - fit.cost) / robust_covariance_of(fit, size).inflation**2
-    if excess <= freedom + 4 * np.sqrt(2 * freedom):
+    if is_chance(excess, freedom):
         return held, 0.0
     R = fit.state.path.rotations()[list(parallel)]
     return fit, float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())

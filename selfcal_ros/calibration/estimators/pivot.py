@@ -30,8 +30,9 @@ from selfcal_ros.calibration.bundle.depths import cost_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import with_fixed
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, OUTLIER_SIGMAS,
-                                                       refit, RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
+                                                       OUTLIER_SIGMAS, refit, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -87,8 +88,7 @@ class PivotDecision:
     @property
     def is_rotation(self) -> bool:
         """Tell whether there may be no lever at all, by a likelihood ratio at 4 sigma."""
-        excess, freedom = self.rotation_excess, self.rotation_freedom
-        return excess <= freedom + 4 * float(np.sqrt(2 * freedom))
+        return is_chance(self.rotation_excess, self.rotation_freedom)
 
     def hidden(self, rotating: Calibration, size: tuple[int, int]) -> np.ndarray:
         """

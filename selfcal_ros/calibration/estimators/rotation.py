@@ -30,13 +30,13 @@ from selfcal_ros.calibration.affine.infinite_homography_calibration import camer
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.bundle.motion import MotionModel, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, priors_from_facts,
+                                                   with_fixed)
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
-from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, LensDecision,
-                                                               ORDINARY_DECENTRING)
+from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,

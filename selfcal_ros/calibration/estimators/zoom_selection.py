@@ -30,7 +30,8 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
-from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence, shape_gain
+from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, FocalEvidence,
+                                                              shape_gain)
 from selfcal_ros.geometry.camera import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
@@ -65,8 +66,12 @@ def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, 
     """Test whether the images contradict a constant focal length."""
     dependence = robust_covariance_of(fit, size).inflation**2
     found = focal_evidence(fit, instants, dependence)
-    return (found is not None and found.varies
-            and found.gain > shape_gain(fit, dependence))
+    return found is not None and _is_zoom(found, fit, dependence)
+
+
+def _is_zoom(found: FocalEvidence, fit: RobustFit, dependence: float) -> bool:
+    """Tell whether images differ in scale, and in no other shape as probably."""
+    return found.varies and found.gain > shape_gain(fit, dependence)
 
 
 def near_state(near: RobustFit, observations: Observations) -> SceneState | None:
@@ -110,8 +115,7 @@ def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> Ro
         found = focal_evidence(fit, before.instants, dependence)
         if found is None:
             break
-        if facts.focal == 'auto' and not (found.varies
-                                          and found.gain > shape_gain(fit, dependence)):
+        if facts.focal == 'auto' and not _is_zoom(found, fit, dependence):
             still = replace(fit.state, zoom=None)
             return refit(fit, replace(fit.motion, zoom=None), still)
         zoom = replace(before, sigma=found.sigma)

@@ -29,12 +29,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from selfcal_ros.calibration.bundle.priors import ORDINARY_DECENTRING
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 
-#: Standard deviation of p1 and p2 among ordinary lenses.
-ORDINARY_DECENTRING = 1e-3
 #: Decentring counts where without it the estimate would be an accident so rarely.
 ACCIDENT = 1e-6
 _PRISM = 'no prism'
