@@ -37,7 +37,9 @@ def test_the_recorded_moves_through_three_processes_give_the_true_camera(tmp_pat
         assert abs(result['camera'][name] - truth[name]) < 1
     for name in ('fx', 'cx', 'cy'):
         assert abs(result['camera'][name] - truth[name]) < 4 * result['sigma'][name]
-    assert infos[0][1] == 0 and infos[-1][1] > 0
+    # zeros until there is a calibration, which then stays; when that is, is up to the machine
+    known = [focal > 0 for _, focal in infos]
+    assert not known[0] and known == sorted(known)
     assert read_camera_yaml(tmp_path / 'camera.yaml')[0].K[0, 0] == result['camera']['fx']
 
 
