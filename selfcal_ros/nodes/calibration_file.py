@@ -15,13 +15,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 import re
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 
 
@@ -34,8 +34,8 @@ class CalibrationFile:
     camera_name : str
         Letters, digits and underscores.
     output : str
-        Path, also as file:// URL or with ~; empty: ${ROS_HOME}/camera_info/<name>.yaml, ROS_HOME
-        being ~/.ros by default, as camera_info_manager has it.
+        Path or URL, see `path_of`; empty: ${ROS_HOME}/camera_info/${NAME}.yaml, where
+        camera_info_manager looks.
 
     Raises
     ------
@@ -49,13 +49,7 @@ class CalibrationFile:
             raise ArgumentError('The parameter camera_name takes letters, digits and underscores, '
                                 f'not {camera_name!r}.')
         self.camera_name = camera_name
-        home = os.environ.get('ROS_HOME') or '~/.ros'
-        path = output.removeprefix('file://') or f'{home}/camera_info/{camera_name}.yaml'
-        try:
-            self.path = Path(path.replace('${ROS_HOME}', home)).expanduser()
-        except RuntimeError:
-            raise ArgumentError(f'There is no such home folder as in {path!r}; give the full path '
-                                'of the calibration file.') from None
+        self.path = path_of(output or '${ROS_HOME}/camera_info/${NAME}.yaml', camera_name)
 
     def write(self, calibration: Calibration, camera: Camera | None = None) -> Path:
         """

@@ -36,13 +36,17 @@ from selfcal_ros.nodes.calibration_status import calibration_status
 from selfcal_ros.nodes.change_watch import ChangeWatch
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
+from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
+from selfcal_ros.nodes.stored_camera import StoredCamera
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
                                                       Interruption)
@@ -72,6 +76,8 @@ class Calibrator(Node):
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.output)
         self._upload = CameraInfoUpload(self, self.parameters.set_camera_info_service)
         self._session = CalibrationSession(session_settings(self.parameters))
+        self._stored = StoredCamera(self._file, self.get_logger()
+                                    ) if self.parameters.begin_with_file else None
         self._scene = ScenePublisher(self, self.parameters.world_frame)
         self._worker = worker()
         self._watch = ChangeWatch(self._session, self.get_logger(),
@@ -84,15 +90,24 @@ class Calibrator(Node):
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         self._result = self.create_publisher(String, '~/result', LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self.tracks = self.create_subscription(PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)
-        self._watchdog = InputWatchdog(self, 'tracks', lambda: [self.tracks.topic_name]
-                                       if self.tracks else [], self.parameters.silence_s)
+        # rclpy hands the number of a message to who takes two arguments, and its types know one
+        self.tracks = self.create_subscription(
+            PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)  # type: ignore[arg-type]
+        self._count = LossCount()
+        self._watchdog = InputWatchdog(self, 'tracks', self._topics, self.parameters.silence_s)
+        self._rivals = RivalPublishers(
+            self, lambda: [self._camera_info.topic_name],
+            'whoever listens gets both; remap camera_info of this node, or end the other')
         self.create_service(Trigger, '~/calibrate', self._on_calibrate)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/save', self._on_save)
         self.create_timer(0.05, self._estimate, clock=STEADY)
         self.create_timer(1.0, self._diagnose, clock=STEADY)
         follow(self, self._check_change, self._change)
+
+    def _topics(self) -> list[str]:
+        """Return the topics that are subscribed now."""
+        return [self.tracks.topic_name] if self.tracks else []
 
     def _check_change(self, new: CalibratorParameters):
         """Refuse parameters that contradict each other, or name what cannot be."""
@@ -110,8 +125,10 @@ class Calibrator(Node):
         self._session.change(session_settings(new))
         self._watch.change(monitor_settings(new))
 
-    def _on_tracks(self, msg: PointCloud2):
+    def _on_tracks(self, msg: PointCloud2, about: dict):
         self._watchdog.heard()
+        self._count.arrive(about.get('publication_sequence_number'), len(msg.data),
+                           alone=self.count_publishers(self.tracks.topic_name) <= 1)
         try:
             frame = tracks_from_message(msg)
         except InputError as error:
@@ -140,6 +157,8 @@ class Calibrator(Node):
     def _publish_camera_info(self, header):
         calibration = self._session.calibration
         camera = calibration.camera_of(self._session.newest) if calibration else None
+        if camera is None and self._stored is not None:
+            camera = self._stored.of_images(self._driver, self._size)
         self._camera_info.publish(self._driver.message(camera, header, self._size, self._types))
 
     def _estimate(self):
@@ -248,6 +267,7 @@ class Calibrator(Node):
         return response
 
     def _on_reset(self, _, response):
+        self._stored = None
         self._begin_anew('~/reset was called')
         response.success, response.message = True, 'starting anew'
         return response
@@ -267,9 +287,24 @@ class Calibrator(Node):
     def _diagnose(self):
         level, text, values = self._watch.judge(
             *calibration_status(self._session.snapshot()))
+        if self._stored is not None and self._stored.used and self._session.calibration is None:
+            text = f'the calibration of {self._file.path} is in force; {text}'
+        complaint = self._rivals.complaint or self._loss()
         if self._watchdog.too_long_s:
             level, text = WARN, f'no tracks for {self._watchdog.silent_s:.0f} s; {text}'
-        status = status_message(f'{self.get_name()}: calibration', level, text, self._types,
+        elif complaint:
+            level, text = WARN, f'{complaint}; {text}'
+        values['tracks lost'] = self._count.lost + self._count.overrun
+        status = status_message(f'{diagnostic_name(self)}: calibration', level, text, self._types,
                                 values, self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)
         self._diagnostics.publish(diagnostics_message([status], header, self._types))
+
+    def _loss(self) -> str:
+        """Say which tracks are being lost; warn once where some are."""
+        self._count.look()
+        where = ('tracks', ', '.join(self._topics()), False)
+        news = self._count.news(*where)
+        if news:
+            self.get_logger().warning(news)
+        return self._count.complaint(*where)

@@ -32,6 +32,7 @@ from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
+from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.sensor_roi import DRIVER_TOPIC
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -60,6 +61,9 @@ class CameraInfoPublisher(Node):
                                  transport='raw' if source == 'image' else source)
             self._topics = lambda: images.topics
         self._watchdog = InputWatchdog(self, 'messages', self._topics, self.parameters.silence_s)
+        self._rivals = RivalPublishers(
+            self, lambda: [self._publisher.topic_name],
+            'whoever listens gets both; remap camera_info of this node, or end the other')
         self.create_service(SetCameraInfo, '~/set_camera_info', self._on_set)
         self._look()
         self.create_timer(1.0, self._look, clock=STEADY)

@@ -79,9 +79,59 @@ def usage(name: str) -> str:
     return '\n'.join(lines)
 
 
+def plain_arguments(args: list[str]) -> list[str]:
+    """Return what is not for ROS: all but what stands between --ros-args and --."""
+    plain, is_for_ros = [], False
+    for one in args:
+        if one in ('--ros-args', '--'):
+            is_for_ros = one == '--ros-args'
+        elif not is_for_ros:
+            plain.append(one)
+    return plain
+
+
+def refusal(name: str, args: list[str]) -> str:
+    """Say what is wrong with arguments of a node that takes none but those of ROS; '' if none."""
+    unknown = plain_arguments(args)
+    if not unknown:
+        return ''
+    first, text = unknown[0], f'{name} takes no argument {unknown[0]!r:.60}'
+    given = first.removeprefix('-p').strip()
+    if ':=' in given:
+        option = '-r' if given.startswith(('/', '_', 'image:=', 'camera_info:=')) else '-p'
+        return f'{text}; say --ros-args {option} {given:.60}'
+    return f'{text}; parameters follow --ros-args -p, and {name} --help lists them'
+
+
+def spin_until(executor, finished) -> None:
+    """
+    Spin until a future is done.
+
+    The executor's own function of this kind adds a callback to the future at every wake-up.
+    """
+    finished.add_done_callback(lambda _: executor.wake())
+    while executor.context.ok() and not finished.done():
+        executor.spin_once()
+
+
 def run_node(make_node: Callable, args: list[str] | None = None) -> int:
     """Run one node until it is finished or told to stop; see `run_nodes`."""
+    given = sys.argv[1:] if args is None else args
+    name = program_name()
+    if not asks_for_help(given) and refusal(name, given):
+        print(f'{refusal(name, given)}.', file=sys.stderr)
+        return 2
     return run_nodes(lambda: [make_node()], args)
+
+
+def program_name() -> str:
+    """Return the name of the node as the user has called it."""
+    return os.path.splitext(os.path.basename(sys.argv[0]))[0]
+
+
+def asks_for_help(given: list[str]) -> bool:
+    """Tell whether a person asks what there is."""
+    return bool({'-h', '--help'} & set(plain_arguments(given)))
 
 
 def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
@@ -104,14 +154,15 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     """
     signals = StopSignals()
     given = sys.argv[1:] if args is None else args
-    if {'-h', '--help'} & set(given[:given.index('--ros-args') if '--ros-args' in given
-                                    else len(given)]):
-        print(usage(os.path.splitext(os.path.basename(sys.argv[0]))[0]))
+    if asks_for_help(given):
+        print(usage(program_name()))
         return 0
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     from selfcal_ros.errors import SelfcalError
+    from selfcal_ros.nodes.shared_memory import sweep
+    sweep()
     try:
         rclpy.init(args=args)
     except Exception as error:  # RCLError is private: a broken parameter file, an unwritable log
@@ -129,7 +180,7 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
         if finished is None:
             executor.spin()
         else:
-            executor.spin_until_future_complete(finished)
+            spin_until(executor, finished)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except SelfcalError as error:

@@ -16,10 +16,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import time
 from typing import Any
 
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_IN_RELIABLE, STEADY
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -27,6 +29,8 @@ from sensor_msgs.msg import CompressedImage, Image
 TRANSPORTS = {'raw': Image, 'compressed': CompressedImage}
 #: How often publishers and listeners are looked at.
 LOOK_PERIOD_S = 0.1
+#: With transport auto: after so long a silence whoever speaks is followed.
+SILENT_S = 2.0
 #: As image_transport names them.
 COMPRESSED = 'compressed'
 
@@ -84,8 +88,13 @@ class ImageInputs:
     wanted : callable, optional
         Tells whether images are wanted now; always by default.
     transport : {'auto', 'raw', 'compressed'}
-        With 'auto' the one that speaks first.
+        With 'auto' the one that speaks first, until it is silent for `SILENT_S`.
     reliability : {'auto', 'best_effort', 'reliable'}
+
+    Attributes
+    ----------
+    count : LossCount
+        What came of the images of the topic that is followed.
 
     """
 
@@ -95,7 +104,10 @@ class ImageInputs:
         self._topics = {'raw': 'image', 'compressed': compressed_topic(node)}
         self._subscriptions: dict[str, Any] = {}
         self._profiles: dict[str, Any] = {}
-        self._chosen = ''
+        self._chosen = self._followed = ''
+        self._heard = time.monotonic()
+        self._publishers = 0
+        self.count = LossCount()
         self.choose(transport, reliability)
         self._timer = node.create_timer(LOOK_PERIOD_S, self.connect, clock=STEADY)
 
@@ -113,9 +125,15 @@ class ImageInputs:
 
     def connect(self) -> None:
         """Subscribe to what is wanted now, as its publishers send."""
+        if self._chosen == 'auto' and time.monotonic() - self._heard > SILENT_S:
+            self._transport = 'auto'
         wanted = set()
         if self._wanted():
             wanted = set(TRANSPORTS) if self._transport == 'auto' else {self._transport}
+        publishers = sum(self._node.count_publishers(self._topics[name]) for name in wanted)
+        if publishers != self._publishers:
+            self._publishers = publishers
+            self.count.begin()
         profiles = {name: image_profile(self._node, self._topics[name],
                                         self._reliability) for name in wanted}
         for name in set(self._subscriptions):
@@ -124,16 +142,57 @@ class ImageInputs:
                 self._node.destroy_subscription(self._subscriptions.pop(name))
         self._profiles = profiles
         for name in sorted(wanted - set(self._subscriptions), reverse=True):
+            self.count.begin()
             self._subscriptions[name] = self._node.create_subscription(
                 TRANSPORTS[name], self._topics[name],
-                lambda msg, name=name: self._on_image(msg, name), profiles[name],
+                lambda msg, about, name=name: self._on_image(msg, about, name), profiles[name],
                 qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.HISTORY,
                                                              QoSPolicyKind.DEPTH]))
 
-    def _on_image(self, msg, transport: str):
+    def fetch(self) -> None:
+        """Take what waits in the queue of the transport that is followed."""
+        if self._transport in self._subscriptions:
+            self._receive(self._transport)
+
+    def _on_image(self, msg, about, transport: str):
         if self._transport == 'auto':
-            self._node.get_logger().info(
-                f'images arrive on {self._subscriptions[transport].topic_name}')
-            self._transport = transport
+            if transport != self._followed:
+                self._node.get_logger().info(
+                    f'images arrive on {self._subscriptions[transport].topic_name}')
+                self.count.begin()
+            self._transport = self._followed = transport
         if transport == self._transport:
+            self._receive(transport, (msg, about))
+
+    def _receive(self, transport: str, *taken):
+        """Count and hand over what was taken from a queue, and all that it still holds."""
+        subscription = self._subscriptions[transport]
+        batch = [*taken, *_waiting(subscription)]
+        if not batch:
+            return
+        self._heard = time.monotonic()
+        overrun = len(batch) >= self._profiles[transport].depth
+        for number, (msg, about) in enumerate(batch):
+            # a full queue has dropped what came before the oldest that it holds
+            self.count.arrive(about.get('publication_sequence_number'), len(msg.data),
+                              alone=self._publishers <= 1, overrun=overrun and not number)
             self._take(msg)
+
+    def complaint(self, news: bool = False) -> str:
+        """Say what is being lost and why; with `news` only where that was not said before."""
+        name = self._followed or self._transport
+        if name not in self._subscriptions:
+            return ''
+        say = self.count.news if news else self.count.complaint
+        return say('images', self._subscriptions[name].topic_name,
+                   self._profiles[name].reliability == ReliabilityPolicy.BEST_EFFORT)
+
+
+def _waiting(subscription) -> list[tuple[Any, dict]]:
+    """Take what a queue holds; the executor would take one at a time."""
+    found = []
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type,
+                                                         subscription.raw)) is not None:
+            found.append(taken)
+    return found

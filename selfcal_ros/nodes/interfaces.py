@@ -47,7 +47,7 @@ _CALIBRATOR = (
              'interest'),
     Endpoint('out', 'camera_info', 'sensor_msgs/CameraInfo',
              'one for every image, with its stamp and frame, for the full sensor; K is zero until '
-             'there is a calibration'),
+             'there is a calibration, in the file or estimated'),
     Endpoint('out', '~/result', 'std_msgs/String',
              'the result, as result.json; latched'),
     Endpoint('out', 'structure', 'sensor_msgs/PointCloud2',
@@ -72,10 +72,14 @@ INTERFACES = {
         Endpoint('in', 'image', 'sensor_msgs/Image', 'any encoding of a grey or colour camera'),
         Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
         Endpoint('out', 'tracks', 'sensor_msgs/PointCloud2',
-                 'x, y (pixels) and id of the points of each image, with its stamp and frame'),
+                 'x, y (pixels) and id of the points of each image, with its stamp and frame; '
+                 'no points where there was no time to follow them'),
         Endpoint('out', '~/overlay', 'sensor_msgs/Image',
                  'the tracks drawn over each image, for RViz and Foxglove; only while somebody '
                  'subscribes'),
+        Endpoint('out', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
+                 'once a second: images received, lost on the way, and that there was no time '
+                 'for; a warning with the cause where they are many'),
     ),
     'planar_calibrator': _CALIBRATOR,
     'affine_calibrator': _CALIBRATOR,

@@ -26,6 +26,12 @@ from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 
 
+#: How a calibration file is named.
+_FILE = ('calibration file: a path, file:///PATH or package://PACKAGE/PATH, with ${NAME} for the '
+         'name of the camera')
+_WHERE = '${ROS_HOME}/camera_info/${NAME}.yaml, where camera drivers look'
+
+
 def parameter(default, description: str, low=None, high=None, one_of=(), live=False):
     """
     Describe one parameter; use it as the default of a dataclass field.
@@ -49,8 +55,8 @@ def parameter(default, description: str, low=None, high=None, one_of=(), live=Fa
 
 def _image_transport():
     return parameter('auto', 'which of the topics image and image/compressed to follow; auto '
-                     'takes the one that speaks first', one_of=('auto', 'raw', 'compressed'),
-                     live=True)
+                     'takes the one that speaks first, until it falls silent',
+                     one_of=('auto', 'raw', 'compressed'), live=True)
 
 
 def _reliability():
@@ -90,8 +96,9 @@ class CalibratorParameters:
     """Parameters of planar_calibrator and affine_calibrator."""
 
     camera_name: str = parameter('camera', 'name in the calibration file, and its file name')
-    output: str = parameter('', 'calibration file; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
-                            'where camera drivers look', live=True)
+    output: str = parameter('', f'{_FILE}; empty: {_WHERE}', live=True)
+    begin_with_file: bool = parameter(
+        True, 'publish the calibration of this file, if it is there, until one is estimated')
     auto_save: bool = parameter(False, 'write the file after every estimate, not on ~/save only',
                                 live=True)
     set_camera_info_service: str = parameter(
@@ -207,9 +214,7 @@ class CameraInfoPublisherParameters:
     """Parameters of camera_info_publisher."""
 
     camera_name: str = parameter('camera', 'name of the camera, and of its file')
-    camera_info_url: str = parameter(
-        '', 'calibration file, also as file:// URL; empty: ${ROS_HOME}/camera_info/<name>.yaml, '
-        'where camera drivers look', live=True)
+    camera_info_url: str = parameter('', f'{_FILE}; empty: {_WHERE}', live=True)
     source: str = parameter(
         'driver', 'whose stamps to take: driver/camera_info, which also tells binning and region '
         'of interest, or the images of a driver without one',

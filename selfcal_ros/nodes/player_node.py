@@ -28,7 +28,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.nodes.image_topics import compressed_topic
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import BagPlayerParameters
-from selfcal_ros.nodes.quality_of_service import PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import IMAGES_REPLAYED, STEADY
 from selfcal_ros.pipeline.replay import ImageRecording
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -49,7 +49,7 @@ class BagPlayer(Node):
         name, message = (('image', Image) if self._recording.message_type.endswith('/Image')
                          else (compressed_topic(self), CompressedImage))
         self._publisher = self.create_publisher(
-            message, name, PER_IMAGE,
+            message, name, IMAGES_REPLAYED,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         # not self._clock, which is the node's own
         self._time = (self.create_publisher(ClockMessage, '/clock', 10)

@@ -17,14 +17,16 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 #: Images: best effort matches every publisher; late images are worth nothing.
-IMAGES_IN = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+IMAGES_IN = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: Images of publishers that are reliable: large ones then arrive whatever the size of the
 #: transport's buffers, if later.
-IMAGES_IN_RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+IMAGES_IN_RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: Images for people: viewers may ask for reliable ones, and want the newest.
 IMAGES_OUT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-#: One message an image: tracks, camera_info.
-PER_IMAGE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+#: Images of a recording: none is to be lost.
+IMAGES_REPLAYED = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+#: One small message an image: tracks, camera_info. They wait for two seconds of 30 Hz.
+PER_IMAGE = QoSProfile(depth=60, reliability=ReliabilityPolicy.RELIABLE)
 #: Results: whoever comes late gets the last one.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from msg_adapters.camera_info import camera_info_message, image_camera_from_info
-from msg_adapters.diagnostics import diagnostics_message, status_message
+from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
 from msg_adapters.markers import delete_markers, object_markers
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.poses import pose_matrix, pose_with_covariance_message, transform_message
@@ -26,11 +26,13 @@ from msg_adapters.stamps import header_message
 import numpy as np
 from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
 from selfcal_ros.pipeline.tracking_run import read_start
@@ -95,6 +97,8 @@ class RorapidNode(Node):
                                  PER_IMAGE)
         self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
                                        p.silence_s)
+        self._rivals = RivalPublishers(self, lambda: self._inputs.topics,
+                                       'end all but one, or remap the input')
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_timer(1.0, self._diagnose, clock=STEADY)
@@ -266,8 +270,16 @@ class RorapidNode(Node):
     def _diagnose(self):
         level, text, values = tracking_status(
             self._newest, self._info_problem, self._worker.dropped, self._watchdog.too_long_s)
-        status = status_message(f'{self.get_name()}: tracking', level, text, self._types, values,
-                                self.parameters.camera_name)
+        self._inputs.count.look()
+        news = self._inputs.complaint(news=True)
+        if news:
+            self.get_logger().warning(news)
+        complaint = self._rivals.complaint or self._inputs.complaint()
+        if complaint:
+            level, text = max(level, WARN), f'{complaint}; {text}'
+        values.update(self._inputs.count.values)
+        status = status_message(f'{diagnostic_name(self)}: tracking', level, text, self._types,
+                                values, self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)
         self._diagnostics.publish(diagnostics_message([status], header, self._types))
 

@@ -83,6 +83,10 @@ class SensorRoi:
             return camera
         return self._window.full_camera(camera, *self._full)
 
+    def image_camera(self, full: Camera, image_size: tuple[int, int]) -> Camera:
+        """Return the camera of the images, given that of the full sensor."""
+        return self._window.image_camera(full) if self._fits(image_size) else full
+
     def message(self, camera: Camera | None, header, image_size: tuple[int, int], types):
         """
         Build the CameraInfo of an image: for the full sensor, with the driver's window.

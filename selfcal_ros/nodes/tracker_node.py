@@ -15,26 +15,35 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections import deque
+import time
+from typing import Any, Protocol
 
+from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.diagnostics import diagnostics_message, OK, STALE, status_message, WARN
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
-from msg_adapters.stamps import stamp_ns
+from msg_adapters.stamps import header_message, stamp_ns
 from msg_adapters.tracks import tracks_message
 from rclpy.node import Node
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.image_circle import CircleWatch
 from selfcal_ros.features.klt import KltTracker
 from selfcal_ros.features.mask import ImageMask, read_mask
+from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import FeatureTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
+from selfcal_ros.nodes.rival_publishers import RivalPublishers
+from selfcal_ros.pipeline.size_guard import SizeGuard
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.report.tracks_overlay import TracksOverlay
 from sensor_msgs.msg import Image, PointCloud2
 
+#: So many images wait at most while another is followed; a short hindrance costs none.
+MOST_WAITING = 5
 #: Smaller images than this hold no features worth following.
 MINIMUM_SIDE_PX = 64
 
@@ -71,7 +80,10 @@ class FeatureTracker(Node):
         self._circle = CircleWatch(every=5)
         self._drawing = TracksOverlay()
         self._newest_ns = None
-        self._size = None
+        self._size: tuple[int, int] | None = None
+        self._sizes = SizeGuard()
+        self._waiting: deque[Any] = deque()
+        self._next = self.create_guard_condition(self._follow_next)
         self.tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
         self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
         self._inputs = ImageInputs(self, self._on_image, self._is_heard,
@@ -79,7 +91,11 @@ class FeatureTracker(Node):
                                    reliability=self.parameters.reliability)
         self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
                                        self.parameters.silence_s)
+        self._rivals = RivalPublishers(self, lambda: self._inputs.topics,
+                                       'end all but one, or remap the input')
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._idle = self.create_timer(1.0, self._say_idle, clock=STEADY)
+        self.create_timer(1.0, self._diagnose, clock=STEADY)
         follow(self, _mask_of, self._change)
 
     def _is_heard(self) -> bool:
@@ -105,6 +121,35 @@ class FeatureTracker(Node):
 
     def _on_image(self, msg):
         self._watchdog.heard()
+        self._waiting.append(msg)
+        self._next.trigger()
+
+    def _follow_next(self):
+        """Follow the oldest image that waits, and tell of those that there is no time for."""
+        self._inputs.fetch()
+        while len(self._waiting) > MOST_WAITING:
+            self._inputs.count.skip()
+            self._leave_out(self._waiting.popleft())
+        if not self._waiting:
+            return
+        began = time.perf_counter()
+        self._follow(self._waiting.popleft())
+        self._inputs.count.worked(time.perf_counter() - began)
+        if self._waiting:
+            self._next.trigger()
+
+    def _leave_out(self, msg):
+        """Tell of an image without its points: it is to have its CameraInfo all the same."""
+        size = (msg.width, msg.height) if isinstance(msg, Image) else self._size
+        if self._size is None or size != self._size:
+            return
+        for listener in self.listeners:
+            listener.announce(msg.header, self._size)
+        if not self.listeners or self.tracks.get_subscription_count():
+            self.tracks.publish(tracks_message([], [], self._size, msg.header, self._types))
+
+    def _follow(self, msg):
+        """Find the points of an image, and publish them."""
         try:
             grey = self._decoder.grey(msg)
         except InputError as error:
@@ -116,7 +161,10 @@ class FeatureTracker(Node):
                 f'image dropped: {size[0]}x{size[1]} pixels are too few; '
                 f'{MINIMUM_SIDE_PX} a side are needed', throttle_duration_sec=5.0)
             return
+        if not self._sizes.takes(size, time.monotonic()):
+            return
         if not self._is_in_order(stamp_ns(msg.header.stamp), size):
+            self._leave_out(msg)
             return
         try:
             self._look_where(grey)
@@ -134,6 +182,36 @@ class FeatureTracker(Node):
             self._overlay.publish(image_message(self._drawing.draw(grey, ids, xy), msg.header,
                                                 self._types))
 
+    def _diagnose(self):
+        """Say what became of the images, and warn once where they are being lost."""
+        count = self._inputs.count
+        count.look()
+        news = self._inputs.complaint(news=True)
+        if news:
+            self.get_logger().warning(news)
+        level, text = OK, 'images are followed'
+        complaint = self._mixed() or self._rivals.complaint or self._inputs.complaint()
+        if not self._inputs.topics:
+            text = 'nobody subscribes to the tracks'
+        elif self._watchdog.too_long_s:
+            level, text = STALE, f'no images for {self._watchdog.too_long_s:.0f} s'
+        elif complaint:
+            level, text = WARN, complaint
+        status = status_message(f'{diagnostic_name(self)}: images', level, text, self._types,
+                                count.values)
+        header = header_message(self.get_clock().now().nanoseconds, '', self._types)
+        self._diagnostics.publish(diagnostics_message([status], header, self._types))
+
+    def _mixed(self) -> str:
+        """Say that images of several sizes come, where they do."""
+        other, size = self._sizes.mixed_with(time.monotonic()), self._sizes.size
+        if other is None or size is None:
+            return ''
+        text = (f'images of {other[0]}x{other[1]} pixels come between those of '
+                f'{size[0]}x{size[1]}, which alone are followed: one topic is for one camera')
+        self.get_logger().warning(text, throttle_duration_sec=30.0)
+        return text
+
     def _look_where(self, grey):
         """Follow points within the mask and the circle of the image; InputError if they differ."""
         if self._mask is not None:
@@ -149,7 +227,8 @@ class FeatureTracker(Node):
         if order is StampOrder.OVERTAKEN:
             return False
         if order is StampOrder.JUMPED_BACK:
-            self.get_logger().info('time jumped back; tracking starts anew')
+            self.get_logger().info('time jumped back; tracking starts anew',
+                                   throttle_duration_sec=5.0)
             self._tracker.reset()
         if self._size not in (None, size):
             self.get_logger().info(f'images changed size from {self._size[0]}x{self._size[1]} to '

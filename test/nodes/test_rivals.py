@@ -1,0 +1,65 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Two publishers where there should be one: who they are is said, and one camera is kept to."""
+
+import pytest
+from rclpy.node import Node
+from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
+from selfcal_ros.pipeline.size_guard import MIXED_S, PATIENCE_S, SizeGuard
+from sensor_msgs.msg import CameraInfo
+
+LARGE, SMALL = (640, 480), (320, 240)
+
+
+def test_of_two_cameras_on_one_topic_the_first_is_followed():
+    guard, now = SizeGuard(), 0.0
+    taken = []
+    for k in range(60):
+        now += 1 / 60
+        taken.append((guard.takes(SMALL if k % 2 else LARGE, now), k % 2))
+    assert {even for is_taken, even in taken if is_taken} == {0}
+    assert guard.size == LARGE and guard.mixed_with(now) == SMALL
+    for _ in range(30):
+        now += MIXED_S / 20
+        assert guard.takes(LARGE, now)
+    assert guard.mixed_with(now) is None
+
+
+@pytest.mark.parametrize('rate', [30.0, 1.0])
+def test_a_camera_that_changes_its_resolution_is_followed(rate):
+    guard, now = SizeGuard(), 0.0
+    for _ in range(20):
+        now += 1 / rate
+        assert guard.takes(LARGE, now)
+    began = now
+    while guard.size != SMALL:
+        now += 1 / rate
+        guard.takes(SMALL, now)
+    assert PATIENCE_S < now - began < max(0.6, 4.5 / rate) and guard.mixed_with(now) is None
+    assert guard.takes(SMALL, now + 1 / rate)
+
+
+def test_a_second_publisher_of_our_camera_info_is_named(graph, monkeypatch):
+    graph = graph('-p', 'silence_s:=600.0')
+    ours, said = graph.add(CameraInfoPublisher()), []
+    monkeypatch.setattr(type(ours.get_logger()), 'warning',
+                        lambda self, text, **_: said.append(text))
+    driver = graph.add(Node('usb_cam', namespace='left'))
+    theirs = driver.create_publisher(CameraInfo, '/camera_info', 10)
+    graph.wait_for(lambda: said, what='warning')
+    assert said[0].startswith('/camera_info has 2 publishers (/camera_info_publisher, '
+                              '/left/usb_cam): whoever listens gets both')
+    driver.destroy_publisher(theirs)
+    graph.wait_for(lambda: not ours._rivals.complaint)
+    assert len(said) == 1
