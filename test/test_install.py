@@ -70,8 +70,8 @@ def environment(folder, env):
 
 
 def pip_install(binaries, *what, env, cwd):
-    run(binaries / 'python', '-m', 'pip', 'install', '--quiet', '--disable-pip-version-check',
-        *what, env=env, cwd=cwd)
+    run(binaries / 'python', '-m', 'pip', 'install', '--quiet', '--no-compile',
+        '--disable-pip-version-check', *what, env=env, cwd=cwd)
 
 
 def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, clean):

@@ -49,10 +49,41 @@ def transform_points(H: ArrayLike, xy: ArrayLike) -> np.ndarray:
 
 def cross_matrix(a: ArrayLike) -> np.ndarray:
     """Matrix [a]x of the cross product, (..., 3) to (..., 3, 3)."""
-    x, y, z = np.moveaxis(np.asarray(a), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], axis=-1), np.stack([z, zero, -x], axis=-1),
-                     np.stack([-y, x, zero], axis=-1)], axis=-2)
+    a = np.asarray(a)
+    matrix = np.zeros((*a.shape, 3), a.dtype)
+    x, y, z = np.moveaxis(a, -1, 0)
+    matrix[..., 2, 1], matrix[..., 1, 2] = x, -x
+    matrix[..., 0, 2], matrix[..., 2, 0] = y, -y
+    matrix[..., 1, 0], matrix[..., 0, 1] = z, -z
+    return matrix
+
+
+def about_axis(vector: np.ndarray, one: np.ndarray, skew: np.ndarray, square: np.ndarray,
+               ) -> np.ndarray:
+    """
+    Return one · I + skew · [v]x + square · v vᵀ: what rotations and their derivatives are made of.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (..., 3)
+    one, skew, square : ndarray, shape (...,)
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+
+    """
+    matrix: np.ndarray = (square[..., None] * vector)[..., None] * vector[..., None, :]
+    x, y, z = np.moveaxis(skew[..., None] * vector, -1, 0)
+    for k in range(3):
+        matrix[..., k, k] += one
+    matrix[..., 2, 1] += x
+    matrix[..., 1, 2] -= x
+    matrix[..., 0, 2] += y
+    matrix[..., 2, 0] -= y
+    matrix[..., 1, 0] += z
+    matrix[..., 0, 1] -= z
+    return matrix
 
 
 def tangent_basis(points: np.ndarray) -> np.ndarray:
@@ -96,8 +127,10 @@ def completed_frame(a: ArrayLike) -> np.ndarray:
 
 def small_rotation(w: ArrayLike) -> np.ndarray:
     """Orthogonal matrix equal to I + [w]x to first order (Cayley), (..., 3) to (..., 3, 3)."""
-    half = cross_matrix(np.asarray(w, float) / 2)
-    return np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
+    half = np.asarray(w, float) / 2
+    square = np.sum(half * half, axis=-1)
+    scale = 2 / (1 + square)
+    return about_axis(half, 1 - scale * square, scale, scale)
 
 
 def rq(M: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.projective import about_axis
 
 
 def _sine_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -45,11 +45,9 @@ def rotation_matrix(vector: np.ndarray) -> np.ndarray:
 
     """
     vector = np.asarray(vector, float)
-    sine, cosine, _ = _sine_terms(np.linalg.norm(vector, axis=-1))
-    skew = cross_matrix(vector)
-    matrix: np.ndarray = (np.eye(3) + sine[..., None, None] * skew
-                          + cosine[..., None, None] * (skew @ skew))
-    return matrix
+    angle = np.sqrt(np.einsum('...i,...i->...', vector, vector))
+    sine, cosine, _ = _sine_terms(angle)
+    return about_axis(vector, 1 - cosine * angle * angle, sine, cosine)
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
@@ -103,11 +101,9 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
 
     """
     vector = np.asarray(vector, float)
-    _, cosine, cubic = _sine_terms(np.linalg.norm(vector, axis=-1))
-    skew = cross_matrix(vector)
-    jacobian: np.ndarray = (np.eye(3) + cosine[..., None, None] * skew
-                            + cubic[..., None, None] * (skew @ skew))
-    return jacobian
+    angle = np.sqrt(np.einsum('...i,...i->...', vector, vector))
+    _, cosine, cubic = _sine_terms(angle)
+    return about_axis(vector, 1 - cubic * angle * angle, cosine, cubic)
 
 
 def swing_twist(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -47,6 +47,8 @@ _LOCAL_DASK = {'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': Non
                'distributed.scheduler.allowed-failures': 0}
 #: A cluster without any worker for so long is given up, seconds: some start them on demand.
 NO_WORKERS_S = 60.0
+#: How long to wait for a cluster's scheduler, and then for its first worker, seconds.
+CONNECT_S, FIRST_WORKER_S = 10.0, 10.0
 CRASHED = 'its process died, as for want of memory or from a file that crashes a decoder.'
 
 
@@ -216,12 +218,12 @@ def _on_dask(function, jobs, workers, scheduler) -> Iterator[tuple]:
 def _connected(make_client, scheduler: str):
     """Connect to a scheduler that has workers."""
     try:
-        client = make_client(scheduler, timeout='10s')
+        client = make_client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(f'The Dask scheduler {scheduler} cannot be reached '
                          f'({" ".join(str(error).split())[:120]}).') from None
     try:
-        client.wait_for_workers(1, timeout=10)
+        client.wait_for_workers(1, timeout=FIRST_WORKER_S)
     except TimeoutError:
         client.close()
         raise InputError(f'The Dask scheduler {scheduler} has no workers; start some: dask '

@@ -108,14 +108,13 @@ class Scene:
                 length += level.size
         self._texels = np.concatenate(parts)
 
-    def look_up(self, surface, u, v, level):
+    def look_up(self, surface: int, u, v, level):
         """
-        Sample the textures.
+        Sample one texture.
 
         Parameters
         ----------
-        surface : ndarray of int, shape (N,)
-            Which surface each sample falls on.
+        surface : int
         u, v : ndarray, shape (N,)
             Where in the rectangle, 0 to 1.
         level : ndarray, shape (N,)
@@ -130,14 +129,18 @@ class Scene:
         level = np.clip(level, 0, PYRAMID_LEVELS - 1)
         lower = np.minimum(level.astype(np.int64), PYRAMID_LEVELS - 2)
         fraction = level - lower
-        value = self._bilinear(surface, u, v, lower)
-        blurred = np.flatnonzero(fraction > 0)
-        upper = self._bilinear(surface[blurred], u[blurred], v[blurred], lower[blurred] + 1)
-        value[blurred] += fraction[blurred] * (upper - value[blurred])
+        value = np.empty(len(u))
+        # most surfaces are seen at one level or two
+        for first in range(int(lower.min()), int(lower.max()) + 1):
+            here = np.flatnonzero(lower == first)
+            value[here] = self._bilinear(surface, first, u[here], v[here])
+            blurred = here[fraction[here] > 0]
+            upper = self._bilinear(surface, first + 1, u[blurred], v[blurred])
+            value[blurred] += fraction[blurred] * (upper - value[blurred])
         return value
 
-    def _bilinear(self, surface, u, v, level):
-        width, height = self.sides[surface].T >> level
+    def _bilinear(self, surface: int, level: int, u, v):
+        width, height = self.sides[surface] >> level
         x = np.clip(u * width - 0.5, 0, width - 1)
         y = np.clip(v * height - 0.5, 0, height - 1)
         column = np.minimum(x.astype(np.int64), width - 2)
@@ -358,23 +361,21 @@ class Renderer:
         if not len(surfaces):
             return grey
         best, a, b, w = _nearest(rays, inverse, motion)
-        hit = w > 0
-        if not hit.all():
-            best, a, b, w = best[hit], a[hit], b[hit], w[hit]
-        u, v = a / w, b / w
-        surface = surfaces[best]
-        # texels that one sample's spacing covers, along the longer side of its footprint
-        sides = self.scene.sides[surfaces]
-        squared = 0.0
-        for axis in range(2):
-            slope = inverse @ step[:, axis]
-            slope = np.column_stack([slope[:, :2] * sides, slope[:, 2]])
-            du, dv, dw = slope[best].T
-            du -= u * dw * sides[best, 0]
-            dv -= v * dw * sides[best, 1]
-            squared = np.maximum(squared, du * du + dv * dv)
-        level = 0.5 * np.log2(np.maximum(squared, 1e-12) / (w * w))
-        grey[hit] = self.scene.look_up(surface, u, v, level)
+        best[~(w > 0)] = len(surfaces)
+        for index in np.flatnonzero(np.bincount(best, minlength=len(surfaces))[:len(surfaces)]):
+            hit = np.flatnonzero(best == index)
+            depth = w[hit]
+            u, v = a[hit] / depth, b[hit] / depth
+            # texels that one sample's spacing covers, along the longer side of its footprint
+            sides = self.scene.sides[surfaces[index]]
+            squared = 0.0
+            for axis in range(2):
+                slope = inverse[index] @ step[:, axis]
+                du = slope[0] * sides[0] - u * slope[2] * sides[0]
+                dv = slope[1] * sides[1] - v * slope[2] * sides[1]
+                squared = np.maximum(squared, du * du + dv * dv)
+            level = 0.5 * np.log2(np.maximum(squared, 1e-12) / (depth * depth))
+            grey[hit] = self.scene.look_up(surfaces[index], u, v, level)
         return grey
 
 

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from selfcal_ros.geometry.rotation import (align_z, cross_matrix, left_jacobian, pad,
-                                           rotation_matrix, rotation_vector, swing_twist,
-                                           twist_matrix)
+from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.rotation import (align_z, left_jacobian, pad, rotation_matrix,
+                                           rotation_vector, swing_twist, twist_matrix)
 
 
 @pytest.fixture

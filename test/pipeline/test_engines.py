@@ -163,10 +163,13 @@ def working(address):
 
 
 @needs_dask
-def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence(scheduler):
+def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence(
+        scheduler, monkeypatch):
     process, address = scheduler
-    with pytest.raises(InputError, match=rf'{address} has no workers; start some: dask worker'):
-        list(run_jobs(abs, [1], engine='dask', scheduler=address))
+    with monkeypatch.context() as patch:
+        patch.setattr('selfcal_ros.pipeline.engines.FIRST_WORKER_S', 1.0)
+        with pytest.raises(InputError, match=rf'{address} has no workers; start some: dask work'):
+            list(run_jobs(abs, [1], engine='dask', scheduler=address))
     with working(address):
         results = run_jobs(call, [partial(pow, 3, 2), partial(time.sleep, 60)], engine='dask',
                            scheduler=address)
@@ -174,6 +177,7 @@ def test_a_scheduler_that_is_not_there_has_no_workers_or_goes_away_is_a_sentence
         process.kill()
         with pytest.raises(InputError, match='lost on the way'):
             list(results)
+    monkeypatch.setattr('selfcal_ros.pipeline.engines.CONNECT_S', 1.0)
     with pytest.raises(InputError, match=f'{address} cannot be reached'):
         list(run_jobs(abs, [1], engine='dask', scheduler=address))
 

@@ -215,6 +215,13 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
     drawing.svgs()
 
 
+def drawn(drawings):
+    """Lay out and draw all panels; writing them down would take as long again."""
+    for drawing in drawings:
+        for panel in drawing.panels:
+            panel.draw_without_rendering()
+
+
 @pytest.mark.parametrize('broken', [
     {'camera': Camera(np.diag([900.0, 900, 1]))},
     {'camera': Camera([[900, 0, 400], [0, 900, 0], [0, 0, 1]], width=4000, height=2)},
@@ -223,8 +230,7 @@ def test_far_vanishing_points_are_pointed_to(calibration, v):
     {'noise_sigma_px': np.nan}, {'residuals': np.full((100, 2), np.nan)}])
 @pytest.mark.filterwarnings('error')
 def test_strange_results_are_drawn_as_far_as_they_go(calibration, sequence, broken):
-    for drawing in draw_figures(replace(calibration, **broken), sequence.tracks):
-        drawing.svgs()
+    drawn(draw_figures(replace(calibration, **broken), sequence.tracks))
 
 
 @pytest.mark.filterwarnings('error')
@@ -236,9 +242,7 @@ def test_strange_geometry_is_drawn_as_far_as_it_goes(calibration, sequence):
     for changed in (replace(shape, points=points), nothing,
                     replace(shape, cam_from_world=shape.cam_from_world * np.nan),
                     replace(shape, cam_from_world=shape.cam_from_world[[0] * 6])):
-        for drawing in draw_figures(replace(calibration, reconstruction=changed),
-                                    sequence.tracks):
-            drawing.svgs()
+        drawn(draw_figures(replace(calibration, reconstruction=changed), sequence.tracks))
     # a camera that looks straight down: the horizon is at infinity, v the principal point
     down = replace(calibration.fixed_points, horizon=np.array([0, 0, 1.0]),
                    vanishing_point=np.array([400, 300, 1.0]))

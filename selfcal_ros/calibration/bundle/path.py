@@ -26,6 +26,7 @@ planar motion gives tilt and height a prior, general motion leaves them free.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -88,7 +89,16 @@ class AxisPath:
 
     def rotations(self) -> np.ndarray:
         """Return world-to-view rotations before the mount, shape (V, 3, 3)."""
-        turned: np.ndarray = rotation_matrix(pad(self.tilt)) @ twist_matrix(self.angle)
+        return self._rotations
+
+    @cached_property
+    def _swings(self) -> np.ndarray:
+        """Rotations by the tilts, shape (V, 3, 3)."""
+        return rotation_matrix(pad(self.tilt))
+
+    @cached_property
+    def _rotations(self) -> np.ndarray:
+        turned: np.ndarray = self._swings @ twist_matrix(self.angle)
         return turned
 
     def cam_from_world(self) -> np.ndarray:
@@ -192,8 +202,7 @@ class AxisPath:
 
         """
         own = np.empty((*J.shape[:2], len(VIEW_NAMES)))
-        tilt = pad(self.tilt)
-        axis = rotation_matrix(tilt)[:, :, 2]
+        axis = self._swings[:, :, 2]
         across = _crossed(turned, J)
         own[:, :, 0] = np.einsum('nki,ni->nk', across, np.take(axis, view, axis=0))
         own[:, :, 1] = J[:, :, 0] * weight
@@ -201,7 +210,7 @@ class AxisPath:
         if planar:
             own[:, :, 3:] = 0
             return own
-        by_tilt = left_jacobian(tilt)
+        by_tilt = left_jacobian(pad(self.tilt))
         own[:, :, 3:5] = across @ np.take(by_tilt[:, :, :2], view, axis=0)
         own[:, :, 5] = J[:, :, 2] * weight
         return own
