@@ -27,10 +27,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
-from msg_adapters.encoded import decode_file, MAX_PIXELS
+from msg_adapters.encoded import decode_file
 from msg_adapters.message_types import Message, MessageTypes
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.values.image_headers import MAX_PIXELS
 
 
 @dataclass(frozen=True)

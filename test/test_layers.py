@@ -41,7 +41,8 @@ RORAPID_FLOOR = {
 FLOORS = {'calibration': CALIBRATION_FLOOR, 'rorapid': RORAPID_FLOOR}
 #: The value types of the top storey that message adapters may name.
 VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera',
-               'selfcal_ros.values.tracks', 'selfcal_ros.calibration.result'}
+               'selfcal_ros.values.image_headers', 'selfcal_ros.values.tracks',
+               'selfcal_ros.calibration.result'}
 ROS_PACKAGES = {'rclpy', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'cv_bridge',
                 'diagnostic_msgs', 'visualization_msgs', 'builtin_interfaces', 'rosgraph_msgs',
                 'launch', 'launch_ros', 'ament_index_python', 'rcl_interfaces'}

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import sys
 
 #: A file name that means standard output.
 STANDARD_OUTPUT = '-'
@@ -52,6 +53,11 @@ def write_json(path: Path, content: dict | str) -> None:
     if not isinstance(content, str):
         content = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
     if is_standard_output(path):
+        try:
+            content.encode(sys.stdout.encoding or 'utf-8')
+        except UnicodeEncodeError:
+            # escaped as JSON does, where the terminal cannot show it
+            content = json.dumps(json.loads(content), indent=2) + '\n'
         print(content, end='')
         return
     from selfcal_ros.report.files import atomic_write

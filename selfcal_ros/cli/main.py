@@ -16,12 +16,14 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from importlib import import_module
 import os
 import sys
 import traceback
 
 from selfcal_ros.cli import completion
+from selfcal_ros.cli.own_process import own_process, silence
 from selfcal_ros.cli.parsing import SentenceParser
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 from selfcal_ros.cli.verbosity import add_verbose_argument, library_messages
@@ -66,19 +68,28 @@ def main(argv: list[str] | None = None) -> int:
     """
     if completion.ASKED in os.environ:
         completion.answer(build_parser(completion.verb_asked_for(VERBS)))
-    argv = sys.argv[1:] if argv is None else list(argv)
-    verb = next((word for word in argv if not word.startswith('-')), None)
-    parser = build_parser(verb)
-    args = parser.parse_args(argv)
-    if args.version:
-        from selfcal_ros import __version__
-        print(f'selfcal_ros {__version__}')
-        return EXIT_DONE
-    if args.verb is None:
-        parser.print_help()
-        return EXIT_INPUT
+    if argv is not None:
+        return _run(list(argv))
+    with own_process():
+        return _run(sys.argv[1:])
+    return EXIT_FAULT
+
+
+def _run(argv: list[str]) -> int:
+    """Run a verb; what goes wrong is a sentence."""
     from selfcal_ros.errors import SelfcalError
+    verb = next((word for word in argv if not word.startswith('-')), None)
+    name = f'selfcal {verb}' if verb in VERBS else 'selfcal'
     try:
+        parser = build_parser(verb)
+        args = parser.parse_args(argv)
+        if args.version:
+            from selfcal_ros import __version__
+            print(f'selfcal_ros {__version__}', flush=True)
+            return EXIT_DONE
+        if args.verb is None:
+            parser.print_help()
+            return EXIT_INPUT
         with library_messages(args):
             status = import_module(f'selfcal_ros.cli.{args.verb}').run(args)
         sys.stdout.flush()
@@ -87,22 +98,25 @@ def main(argv: list[str] | None = None) -> int:
         sentence = str(error)
     except BrokenPipeError:
         # the reader of our output went away: nothing is left to say, not even at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence(sys.stdout)
         return EXIT_DONE
     except OSError as error:
-        name = f' {error.filename}' if error.filename else ''
-        sentence = f'Cannot use{name}: {error.strerror or error}.'
-    except KeyboardInterrupt:
-        print(file=sys.stderr)
-        return 130
+        what = f' {error.filename}' if error.filename else ' standard output'
+        sentence = f'Cannot use{what}: {error.strerror or error}.'
+        if not error.filename:
+            silence(sys.stdout)
+    except MemoryError:
+        sentence = ('There is not enough memory for this input; use smaller images, or fewer of '
+                    'them.')
     except Exception:
         # not 1, which says that the data did not suffice
         traceback.print_exc()
-        print(f'selfcal {args.verb}: this is a fault of selfcal_ros; please report the lines '
+        print(f'{name}: this is a fault of selfcal_ros; please report the lines '
               'above.', file=sys.stderr)
         return EXIT_FAULT
     from selfcal_ros.cli.colours import complaint
-    print(complaint(f'selfcal {args.verb}', sentence), file=sys.stderr)
+    with suppress(OSError):
+        print(complaint(name, sentence), file=sys.stderr)
     return EXIT_INPUT
 
 

@@ -53,12 +53,14 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     0: every camera has a joint result; 1: one has none; 2: no recording can be used at all.
     """
     from selfcal_ros.pipeline.many_inputs import calibrate_many
+    from selfcal_ros.report.camera_yaml import check_camera_name
     from selfcal_ros.report.files import check_outputs
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
     for name in ('output', 'ply'):
         if getattr(args, name):
             raise ArgumentError(f'--{name} is for a single recording; with many, --output-dir '
                                 'takes the files.')
+    check_camera_name(args.camera_name)
     folder = args.output_dir or Path(DEFAULT_FOLDER)
     try:
         (folder / 'recordings').mkdir(parents=True, exist_ok=True)
@@ -106,7 +108,7 @@ class _RecordingFiles:
         if outcome.result is None:
             return
         self.count += 1
-        base = file_name(f'{Path(outcome.path).stem} {outcome.topic}'.strip())
+        base = _plain_name(f'{Path(outcome.path).stem} {outcome.topic}')
         name, number = base, 1
         while name in self._names:
             number += 1
@@ -117,6 +119,11 @@ class _RecordingFiles:
             write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
                               file_name(outcome.topic) or 'camera',
                               [f'{outcome.result.software}: {outcome.path} {outcome.topic}'])
+
+
+def _plain_name(text: str) -> str:
+    """Turn a name into one of letters of any script, never hidden, empty or too long."""
+    return re.sub(r'\W+', '_', text).strip('_')[:60].strip('_') or 'recording'
 
 
 def file_name(text: str) -> str:

@@ -22,7 +22,7 @@ from pathlib import Path
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
-from selfcal_ros.report.camera_yaml import write_camera_yaml
+from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.files import check_outputs
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
@@ -64,6 +64,7 @@ class Outputs:
             See `check_outputs`.
 
         """
+        check_camera_name(self.camera_name)
         check_outputs([path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
                        if path and not is_standard_output(path)], inputs)
 

@@ -15,12 +15,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.values.foreign_files import read_limited
+from selfcal_ros.values.image_headers import check_image
 
 #: Half a patch of registration, and the pixel that smoothing reaches further.
 PATCH_PX = 8.0
@@ -28,6 +28,8 @@ PATCH_PX = 8.0
 _BLOB_REACH = 4.0
 #: Beyond that, patches are no larger; see `linking.refine`.
 _LARGEST_REACH_PX = 32.0
+#: A mask is two colours; no sensible one is longer.
+_LARGEST_MASK_BYTES = 100_000_000
 _JPEG = b'\xff\xd8'
 
 
@@ -152,17 +154,13 @@ def read_mask(path) -> ImageMask:
         If the file is no image, or black all over.
 
     """
-    path = Path(path)
+    data = read_limited(path, _LARGEST_MASK_BYTES, 'The mask')
     try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(f'The mask {path} cannot be read: '
-                         f'{getattr(error, "strerror", None) or error}.') from None
-    try:
+        check_image(data)
         # in the orientation of the sensor, as the images are read; alpha does not matter
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR
                              | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
+    except (InputError, cv2.error, MemoryError):
         image = None
     if image is None:
         raise InputError(f'The mask {path} is no image that can be read; give a PNG that is white '

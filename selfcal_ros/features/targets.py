@@ -342,7 +342,7 @@ def read_points(path) -> KnownObject:
     path = Path(path)
     identity, points = [], []
     try:
-        with path.open(newline='', encoding='utf-8', errors='replace') as stream:
+        with path.open(newline='', encoding='utf-8-sig', errors='replace') as stream:
             reader = csv.reader(stream)
             header = [name.strip().lower() for name in next(reader, [])]
             if header[:4] != ['point', 'x', 'y', 'z']:

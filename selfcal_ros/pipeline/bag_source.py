@@ -24,6 +24,7 @@ from msg_adapters.image import ImageDecoder
 from msg_adapters.stamps import stamp_ns
 
 from selfcal_ros.errors import InputError, SelfcalError
+from selfcal_ros.pipeline.bag_limits import BagLimit, bound_rosbags, check_metadata
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
@@ -46,6 +47,8 @@ def _readable(path):
         yield
     except SelfcalError:
         raise
+    except BagLimit as error:
+        raise InputError(f'{path} cannot be read: {error}.') from None
     except Exception as error:
         detail = ' '.join(str(error).split())[:160].rstrip('.') or type(error).__name__
         raise InputError(f'{path} cannot be read as a bag; it is damaged, truncated or was not '
@@ -205,6 +208,7 @@ def image_topics(path) -> list[str]:
 def _opened(path: Path) -> tuple:
     """Return an open reader of rosbags, and what turns its data into messages."""
     from rosbags.typesys import Stores, get_typestore
+    bound_rosbags()
     # image messages never changed their layout, so fixed type stores are enough, and the type
     # definitions inside a bag need not be trusted
     if path.suffix == '.bag' and path.is_file():
@@ -236,6 +240,7 @@ def _check_files(path: Path) -> None:
         if not (path / 'metadata.yaml').is_file():
             raise InputError(f'{path} has no metadata.yaml, so the recording was not closed; run '
                              f'`ros2 bag reindex` on it, or give the file {files[0].name}.')
+        check_metadata(path)
     else:
         files = [path]
     for file in files:

@@ -20,6 +20,7 @@ import os
 from pathlib import Path
 import re
 import shutil
+import sqlite3
 import tempfile
 
 from msg_adapters.image import compressed_image_message, image_message
@@ -110,8 +111,9 @@ def write_image_bag(path, frames: Iterable[Frame], topic: str = '/camera/image_r
             os.replace(inside, path)
         except OSError as error:
             raise InputError(f'{path} cannot be written: {error.strerror}.') from None
-    except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror or error}.') from None
+    except (OSError, sqlite3.Error) as error:
+        why = getattr(error, 'strerror', None) or error
+        raise InputError(f'{path} cannot be written: {why}.') from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return count

@@ -29,8 +29,12 @@ from contextlib import contextmanager, ExitStack
 from functools import partial
 import logging
 import multiprocessing
+from multiprocessing.connection import wait as wait_for_any
 import os
+import shutil
 import signal
+import tempfile
+import threading
 import time
 
 from selfcal_ros.errors import ArgumentError, InputError
@@ -106,10 +110,23 @@ def run_jobs(function: Callable, jobs: list, *, engine: str = 'processes',
         yield from _in_processes(function, jobs, workers)
 
 
-def _prepare_process() -> None:
-    """Make a process compute with one thread, and leave Ctrl-C to its parent."""
+def _prepare_process(temporary: str) -> None:
+    """Make a process compute with one thread, leave Ctrl-C to its parent, and end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tempfile.tempdir = temporary
+    threading.Thread(target=_end_with_parent, args=(temporary,), daemon=True).start()
     _one_thread()
+
+
+def _end_with_parent(temporary: str) -> None:
+    """End this process once its parent has ended in whatever way; nobody wants its result."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    # a pipe whose other end nobody but the parent holds
+    wait_for_any([parent.sentinel])
+    shutil.rmtree(temporary, ignore_errors=True)
+    os._exit(1)
 
 
 def _one_thread() -> None:
@@ -141,9 +158,11 @@ def _in_processes(function, jobs, workers) -> Iterator[tuple]:
         alone = bool(suspects)
         queue = deque([suspects.popleft()]) if alone else waiting
         others = set(multiprocessing.active_children())
-        with _thread_limits():
+        with _thread_limits(), tempfile.TemporaryDirectory(
+                prefix='selfcal-', ignore_cleanup_errors=True) as temporary:
             # a forked process would inherit locks of the parent's threads
             pool = ProcessPoolExecutor(1 if alone else workers, initializer=_prepare_process,
+                                       initargs=(temporary,),
                                        mp_context=multiprocessing.get_context('spawn'))
             running: dict[Future, int] = {}
             try:

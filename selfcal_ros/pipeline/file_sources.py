@@ -25,11 +25,15 @@ from msg_adapters.image import ImageDecoder
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.values.foreign_files import read_limited
+from selfcal_ros.values.image_headers import MAX_FILE_BYTES
 from selfcal_ros.values.tracks import Tracks
 
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', '.tif', '.tiff', '.pgm', '.ppm')
 VIDEO_SUFFIXES = ('.mp4', '.avi', '.mkv', '.mov', '.m4v', '.webm', '.mpg', '.mpeg', '.ogv',
                   '.wmv')
+#: Decoders hold many frames at once: 67 million pixels, twice those of 8K.
+MAX_VIDEO_PIXELS = 2 ** 26
 #: Image files have no clock; their stamps count frames at this rate.
 NOMINAL_RATE_HZ = 30
 
@@ -94,13 +98,12 @@ class ImageFolderSource(FrameSource):
         decoder = ImageDecoder()
         for index, file in enumerate(self._files):
             try:
-                data = file.read_bytes()
+                data = read_limited(file, MAX_FILE_BYTES, 'The image')
                 image = decoder.file_grey(data)
                 bgr = decoder.file_colour(data) if self._colour else None
             except InputError as error:
-                raise InputError(f'{file}: {error}') from error
-            except OSError as error:
-                raise InputError(f'{file} cannot be read: {error.strerror}.') from None
+                text = str(error)
+                raise InputError(text if str(file) in text else f'{file}: {text}') from error
             stamp = index * 1_000_000_000 // NOMINAL_RATE_HZ
             yield self._checked(Frame(index, stamp, image, '', file.name, bgr))
 
@@ -126,6 +129,11 @@ class VideoSource(FrameSource):
         super().__init__(path, image_size, colour)
         capture = self._open()
         try:
+            size = [capture.get(one) for one in (cv2.CAP_PROP_FRAME_WIDTH,
+                                                 cv2.CAP_PROP_FRAME_HEIGHT)]
+            if size[0] * size[1] > MAX_VIDEO_PIXELS:
+                raise InputError(f'{self.path} announces frames of {size[0]:.0f} x {size[1]:.0f} '
+                                 'pixels, which are too large for a video.')
             count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
             rate = capture.get(cv2.CAP_PROP_FPS)
         finally:

@@ -34,7 +34,7 @@ import yaml
 
 #: Lens models that image_geometry knows.
 ROS_MODELS = tuple(ROS_COEFFICIENTS)
-_NAME = re.compile(r'^[A-Za-z0-9_]+$')
+_NAME = re.compile(r'[A-Za-z0-9_]+\Z')
 _REQUIRED = ('image_width', 'image_height', 'camera_matrix', 'distortion_coefficients',
              'rectification_matrix', 'projection_matrix')
 
@@ -58,9 +58,7 @@ def camera_yaml(camera: Camera, name: str, comments: Iterable[str] = ()) -> str:
         If the name is impossible or the image size is not known.
 
     """
-    if not _NAME.match(name):
-        raise ArgumentError(f'The camera name {name!r:.60} is impossible; use letters, digits and '
-                            'underscores.')
+    check_camera_name(name)
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('A camera file needs the image size; give the camera its width and '
                             'height.')
@@ -80,6 +78,13 @@ def camera_yaml(camera: Camera, name: str, comments: Iterable[str] = ()) -> str:
     lines += ['binning_x: 0', 'binning_y: 0', 'roi:', '  x_offset: 0', '  y_offset: 0',
               '  height: 0', '  width: 0', '  do_rectify: false']
     return '\n'.join(lines) + '\n'
+
+
+def check_camera_name(name: str) -> None:
+    """Refuse a name that no camera file can hold; ArgumentError."""
+    if not _NAME.match(name):
+        raise ArgumentError(f'The camera name {name!r:.60} is impossible; use letters, digits and '
+                            'underscores.')
 
 
 def write_camera_yaml(path, camera: Camera, name: str,

@@ -124,7 +124,8 @@ def atomic_write(path, data: str | bytes) -> Path:
 
     """
     path = Path(path)
-    data = data.encode('utf-8') if isinstance(data, str) else bytes(data)
+    # a file name that is not UTF-8 comes with bytes that are no characters
+    data = data.encode('utf-8', 'backslashreplace') if isinstance(data, str) else bytes(data)
     _check_place(path)
     try:
         if _is_special(path):

@@ -58,6 +58,7 @@ class OverlayVideo:
         self._rate_hz = rate_hz if 0.1 <= rate_hz <= 1000 else 30.0
         self._writer: cv2.VideoWriter | None = None
         self._temporary = ''
+        self._count = 0
 
     def __enter__(self) -> OverlayVideo:
         return self
@@ -67,10 +68,26 @@ class OverlayVideo:
             return
         self._writer.release()
         self._writer = None
-        if kind is None:
+        if kind is None and self._is_whole():
             os.replace(self._temporary, os.path.realpath(self._path))
-        else:
-            os.unlink(self._temporary)
+            return
+        os.unlink(self._temporary)
+        if kind is None:
+            raise InputError(f'{self._path} cannot be written whole; the disk may be full.')
+
+    def _is_whole(self) -> bool:
+        """Tell whether every image is in the file: OpenCV does not say what it could not write."""
+        try:
+            with open(self._temporary, 'rb') as stream:
+                os.fsync(stream.fileno())
+            capture = cv2.VideoCapture(self._temporary)
+            count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+            capture.set(cv2.CAP_PROP_POS_FRAMES, self._count - 1)
+            last, _ = capture.read()
+            capture.release()
+        except (OSError, cv2.error):
+            return False
+        return bool(last) and round(count) == self._count
 
     def add(self, image: np.ndarray) -> None:
         """Append an image (H, W, 3) uint8, bgr, of the size of the first."""
@@ -92,6 +109,7 @@ class OverlayVideo:
             os.chmod(self._temporary, 0o666 & ~mask)
             self._writer = writer
         self._writer.write(image)
+        self._count += 1
 
 
 def check_video_path(path) -> Path:

@@ -15,17 +15,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
+
 from selfcal_ros.errors import InputError
-import yaml
+from selfcal_ros.values.foreign_files import load_foreign_yaml, read_limited, SAFE_LOADER
 
 #: A camera file is far smaller; whatever is larger is something else.
 MAX_BYTES = 1_000_000
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(SAFE_LOADER):  # type: ignore[misc]
     """Safe YAML in which every scalar is the string that was written."""
 
 
@@ -44,15 +43,7 @@ def read_bytes(path, limit: int = MAX_BYTES) -> bytes:
         If it cannot be read or is far too large for a camera file.
 
     """
-    path = Path(path)
-    try:
-        with path.open('rb') as stream:
-            raw = stream.read(limit + 1)
-    except (OSError, ValueError) as error:
-        raise InputError(f'{path} cannot be read: {getattr(error, "strerror", error)}.') from None
-    if len(raw) > limit:
-        raise InputError(f'{path} is too large for a camera file.')
-    return raw
+    return read_limited(path, limit)
 
 
 def decoded(raw: bytes, source) -> str:
@@ -73,15 +64,8 @@ def load_yaml(text: str, source: str) -> dict:
         If it is no YAML or holds no keys; the sentence starts with `source`.
 
     """
-    try:
-        # a plain scan without Python objects, so that the name 00123 stays what it is
-        document = yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, RecursionError, ValueError, AttributeError, LookupError,
-            TypeError) as error:
-        # explicit tags on values that do not fit them raise the latter four
-        where = getattr(error, 'problem_mark', None)
-        line = f' (line {where.line + 1})' if where else ''
-        raise InputError(f'{source} is not valid YAML{line}.') from None
+    # a plain scan without Python objects, so that the name 00123 stays what it is
+    document = load_foreign_yaml(text, source, _Loader)
     if not isinstance(document, dict):
         raise InputError(f'{source} is no camera file: it holds no keys.')
     return document
@@ -99,7 +83,9 @@ def positive_integer(value, where: str) -> int:
     """Read an image size; InputError, which starts with `where`, if it is none."""
     try:
         number = int(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, ArithmeticError):
+        number = 0
+    if isinstance(value, (float, bool)) and number != value:
         number = 0
     if not 0 < number < 2 ** 31:
         raise InputError(f'{where} must be a positive integer.')
@@ -114,7 +100,7 @@ def numbers(values, source: str, key: str) -> np.ndarray:
                          '[1.0, 2.0].')
     try:
         found = np.array([float(value) for value in values])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, ArithmeticError):
         raise InputError(f'{source}: {key} holds something that is not a number; check its '
                          'commas.') from None
     if not np.isfinite(found).all():
@@ -142,7 +128,7 @@ def matrix(document: dict, key: str, shape: tuple, source: str) -> np.ndarray:
     values = numbers(entry['data'], source, key)
     try:
         found = int(entry['rows']), int(entry['cols'])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, ArithmeticError):
         raise InputError(f'{source}: rows and cols of {key} must be integers.') from None
     fits = all(wanted in (None, size) for wanted, size in zip(shape, found))
     if not fits or min(found) < 0 or values.size != found[0] * found[1]:

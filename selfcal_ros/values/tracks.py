@@ -54,6 +54,35 @@ def of_longest(view: np.ndarray, point: np.ndarray, per_view: int) -> np.ndarray
     return chosen[point]
 
 
+def _whole(numbers: ArrayLike, what: str) -> np.ndarray:
+    """Return whole numbers (N,), int64; 0.5 and NaN would become others without a word."""
+    try:
+        given = np.asarray(numbers).ravel()
+        with np.errstate(invalid='ignore'):
+            kept = given.astype(np.int64) if given.dtype.kind in 'iuf' else None
+    except (TypeError, ValueError):
+        kept = None
+    if kept is not None and given.size == 0:
+        return kept
+    with np.errstate(invalid='ignore'):
+        same = kept is not None and (kept == given) & (np.abs(given) < 2.0**62)
+    if kept is None or not np.all(same):
+        odd = '' if kept is None else f', not {given[np.argmin(same)]}'
+        raise InputError(f'The {what} of tracks must be whole numbers{odd}.')
+    return kept
+
+
+def _size(size) -> tuple[int, int]:
+    """Return width and height; InputError where they are none."""
+    try:
+        width, height = (int(side) for side in size)
+    except (TypeError, ValueError, OverflowError):
+        width = height = 0
+    if not 0 < min(width, height) <= max(width, height) <= LARGEST_PX:
+        raise InputError(f'The image size must be a positive width and height, not {size!r:.40}.')
+    return width, height
+
+
 @dataclass(frozen=True)
 class Tracks:
     """
@@ -110,9 +139,11 @@ class Tracks:
 
     def __post_init__(self) -> None:
         """Check the rows and sort them by track, then frame."""
-        frame = np.asarray(self.frame).ravel()
-        track = np.asarray(self.track).ravel()
-        xy = np.asarray(self.xy, dtype=float)
+        frame, track = _whole(self.frame, 'frames'), _whole(self.track, 'tracks')
+        try:
+            xy = np.asarray(self.xy, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError('The positions xy of tracks must be numbers.') from None
         if xy.ndim != 2 or xy.shape[1] != 2 or not frame.size == track.size == len(xy):
             raise InputError('Tracks need frame (N,), track (N,) and xy (N, 2) of one length; got '
                              f'{frame.shape}, {track.shape} and {xy.shape}.')
@@ -125,7 +156,6 @@ class Tracks:
             raise InputError(f'Track observation {bad} (frame {frame[bad]}, track {track[bad]}) '
                              f'is {np.abs(xy[bad]).max():.3g} pixels off the image; remove such '
                              'rows.')
-        frame, track = frame.astype(np.int64), track.astype(np.int64)
         order = np.lexsort((frame, track))
         frame, track, xy = frame[order], track[order], np.ascontiguousarray(xy[order])
         twice = (np.diff(frame) == 0) & (np.diff(track) == 0)
@@ -135,9 +165,7 @@ class Tracks:
                              'keep one.')
         size = self.image_size
         if size is not None:
-            size = (int(size[0]), int(size[1]))
-            if min(size) <= 0:
-                raise InputError(f'The image size must be positive, not {size}.')
+            size = _size(size)
         if self.neighbours is not None:
             object.__setattr__(self, 'neighbours', np.asarray(self.neighbours, float)[order])
         for array in (frame, track, xy):
@@ -223,7 +251,7 @@ class Tracks:
         """
         path = Path(path)
         rows = []
-        with path.open(newline='', encoding='utf-8', errors='replace') as stream:
+        with path.open(newline='', encoding='utf-8-sig', errors='replace') as stream:
             reader = csv.reader(stream)
             header = [name.strip().lower() for name in next(reader, [])]
             if header[:4] != ['frame', 'track', 'x', 'y']:
@@ -250,9 +278,13 @@ class Tracks:
         """Write the columns frame, track, x, y; the file appears whole or not at all."""
         path = Path(path)
         temporary = path.with_name(path.name + '.part')
-        with temporary.open('w', newline='', encoding='utf-8') as stream:
-            writer = csv.writer(stream)
-            writer.writerow(['frame', 'track', 'x', 'y'])
-            for frame, track, (x, y) in zip(self.frame, self.track, self.xy):
-                writer.writerow([int(frame), int(track), repr(float(x)), repr(float(y))])
-        os.replace(temporary, path)
+        try:
+            with temporary.open('w', newline='', encoding='utf-8') as stream:
+                writer = csv.writer(stream)
+                writer.writerow(['frame', 'track', 'x', 'y'])
+                for frame, track, (x, y) in zip(self.frame, self.track, self.xy):
+                    writer.writerow([int(frame), int(track), repr(float(x)), repr(float(y))])
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise

@@ -17,10 +17,12 @@ import os
 from pathlib import Path
 import stat
 
+import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report import files
 from selfcal_ros.report.files import atomic_write, check_outputs, check_writable
+from selfcal_ros.report.overlay_video import OverlayVideo
 
 
 def test_write_and_replace(tmp_path):
@@ -131,3 +133,24 @@ def test_a_read_only_folder(tmp_path):
         assert 'refuses new files' in refused(tmp_path / 'a.txt')
     finally:
         tmp_path.chmod(0o700)
+
+
+@pytest.mark.parametrize('name', ['overlay.mp4', 'overlay.avi'])
+def test_a_video_that_the_disk_has_no_room_for_is_none(tmp_path, name):
+    resource = pytest.importorskip('resource')
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
+    with OverlayVideo(tmp_path / name) as video:
+        for _ in range(30):
+            video.add(image)
+    size = (tmp_path / name).stat().st_size
+    (tmp_path / name).unlink()
+    with pytest.raises(InputError, match='disk may be full'):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size * 2 // 3, before[1]))
+        try:
+            with OverlayVideo(tmp_path / name) as video:
+                for _ in range(30):
+                    video.add(image)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())

@@ -212,12 +212,13 @@ def _from_result(text: str, source: str) -> StoredCamera:
     """Take the camera out of our result.json."""
     try:
         result = result_from_dict(json.loads(text))
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
-        raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
-                         ) from None
+        status = dict(result.status)
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
+        # whatever values of other kinds and sizes lead to
+        raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
+                         ) from None
     if not result:
         raise InputError(f'{source} holds no camera. {result}')
-    return StoredCamera(result.camera, 'camera', covariance=result.covariance,
-                        status=dict(result.status))
+    return StoredCamera(result.camera, 'camera', covariance=result.covariance, status=status)

@@ -35,15 +35,18 @@ _MODELS = {'LENSMODEL_PINHOLE': 0, 'LENSMODEL_OPENCV4': 4, 'LENSMODEL_OPENCV5': 
            'LENSMODEL_OPENCV8': 8}
 #: A file that carries the measurements it comes from may be so large.
 MAX_BYTES = 100_000_000
-#: What may hold any characters: comments, strings and byte strings.
-_QUOTED = re.compile(r"""#[^\n]*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
+#: Numbers and brackets become objects, a hundred times as large as they are written.
+_MAX_BARE = 1_000_000
+#: What may hold any characters: comments, strings and byte strings. One that does not end takes
+#: the rest of its line, so that the time does not grow with the square of it.
+_QUOTED = re.compile(r"""#[^\n]*|b?'(?:[^'\\\n]|\\.)*+'?|b?"(?:[^"\\\n]|\\.)*+\"?""")
 #: What a dictionary of numbers and texts has none of besides: names, sums, and signs of signs.
 _FOREIGN = re.compile(r'[^\s\d.eE+\-,:(){}\[\]]|[\d.)\]}]\s*[-+]|[-+]\s*[-+]')
 
 
 def is_mrcal(text: str) -> bool:
     """Tell a file of mrcal by its key of the lens model."""
-    return re.search(r"^\s*['\"]lens_?model['\"]\s*:\s*['\"]", text, re.M) is not None
+    return re.search(r"^[ \t]*['\"]lens_?model['\"]\s*:\s*['\"]", text, re.M) is not None
 
 
 def parse_mrcal(text: str, source: str) -> list[StoredCamera]:
@@ -119,7 +122,8 @@ def _document(text: str, source: str) -> dict:
     problem = InputError(f'{source} is no .cameramodel of mrcal: it is not one dictionary of '
                          'numbers and texts.')
     # beside quoted texts there is nothing but numbers and brackets
-    if _FOREIGN.search(re.sub(r'\b(None|True|False)\b', '', _QUOTED.sub('', text))):
+    bare = _QUOTED.sub('', text)
+    if len(bare) > _MAX_BARE or _FOREIGN.search(re.sub(r'\b(None|True|False)\b', '', bare)):
         raise problem
     try:
         document = ast.literal_eval(text.strip())

@@ -39,7 +39,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.rorapid.acquisition.image_lines import refine_vertices
 from selfcal_ros.rorapid.model.text_file import read_text
-import yaml
+from selfcal_ros.values.foreign_files import load_foreign_yaml
 
 _KEYS = ('vertices', 'faces', 'lines', 'ellipses', 'frame')
 #: Nobody picks more; a YAML file takes long to parse.
@@ -123,11 +123,7 @@ def read_picked(path) -> PickedVertices:
     text = read_text(path)
     if len(text) > _LARGEST_YAML:
         raise InputError(f'{path} is too long for vertices that were picked by hand.')
-    try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        problem = getattr(error, 'problem', None) or type(error).__name__
-        raise InputError(f'{path} is no YAML: {problem}.') from None
+    data = load_foreign_yaml(text, str(path))
     try:
         return _picked(data)
     except InputError as error:

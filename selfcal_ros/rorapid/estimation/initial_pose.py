@@ -23,6 +23,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.values.foreign_files import read_limited
 
 #: Longer files are not what they claim to be.
 _MAX_BYTES = 1_000_000
@@ -86,12 +87,7 @@ def read_pose_file(path) -> tuple[np.ndarray, np.ndarray]:
 
 def _numbers(path: Path) -> np.ndarray:
     """All numbers of a text file, comments left out."""
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f'{path}: too large for a file of a few numbers.')
-        text = path.read_text(encoding='utf-8', errors='replace')
-    except OSError as error:
-        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+    text = read_limited(path, _MAX_BYTES).decode('utf-8-sig', errors='replace')
     words = ' '.join(line.split('#', 1)[0] for line in text.splitlines()).replace(';', ' ')
     try:
         values = np.array([float(word) for word in words.split()])

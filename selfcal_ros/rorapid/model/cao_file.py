@@ -32,12 +32,12 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.rorapid.model.text_file import read_text
+from selfcal_ros.rorapid.model.text_file import LARGEST_FILE_BYTES, read_text
 from selfcal_ros.values.wireframe import (Conic, Cylinder, FACE_LIMIT, LIMIT, Polygon,
                                           WireframeModel)
 
-#: No model may consist of more files.
-MAX_FILES = 1_000
+#: No model may consist of more files, of more bytes all together, or load files so deep.
+MAX_FILES, MAX_TOTAL, MAX_DEPTH = 1_000, LARGEST_FILE_BYTES, 50
 #: ViSP's thresholds where ``useLod`` is on and none is given.
 DEFAULT_LINE_LENGTH_PX = 50.0
 DEFAULT_POLYGON_AREA_PX2 = 2500.0
@@ -61,6 +61,7 @@ class _Parts:
     conics: list = field(default_factory=list)
     cylinders: list = field(default_factory=list)
     files: int = 0
+    characters: int = 0
 
 
 def read_cao(path) -> WireframeModel:
@@ -102,8 +103,9 @@ class _Reader:
     def __init__(self, path):
         """Split the file into lines; comments and empty lines are passed over."""
         self.path = path
-        self._lines = [(number, line) for number, line
-                       in enumerate(read_text(path).splitlines(), start=1)
+        text = read_text(path)
+        self.length = len(text)
+        self._lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1)
                        if line.strip() and not line.lstrip().startswith('#')]
         self._next = 0
         self.number = 1
@@ -163,12 +165,13 @@ class _Reader:
 
     def parameters(self, rest) -> dict:
         """Read the parameters behind a record; anything else there is a remark."""
-        found = {}
-        while match := _PARAMETER.match(rest):
+        found: dict[str, str] = {}
+        at = 0
+        while match := _PARAMETER.match(rest, at):
             key, quoted, plain = match.groups()
             key = key if key.endswith(('name', 'Lod', 'old')) else key + 'old'
             found[key] = quoted if quoted is not None else plain
-            rest = rest[match.end():]
+            at = match.end()
         return found
 
     def threshold(self, parameters, key, default) -> float:
@@ -190,10 +193,13 @@ def _read(path, rotation, translation, parts, above):
     if real in above:
         raise InputError(f'{above[-1]} loads {path}, which loads it in turn.')
     parts.files += 1
-    if parts.files > MAX_FILES:
+    if parts.files > MAX_FILES or len(above) > MAX_DEPTH:
         raise InputError(f'{path} is one model file too many; a model may consist of at most '
-                         f'{MAX_FILES}.')
+                         f'{MAX_FILES}, which load each other {MAX_DEPTH} deep.')
     reader = _Reader(path)
+    parts.characters += reader.length
+    if parts.characters > MAX_TOTAL:
+        raise InputError(f'{path} makes the model longer than {MAX_TOTAL} characters.')
     if not re.match(r'\s*V\d', reader.line('the version')):
         raise reader.fail('a .cao file begins with its version, V1.')
     version = int(re.match(r'\s*V(\d+)', reader._lines[0][1]).group(1))
@@ -232,11 +238,10 @@ def _load_arguments(reader):
 
 def _angle(reader, word):
     """Return a number, in radians where it says that it is in degrees."""
-    match = re.fullmatch(r'\s*(\S+?)\s*(deg|rad)?\s*', word)
-    if match is None:
-        raise reader.fail(f'a number should come here, not {word.strip()[:40]!r}.')
-    value = reader._number(match.group(1), 'a number', float)
-    return math.radians(value) if match.group(2) == 'deg' else value
+    word = word.strip()
+    unit = next((unit for unit in ('deg', 'rad') if word.endswith(unit)), '')
+    value = reader._number(word.removesuffix(unit).rstrip(), 'a number', float)
+    return math.radians(value) if unit == 'deg' else value
 
 
 def _read_lists(reader, version, rotation, translation, parts):

@@ -20,6 +20,7 @@ from pathlib import Path
 import tempfile
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.values.foreign_files import read_limited
 
 #: No model file may be longer.
 LARGEST_FILE_BYTES = 8_000_000
@@ -36,15 +37,9 @@ def read_text(path: Path) -> str:
 
     """
     try:
-        if not path.is_file():
-            raise InputError(f'The model {path} does not exist or is no file.')
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise InputError(f'The model {path} is longer than {LARGEST_FILE_BYTES} bytes.')
-        return path.read_bytes().decode('utf-8')
+        return read_limited(path, LARGEST_FILE_BYTES, 'The model').decode('utf-8-sig')
     except UnicodeDecodeError:
         raise InputError(f'The model {path} is not a text file in UTF-8.') from None
-    except (OSError, ValueError) as error:
-        raise InputError(f'The model {path} cannot be read: {error}.') from None
 
 
 def write_text(path: Path, text: str) -> Path:

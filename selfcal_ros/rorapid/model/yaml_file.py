@@ -45,6 +45,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
 from selfcal_ros.rorapid.model.text_file import read_text, write_text
+from selfcal_ros.values.foreign_files import load_foreign_yaml
 from selfcal_ros.values.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
 import yaml
 
@@ -76,12 +77,7 @@ def read_model_yaml(path) -> WireframeModel:
     text = read_text(path)
     if len(text) > LARGEST_YAML:
         raise InputError(f'The model {path} is longer than {LARGEST_YAML} characters.')
-    try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        where = getattr(error, 'problem_mark', None)
-        line = f', line {where.line + 1}' if where else ''
-        raise InputError(f'{path}{line}: this is not YAML.') from None
+    data = load_foreign_yaml(text, str(path))
     try:
         return _model(data, path.stem)
     except ArgumentError as error:
