@@ -48,6 +48,8 @@ def read_limited(path: str | Path, limit: int, what: str = '') -> bytes:
         If it cannot be read, is no file or is longer.
 
     """
+    # an empty name is this folder
+    path = Path(path)
     name = f'{what} {path}'.strip()
     try:
         # a pipe that nobody writes to would be waited for
@@ -60,7 +62,7 @@ def read_limited(path: str | Path, limit: int, what: str = '') -> bytes:
             if handed:
                 os.set_blocking(descriptor, True)
             elif stat.S_ISDIR(mode):
-                raise InputError(f'{name} is a folder; give the name of a file in it.')
+                raise InputError(f'{name} cannot be read: Is a directory.')
             elif not stat.S_ISREG(mode):
                 raise InputError(f'{name} is no file but a device or a pipe; give a file.')
             raw = stream.read(limit + 1)

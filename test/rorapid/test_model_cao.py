@@ -165,7 +165,7 @@ def test_loaded_files_are_placed_by_nested_transforms(tmp_path):
     (_tetrahedron(), 'at least one line'),
     (_tetrahedron('1\n0 1') + '1\n0 1 -2\n', 'radius'),
     (_tetrahedron('1\n0 1') + '0\n1\n0.5 0 1 1\n', 'span'),
-    ('V1\nload("missing.cao")\n', 'does not exist'),
+    ('V1\nload("missing.cao")\n', 'No such file'),
     ('V1\nload(missing.cao)\n', 'form'),
     ('V1\nload("object.cao")\n', 'in turn'),
     ('V1\nload("x.cao", t=[1; 2])\n', 't=[1; 2]'),

@@ -108,7 +108,7 @@ def test_borders_can_be_left_untracked(tmp_path):
     (SQUARE + 'cylinders: [{start: [0, 0, 0], end: [0, 0, 0], radius: 1}]\n', 'apart'),
     (SQUARE + 'cylinders: [{start: [0, 0, 0], end: [0, 0, 1], radius: -1}]\n', 'radius'),
     ('points: [\n', 'line 2'),
-    ('!!python/object/apply:os.system ["true"]\n', 'not YAML'),
+    ('!!python/object/apply:os.system ["true"]\n', 'not valid YAML'),
     ('[' * 5000, 'YAML'),
     ('a: &a [1, 1]\nb: &b [*a, *a]\npoints: [*b, *b, *b]\n', "'a'"),
 ])
