@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
+from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion, finish,
                                                                    MOTION_MODELS, NOT_CONSTANT,
@@ -159,7 +160,11 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
             if of_one:
                 return of_one
         return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)
-    return replace(result, software=software)
+    result = replace(result, software=software)
+    # the last gate is one for all motions
+    hint = only_a_hint(result)
+    return result if hint is None else NotCalibrated.of(hint, frames=result.frames,
+                                                        software=software)
 
 
 def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration | NotCalibrated:

@@ -35,6 +35,8 @@ from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.optimise import Elimination
 from selfcal_ros.values.track_labels import TrackLabels
 
+#: Kind of a refusal that knows something of the camera, too little for a calibration.
+HINT = 'only_a_hint'
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'pivot', 'translation', 'planar', 'circular', 'general',
            'known-object', 'unknown')
@@ -388,6 +390,8 @@ class NotCalibrated:
         The numbers and names that decided, as in `Finding`.
     findings : tuple of Finding
         What else was found, for example the motion that would help most.
+    hint : Calibration, optional
+        With the kind 'only_a_hint', what the images suggest: not to be used as a calibration.
 
     Examples
     --------
@@ -413,6 +417,7 @@ class NotCalibrated:
     kind: str = ''
     values: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    hint: Calibration | None = field(default=None, repr=False, compare=False)
 
     @staticmethod
     def of(refusal: NoEstimate, *, frames: Iterable[int] = (), facts: CameraFacts = CameraFacts(),
@@ -424,7 +429,7 @@ class NotCalibrated:
         ----------
         refusal : NoEstimate
             Its values `motion`, `status` and `facts` stand for what is given here, where it has
-            them; those in `further` are findings of their own.
+            them; those in `further` are findings of their own, and `hint` is an estimate.
         frames : iterable of int
         facts : CameraFacts
         motion, software : str
@@ -437,9 +442,15 @@ class NotCalibrated:
         values = dict(refusal.values)
         motion, facts = values.pop('motion', motion), values.pop('facts', facts)
         status, further = values.pop('status', {}), tuple(values.pop('further', ()))
+        hint = values.pop('hint', None)
         advice = ' '.join(filter(None, [refusal.advice, *(one.sentence for one in further)]))
         return NotCalibrated(refusal.reason, advice, motion, tuple(int(f) for f in frames), facts,
-                             dict(status), software, refusal.kind, values, further)
+                             dict(status), software, refusal.kind, values, further, hint)
+
+    @property
+    def is_hint(self) -> bool:
+        """Whether `values` has a focal length, which is a hint and no calibration."""
+        return self.kind == HINT
 
     def __bool__(self) -> Literal[False]:
         """Be false: there is no calibration."""
@@ -447,7 +458,8 @@ class NotCalibrated:
 
     def __str__(self) -> str:
         """Say why, and what would help."""
-        return f'Not calibrated: {self.reason}' + (f' {self.advice}' if self.advice else '')
+        start = 'A hint, no calibration' if self.is_hint else 'Not calibrated'
+        return f'{start}: {self.reason}' + (f' {self.advice}' if self.advice else '')
 
     def __getattr__(self, name: str) -> NoReturn:
         """Refuse to be used as a calibration."""

@@ -20,9 +20,11 @@ import re
 import sys
 
 _BOLD, _RED, _GREEN, _GREY, _RESET = '\033[1m', '\033[31m', '\033[32m', '\033[90m', '\033[0m'
+_AMBER = '\033[33m'
 #: What is said of parameters and recordings, and in which colour.
 _WORDS = ((re.compile(r'\b(estimated|calibrated)$'), _GREEN),
           (re.compile(r'\bheld( by .*)?$'), _GREY),
+          (re.compile(r'\bhint: .*$'), _AMBER),
           (re.compile(r'\b(unobservable|contradicts the others|not calibrated.*)$'), _RED))
 
 
@@ -51,7 +53,8 @@ def coloured(text: str, stream=None) -> str:
     if not wants_colour(sys.stdout if stream is None else stream):
         return text
     first, *rest = text.split('\n')
-    tone = _RED if first.startswith('Not calibrated') else ''
+    tone = (_RED if first.startswith('Not calibrated') else
+            _AMBER if first.startswith('A hint') else '')
     return '\n'.join([f'{_BOLD}{tone}{first}{_RESET}', *map(_row, rest)])
 
 

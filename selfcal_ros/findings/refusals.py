@@ -141,6 +141,12 @@ REFUSALS: dict[str, Phrase] = {
         'The images show parallax. A rotation about the optical centre explains none.',
         'Calibrate with --motion auto, or rotate the camera about its optical centre before '
         'distant structure.'),
+    'only_a_hint': Phrase(
+        'The camera turned by {turned_deg:.1f} degrees in all, which suggests a focal length of '
+        '{focal_px:.0f} ± {sigma_px:.0f} px.',
+        'So small a turn shows the focal length by tiny differences. Drift of the tracks, or a '
+        'path that is not quite as supposed, makes as much. No camera file is written.',
+        'Turn the camera by 20 degrees or more, or walk further round the scene.'),
     'points_behind': Phrase(
         'The images do not determine the camera, which moved little beside its rotations: their '
         'best explanation puts {share:percent} % of the points behind it.',

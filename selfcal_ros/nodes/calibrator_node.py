@@ -275,7 +275,9 @@ class Calibrator(Node):
     def _on_save(self, _, response):
         calibration = self._session.calibration
         if calibration is None:
-            response.success, response.message = False, 'there is no calibration yet'
+            failure = self._session.snapshot().failure
+            hint = f': {failure.reason}' if failure is not None and failure.is_hint else ''
+            response.success, response.message = False, f'there is no calibration yet{hint}'
             return response
         try:
             response.message = self._save(calibration)

@@ -380,6 +380,8 @@ class CalibrationSession:
         self._estimates += 1
         if isinstance(result, NotCalibrated):
             self._failure = result
+            # a hint is as good a start as any
+            self._start = self._start or result.hint
             return True
         self._failure = None
         if self._calibration is not None and self._source is not None \

@@ -225,6 +225,8 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
     if result:
         # large, and of no use beyond its own process
         result = replace(result, reconstruction=None, residuals=None)
+    elif result.hint is not None:
+        result = replace(result, hint=None)
     stamps = reading.tracks.stamps_ns or {}
     start = min(stamps.values()) if stamps and reading.clock in ('header', 'log') else None
     size = reading.tracks.image_size or (

@@ -67,7 +67,7 @@ def rows_of(camera: CameraSummary) -> list[HistoryRow]:
             else:
                 status = 'calibrated, not in the joint estimate'
         elif result is not None:
-            status = f'not calibrated: {result.reason}'
+            status = f'{"hint" if result.is_hint else "not calibrated"}: {result.reason}'
         rows.append(HistoryRow(
             _name(outcome), _time(outcome.start_ns),
             tuple(_value(result, name) if result else '' for name in COLUMNS),

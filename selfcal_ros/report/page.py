@@ -82,24 +82,25 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
               camera_name: str = 'camera', notes: tuple[str, ...] = (),
               open_frames: Callable | None = None) -> str:
     """Return the page as text; see `write_page` for the parameters."""
-    calibrated = bool(result)
-    pictures, scene = _images_and_scene(result, tracks, open_frames)
+    # of a hint everything is shown but the camera file
+    shown = result if result else result.hint or result
+    pictures, scene = _images_and_scene(shown, tracks, open_frames)
     script = _script() if scene else None
     return _environment().get_template('page.html.j2').render(
-        calibrated=calibrated, result=result, text=text, source=source, grade=grade(result),
-        drawings=_drawings(result, tracks), figures=[Markup(figure) for figure in figures],
+        calibrated=bool(shown), result=result, text=text, source=source, grade=grade(result),
+        drawings=_drawings(shown, tracks), figures=[Markup(figure) for figure in figures],
         camera_name=camera_name, pictures=pictures, scene=scene, script=script,
         policy=_policy(script),
         verdict=_unbroken(verdict(result)) if result else result.reason,
-        quality=_unbroken(quality(result)) if result else '',
-        matrix=matrix(result) if result else [],
-        distortion=distortion(result) if result else [],
-        rows=parameter_rows(result) if result else [],
+        quality=_unbroken(quality(shown)) if shown else '',
+        matrix=matrix(shown) if shown else [],
+        distortion=distortion(shown) if shown else [],
+        rows=parameter_rows(shown) if shown else [],
         facts=facts_lines(result.facts),
-        notes=list(dict.fromkeys([*(result.notes if result else ()),
-                                  *_what_rests_on_facts(result), *_what_it_means(result),
+        notes=list(dict.fromkeys([*(shown.notes if shown else ()),
+                                  *_what_rests_on_facts(shown), *_what_it_means(shown),
                                   *notes])),
-        numbers=_numbers(result), yaml=_yaml(result, camera_name))
+        numbers=_numbers(shown), yaml=_yaml(result, camera_name))
 
 
 def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | None]:

@@ -35,6 +35,8 @@ from selfcal_ros.report.files import atomic_write
 
 #: Version of what is written; the first had none.
 SCHEMA = 2
+#: What is told of a hint, under a key of its own: who looks for a camera must not take it.
+OF_A_HINT = ('camera', 'lens', 'sigma', 'covariance', 'parameter_names')
 #: Parameters of files without a k3.
 _BEFORE_K3 = 9
 
@@ -54,7 +56,8 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     Returns
     -------
     dict
-        'status' ('calibrated' or 'not_calibrated'), 'reason', 'advice', 'motion', 'camera',
+        'status' ('calibrated', 'hint' or 'not_calibrated'), 'reason', 'advice', 'motion',
+        'camera',
         'lens' ('model' and 'coefficients' by name), 'sigma', 'covariance' (square, in the order
         of 'parameter_names'), 'parameter_names', 'parameters', 'held_by', 'frames',
         'reprojection_rms_px', 'noise_sigma_px', 'observations', 'outliers', 'fixed_points',
@@ -67,14 +70,15 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
         'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
-        (`RowReadout`), and 'labels' (tracks by what they are, where something moves by itself or
-        jumps).
+        (`RowReadout`), 'labels' (tracks by what they are, where something moves by itself or
+        jumps), and 'hint' (what the images suggest where the status is 'hint': 'camera', 'lens',
+        'sigma', 'covariance', 'parameter_names').
 
     """
     fixed = result.fixed_points if result else None
     found: dict[str, Any] = {
         'schema': SCHEMA,
-        'status': 'calibrated' if result else 'not_calibrated',
+        'status': 'calibrated' if result else 'hint' if result.is_hint else 'not_calibrated',
         'reason': '' if result else result.reason,
         'advice': '' if result else result.advice,
         'motion': result.motion,
@@ -113,6 +117,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         found['shutter'] = result.shutter.as_dict()
     if result and result.labels is not None:
         found['labels'] = {name: result.labels.of(name) for name in result.labels.names}
+    if not result and result.hint is not None:
+        found['hint'] = {name: value for name, value in result_to_dict(result.hint).items()
+                         if name in OF_A_HINT}
     return to_jsonable(found)
 
 

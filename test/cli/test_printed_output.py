@@ -53,6 +53,8 @@ def test_colours_are_for_terminals_only(monkeypatch):
     assert coloured(text, io.StringIO()) == text
     shown = coloured(text, Terminal())
     assert re.sub(r'\x1b\[[0-9]+m', '', shown) == text and shown.count('\x1b[0m') == 3
+    assert coloured('A hint, no calibration: so.', Terminal()).startswith('\x1b[1m\x1b[33m')
+    assert '\x1b[33m' in coloured('a\nd1.csv hint: so', Terminal())
     assert '\x1b[31m' in coloured('a\nd1.csv not calibrated: no parallax', Terminal())
     monkeypatch.setenv('NO_COLOR', '1')
     assert coloured(text, Terminal()) == text

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.result import HINT, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
@@ -213,6 +213,17 @@ def test_a_failure_leaves_the_calibration_that_there_is():
     session.accept(again, NotCalibrated('worse'))
     assert isinstance(session.calibration, FakeCalibration)
     assert session.snapshot().failure.reason == 'worse'
+
+
+def test_a_hint_is_no_calibration_and_a_start_where_there_is_none():
+    session, known = fed(), FakeCalibration()
+    session.accept(session.request(), NotCalibrated('So little.', kind=HINT, hint=known))
+    assert session.calibration is None and session.snapshot().failure.is_hint
+    again = session.request()
+    assert again.start is known
+    session.accept(again, FakeCalibration())
+    session.accept(session.request(), NotCalibrated('So little.', kind=HINT, hint=known))
+    assert session.request().start is session.calibration is not known
 
 
 def test_other_facts_make_an_estimate_due_and_drop_the_one_under_way():

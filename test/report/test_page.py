@@ -25,10 +25,11 @@ import types
 import cv2
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import Identifiability, NotCalibrated
+from selfcal_ros.calibration.result import HINT, Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
@@ -223,6 +224,16 @@ def test_without_a_calibration(tmp_path):
     for words in ('The camera did not rotate.', 'Drive curves.', 'translation', 'unobservable'):
         assert words in page.text
     assert 'Use it' not in page.text and 'figure' not in page.tags
+
+
+def test_a_hint_and_a_coarse_calibration_are_not_green(calibration):
+    coarse = replace(calibration, covariance=calibration.covariance * 100)
+    assert (grade(calibration), grade(coarse)) == ('good', 'coarse')
+    refusal = NoEstimate(HINT, turned_deg=5.6, focal_px=620.0, sigma_px=30.0, hint=coarse)
+    page = page_html(NotCalibrated.of(refusal), '')
+    assert 'class="card hint"' in page and 'turned by 5.6 degrees' in page
+    # its numbers are shown, and no file to use
+    assert 'Camera matrix' in page and 'Use it' not in page and '20 degrees or more' in page
 
 
 def test_own_figures_are_put_in(calibration):

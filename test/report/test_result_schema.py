@@ -21,8 +21,9 @@ import re
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.result import FocalCourse, MOTIONS, NotCalibrated
-from selfcal_ros.report.result_json import result_to_dict, SCHEMA
+from selfcal_ros.calibration.result import FocalCourse, HINT, MOTIONS, NotCalibrated
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.report.result_json import result_from_dict, result_to_dict, SCHEMA
 from selfcal_ros.synthetic.scenes import sequence_si
 from selfcal_ros.synthetic.special_scenes import pure_rotation, pure_translation
 
@@ -34,7 +35,13 @@ TYPES = {'object': dict, 'array': list, 'string': str, 'integer': int, 'number':
 
 @pytest.fixture(scope='module')
 def schema():
-    return json.loads((DOCS / 'result.schema.json').read_text(encoding='utf-8'))
+    whole = json.loads((DOCS / 'result.schema.json').read_text(encoding='utf-8'))
+    hint = whole['properties']['hint']['properties']
+    for name, part in hint.items():
+        # the only references: to properties of the whole
+        assert part == {'$ref': f'#/properties/{name}'}
+        hint[name] = whole['properties'][name]
+    return whole
 
 
 def problems(value, schema, place='result'):
@@ -99,6 +106,20 @@ def test_refusals_are_as_the_schema_says(schema, scene):
     assert not problems(content, schema)
     assert content['kind'] == content['findings'][0]['kind'] == result.kind
     assert not problems(written(NotCalibrated('Of an older file.')), schema)
+
+
+def test_a_hint_has_its_camera_where_nobody_takes_it_for_a_calibration(schema, calibration):
+    refusal = NoEstimate(HINT, turned_deg=5.6, focal_px=620.0, sigma_px=30.0, hint=calibration,
+                         status=calibration.status, motion='planar')
+    content = written(NotCalibrated.of(refusal, frames=(1, 2)))
+    assert not problems(content, schema) and content['status'] == 'hint'
+    assert content['camera'] is None and content['sigma'] is None
+    assert content['hint']['camera']['fx'] == calibration.camera.K[0, 0]
+    assert content['hint']['sigma']['fx'] == calibration.sigma['fx']
+    again = result_from_dict(content)
+    assert not again and again.is_hint and again.hint is None
+    assert again.values['focal_px'] == 620.0 and str(again).startswith('A hint, no calibration: ')
+    assert 'hint' not in written(NotCalibrated('Of an older file.'))
 
 
 def test_what_contradicts_the_schema_is_found(schema):

@@ -25,7 +25,8 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
-from selfcal_ros.calibration.estimators.motion_class import describe_path, PathDescription
+from selfcal_ros.calibration.estimators.motion_class import (describe_path, PathDescription,
+                                                              widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
                                                              LENS_MODEL)
@@ -33,7 +34,7 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
                                                    without_held)
-from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT, Reconstruction
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
@@ -58,6 +59,9 @@ FIELD_FRACTION, FIELD_SIGMAS = 8e-4, 3.0
 #: Fewer degrees of freedom than this cannot check themselves: of eight points in three or four
 #: views one in three results was off by more than three of its sigmas.
 MINIMUM_FREEDOM = 40
+#: A turn that is smaller in all, with a focal length that has a larger share of uncertainty, is
+#: a hint: what is supposed of noise and path weighs more there than the images.
+SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 #: With more than this share of the points behind the cameras the scene is inside out.
 MAX_BEHIND = 0.03
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
@@ -217,6 +221,30 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         measured=sample_structure(precision, fit.observations.track, state.points,
                                   covariance),
         population=fit.bundle.priors.population, focal=course, shutter=shutter)
+
+
+def only_a_hint(result: Calibration) -> NoEstimate | None:
+    """
+    Call a doubtful focal length from a small turn what it is, whatever the motion was.
+
+    Parameters
+    ----------
+    result : Calibration
+        With its reconstruction.
+
+    Returns
+    -------
+    NoEstimate or None
+        Of the kind `HINT`; None where the result is a calibration.
+
+    """
+    focal_px, sigma_px = float(result.camera.K[0, 0]), result.sigma['fx']
+    turned = widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3])
+    if turned >= SMALL_TURN_RAD or sigma_px <= HINT_SIGMA * focal_px:
+        return None
+    return NoEstimate(HINT, focal_px=focal_px, sigma_px=sigma_px,
+                      turned_deg=float(np.degrees(turned)), motion=result.motion,
+                      facts=result.facts, status=result.status, hint=result)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

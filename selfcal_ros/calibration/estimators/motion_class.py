@@ -99,6 +99,13 @@ def largest_turn_rad(path: AxisPath, keeps_plane: bool) -> float:
     return max(turn, float(np.ptp(path.angle))) if keeps_plane else turn
 
 
+def widest_turn_rad(R: np.ndarray) -> float:
+    """Largest angle between any two of the rotations (V, 3, 3), at most half a turn."""
+    R = np.asarray(R, float).reshape(-1, 9)
+    # trace of R_i R_j^T = 1 + 2 cos(angle)
+    return float(np.arccos(np.clip(((R @ R.T).min() - 1) / 2, -1, 1)))
+
+
 def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
                   turned: bool = True, pivots: bool = False) -> PathDescription:
     """

@@ -1,0 +1,78 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A small turn with a doubtful focal length is a hint, whatever the motion was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.estimators.acceptance import only_a_hint
+from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
+from selfcal_ros.calibration.result import HINT, Reconstruction
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.synthetic.hard_scenes import hand, one_curve, vehicle
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
+
+
+@pytest.fixture(scope='module')
+def curve():
+    """Drive a curve of 6 degrees; returns the sequence and what comes of it."""
+    sequence = vehicle(np.random.default_rng(1), one_curve(6, 6), count=100)
+    return sequence, calibrate(sequence.tracks, motion='planar', facts=FACTS)
+
+
+def test_a_curve_of_six_degrees_gives_a_hint_that_is_true_and_no_calibration(curve):
+    sequence, result = curve
+    assert not result and result.is_hint and result.kind == HINT
+    assert str(result).startswith('A hint, no calibration: The camera turned by ')
+    assert result.values['turned_deg'] == pytest.approx(6, abs=0.3)
+    assert result.motion in ('planar', 'circular') and result.status['fx'] == 'estimated'
+    found, truth = result.hint, sequence.camera.K[0, 0]
+    assert result.values['focal_px'] == found.camera.K[0, 0]
+    assert abs(found.camera.K[0, 0] - truth) < 4 * found.sigma['fx']
+    with pytest.raises(AttributeError, match='hint'):
+        result.camera
+
+
+def test_a_small_turn_that_shows_the_focal_length_is_a_calibration():
+    turns = 6 * np.array([[0, 0, 0], [.5, 1, .2], [-.5, .3, .3], [.2, -1, 0], [1, 0, 0]])
+    sequence = hand(np.random.default_rng(1), turns, count=100)
+    result = calibrate(sequence.tracks, motion='general', facts=FACTS)
+    assert result and result.sigma['fx'] < 0.01 * result.camera.K[0, 0]
+
+
+@pytest.mark.parametrize('motion', ['planar', 'circular', 'general', 'pivot', 'rotation'])
+@pytest.mark.parametrize('turn_deg, share, is_hint', [
+    (14.9, 0.011, True), (15.2, 0.05, False), (3, 0.0099, False), (14.9, 0.0099, False)])
+def test_the_gate_is_one_for_all_motions(curve, motion, turn_deg, share, is_hint):
+    known = curve[1].hint
+    focal_px = known.camera.K[0, 0]
+    covariance = known.covariance * (share * focal_px / known.sigma['fx'])**2
+    # there and back: neither end is the first view
+    R = rotation_matrix(np.radians(turn_deg) * np.array([[0, 0, 0.5], [0, 0, 0], [0, 0, 1.0]]))
+    poses = np.concatenate([R, np.zeros((3, 3, 1))], axis=2)
+    shown = replace(known, motion=motion, covariance=covariance, reconstruction=Reconstruction(
+        np.arange(3), poses, np.zeros(0, int), np.zeros((0, 4))))
+    found = only_a_hint(shown)
+    assert (found is not None) == is_hint
+    if is_hint:
+        assert found.kind == HINT and found.values['motion'] == motion
+
+
+def test_the_widest_turn_is_between_any_two_views():
+    about_x = np.radians([[10, 0, 0], [-20, 0, 0], [0, 0, 0]])
+    assert np.degrees(widest_turn_rad(rotation_matrix(about_x))) == pytest.approx(30)
+    assert widest_turn_rad(np.eye(3)[None]) == 0
