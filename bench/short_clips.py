@@ -28,6 +28,7 @@ from bench.monte_carlo import run_seeds
 from bench.tables import Report
 import numpy as np
 from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
+from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.paths import look_at
 
@@ -80,7 +81,7 @@ def _path(rng: np.random.Generator, path: str, turn_rad: float, shake: float) ->
     if path == 'aside':
         # the camera goes aside and looks where it goes, as that of a vehicle
         centres[:, 0] += rng.uniform(0.3, 1.5) * turn_rad * t
-        centres[:, 1] += rng.uniform(0.0, 0.5) * np.abs(t)
+        centres[:, 1] += rng.uniform(0.0, 2.0) * turn_rad * t
     if path == 'hand':
         centres = centres + _smooth(rng, turn_rad / 3, 3)
     R = np.stack([look_at(c, np.array([0.0, 0.0, 0.1]) if path != 'aside' else
@@ -104,7 +105,7 @@ def clip(rng: np.random.Generator, scene: str, path: str, turn_deg: float, shake
     scene : {'table', 'object', 'room'}
     path : {'round', 'aside', 'hand'}
     turn_deg : float
-        How far the camera turns in all, about.
+        How far the camera turns in all.
     shake : float
         Trembling of the hand, as a share of the way.
     walk_px, noise_px : float
@@ -115,8 +116,12 @@ def clip(rng: np.random.Generator, scene: str, path: str, turn_deg: float, shake
     Tracks
 
     """
-    points = _points(rng, scene)
-    poses = _path(rng, path, np.radians(turn_deg), shake)
+    points, seed = _points(rng, scene), int(rng.integers(2**32))
+    turn_rad = np.radians(turn_deg)
+    for _ in range(4):
+        # as far in all as was asked for
+        poses = _path(np.random.default_rng(seed), path, turn_rad, shake)
+        turn_rad *= np.radians(turn_deg) / widest_turn_rad(poses[:, :, :3])
     local = np.einsum('vij,pj->vpi', poses[:, :, :3], points) + poses[:, None, :, 3]
     xy = np.full((*local.shape[:2], 2), np.nan)
     ahead = local[..., 2] > 0.05

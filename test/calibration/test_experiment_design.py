@@ -72,7 +72,8 @@ def test_what_is_promised_comes_true():
     more = scene(rng, planar_poses(mount, *s_curve(turn_deg=45)), count=150)
     both = calibrate(more.tracks, facts=SQUARE)
 
-    assert result.sigma['fx'] > 5 * promised
+    # a curve of 12 degrees gives a hint
+    assert result.hint.sigma['fx'] > 5 * promised
     # the information of the S alone is nearly all there is
     assert 0.5 < both.sigma['fx'] / promised < 2
 

@@ -244,7 +244,9 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
         return None
     return NoEstimate(HINT, focal_px=focal_px, sigma_px=sigma_px,
                       turned_deg=float(np.degrees(turned)), motion=result.motion,
-                      facts=result.facts, status=result.status, hint=result)
+                      facts=result.facts, status=result.status, hint=result,
+                      further=tuple(one for one in result.findings
+                                    if one.kind == 'motion_suggestion'))
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:
