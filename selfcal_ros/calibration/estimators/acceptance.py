@@ -26,7 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import (describe_path, PathDescription,
-                                                              widest_turn_rad)
+                                                             widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
                                                              LENS_MODEL)
