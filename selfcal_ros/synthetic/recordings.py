@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 import json
 import os
 from pathlib import Path
@@ -28,7 +29,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.synthetic import worlds
 from selfcal_ros.synthetic.paths import drive_path, look_at, planar_poses
-from selfcal_ros.synthetic.render import quantise, Renderer, Scene
+from selfcal_ros.synthetic.render import quantise, Renderer, Scene, Surface
 
 #: k1, k2, p1, p2, k3 of a common wide-angle lens.
 REALISTIC_DISTORTION = (-0.12, 0.05, 0.0, 0.0, 0.0)
@@ -205,8 +206,7 @@ def agv_drive(views: int = 24, size=(640, 480), camera: Camera | None = None,
             'roll_deg': roll_deg, 'height_m': height_m, 'noise_sigma': noise_sigma,
             'dirt': dirt, 'rate_hz': rate_hz, 'seed': seed}
     camera = camera or default_camera(size, distortion)
-    # the hall is laid out around the whole path, so that it is the same for every `views`
-    surfaces = worlds.hall(np.random.default_rng([seed, 0]), *drive_path(200))
+    surfaces = list(_hall(seed))
     path_xy, heading_rad = drive_path(views)
     poses = planar_poses(path_xy, heading_rad, height_m, 0.35, pitch_deg, roll_deg)
     return Recording('agv_drive', camera, poses, _stamps(views, rate_hz), surfaces,
@@ -265,7 +265,7 @@ def arm_move(views: int = 24, size=(640, 480), camera: Camera | None = None, dis
     to_camera = np.concatenate([R, -R @ np.concatenate(offsets)[:, :, None]], axis=2)
     poses = to_camera[:, :, :3] @ start
     poses[:, :, 3] += to_camera[:, :, 3]
-    surfaces = worlds.bench_top(np.random.default_rng([seed, 0]))
+    surfaces = list(_bench_top(seed))
     return Recording('arm_move', camera, poses, _stamps(views, rate_hz), surfaces,
                      noise_sigma=noise_sigma, seed=seed, made=made, labels=tuple(labels))
 
@@ -304,12 +304,30 @@ def turntable(views: int = 36, step_deg: float = 10.0, size=(640, 480),
         np.deg2rad(step_deg) * np.arange(views)[:, None] * [0, 0, 1]).as_matrix()
     poses = np.concatenate([fixed[:, :3] @ turn,
                             np.broadcast_to(fixed[:, 3:], (views, 3, 1))], axis=2)
-    surfaces = worlds.turntable(np.random.default_rng([seed, 0]))
+    surfaces = list(_turntable(seed))
     if not background:
         surfaces = [surface for surface in surfaces if surface.body == 0]
     return Recording('turntable', camera, poses, _stamps(views, rate_hz), surfaces,
                      static_pose=fixed if background else None, noise_sigma=noise_sigma,
                      seed=seed, made=made, transmission=_dirt(camera, seed) if dirt else None)
+
+
+# Textures take longer to draw than an image of them; whoever films one world twice waits once.
+
+@lru_cache(maxsize=2)
+def _hall(seed: int) -> tuple[Surface, ...]:
+    # laid out around the whole path, so that it is the same for every number of views
+    return tuple(worlds.hall(np.random.default_rng([seed, 0]), *drive_path(200)))
+
+
+@lru_cache(maxsize=2)
+def _bench_top(seed: int) -> tuple[Surface, ...]:
+    return tuple(worlds.bench_top(np.random.default_rng([seed, 0])))
+
+
+@lru_cache(maxsize=2)
+def _turntable(seed: int) -> tuple[Surface, ...]:
+    return tuple(worlds.turntable(np.random.default_rng([seed, 0])))
 
 
 def write_image_folder(recording: Recording, path) -> Path:
