@@ -67,7 +67,8 @@ class LinearWindow:
                                    (drive.camera.width, drive.camera.height)), drive.camera, rng)
         if isinstance(found, NoEstimate):
             raise ValueError(found.reason)
-        graph, bundle, state, observations = found
+        graph, fit = found[0], found[1].fit
+        bundle, state, observations = fit.bundle, fit.state, fit.observations
         if len(graph.frames) != len(frames):
             raise ValueError('Keyframes of the window are not connected: what is seen in one '
                              'would be taken for what is seen in the next.')

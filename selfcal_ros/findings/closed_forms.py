@@ -263,6 +263,12 @@ CLOSED_FORMS: dict[str, Phrase] = {
         'The supposed camera does not cover the image, or its adjustment failed. The window is '
         'skipped.',
         'Calibrate anew if it happens often.'),
+    'window_unexplained': Phrase(
+        'No camera before a still scene explains the keyframes: {left_px:.2g} px are left, with '
+        '{still:.0%} of the tracks. Something moves by itself, or the rows are read one after '
+        'the other while the camera shakes.',
+        'The window says nothing of the camera, and is left out.',
+        'Nothing, if it is rare. Else mask what moves, or drive more smoothly.'),
     # models from two views
     'points_outside_lens': Phrase(
         'Some points lie outside what the lens can show.',

@@ -118,6 +118,7 @@ class ChangeWatch:
             return level, text, values
         state = self._monitoring.snapshot()
         values.update({'monitor windows': state.windows, 'monitor skipped': state.skipped,
+                       'monitor unexplained in a row': state.unexplained,
                        'monitor statistic': state.statistic,
                        'monitor threshold': state.threshold})
         if state.why_skipped:

@@ -61,6 +61,8 @@ class MonitoringSnapshot:
         Windows that were judged, and that said nothing.
     why_skipped : str
         Of the last such window.
+    unexplained : int
+        Windows, up to the newest, that no camera before a still scene explains.
     statistic, threshold : float
         Of the newest test; 0 before the first.
     change : CameraChange or None
@@ -70,6 +72,7 @@ class MonitoringSnapshot:
     windows: int = 0
     skipped: int = 0
     why_skipped: str = ''
+    unexplained: int = 0
     statistic: float = 0.0
     threshold: float = 0.0
     change: CameraChange | None = None
@@ -148,7 +151,8 @@ class Monitoring:
             return
         tracks = Tracks(np.repeat([f.index for f in frames], [len(f.ids) for f in frames]),
                         np.concatenate([f.ids for f in frames]),
-                        np.concatenate([f.xy for f in frames]), image_size)
+                        np.concatenate([f.xy for f in frames]), image_size,
+                        {f.index: f.stamp_ns for f in frames})
         self._keyframes = frames[-1:]
         if len(self._waiting) < MAX_WAITING:
             self._waiting.append((tracks, False))
@@ -188,6 +192,10 @@ class Monitoring:
         try:
             if request.reference:
                 self._monitor.learn(score)
+            elif not self._monitor.explains(score):
+                self._skip(NoEstimate('window_unexplained', left_px=score.noise_px,
+                                      still=score.still).clause)
+                self._monitor.add(score)
             else:
                 self._monitor.add(score)
         except np.linalg.LinAlgError:
@@ -205,7 +213,8 @@ class Monitoring:
         if self._monitor is None:
             return MonitoringSnapshot()
         return MonitoringSnapshot(self._monitor.windows, self._skipped, self._why,
-                                  self._monitor.statistic, self._monitor.threshold, self.change)
+                                  self._monitor.unexplained, self._monitor.statistic,
+                                  self._monitor.threshold, self.change)
 
     def _skip(self, why: str) -> None:
         self._skipped += 1

@@ -16,9 +16,10 @@ Has the camera changed? A sequential test of new evidence against the calibratio
 
 Model: the camera in force errs by what its covariance says; window after window of keyframes tells
 it again, each with its own error (`window_score`). Against that stands, for every moment at which
-it might have happened, a change of focal length and principal point. Twice the logarithm of the
-generalised likelihood ratio of the two is a chi-square with three degrees of freedom; over the
-moments it is maximised, and the threshold bounds the rate at which an unchanged camera exceeds it
+it might have happened, a change of focal length and principal point, or of the focal length
+alone. Twice the logarithm of the generalised likelihood ratio is a chi-square with three degrees
+of freedom, or one; the less probable of both counts, as one of three. Over the moments it is
+maximised, and the threshold bounds the rate at which an unchanged camera exceeds it
 (docs/monitoring.md).
 """
 
@@ -43,6 +44,11 @@ WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
 SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
 #: Share of the windows' scatter, as a variance, that a change has to exceed.
 SHARED_SCATTER = 0.25
+#: A window does not fit where noise that the epipolar geometry lacks exceeds the usual by this
+#: factor, or where tracks agree with themselves alone, by the factors of misfit and dependence.
+UNUSUAL_NOISE, UNUSUAL_MISFIT, UNUSUAL_DEPENDENCE = 1.3, 1.2, 1.5
+#: The same where less than this share of the tracks stands still.
+MOSTLY_STILL = 0.9
 #: A score is exact to first order: so much of the step that it tells is its own uncertainty.
 CURVATURE = 0.1
 
@@ -87,6 +93,8 @@ class ChangeMonitor:
         The alarm. It stays once it is raised, and what it states improves with every window.
     windows, discarded : int
         Windows that were taken, and those of them that agreed with nothing before or after.
+    unexplained : int
+        Windows, up to the newest, that no camera explains: they are not taken.
     statistic, threshold : float
         Of the newest test.
 
@@ -114,7 +122,7 @@ class ChangeMonitor:
         self._scatter = WindowScatter(self._least)
         self._of_windows = self._of_changes = self._least
         self.change: CameraChange | None = None
-        self.windows = self.discarded = 0
+        self.windows = self.discarded = self.unexplained = 0
         self.statistic, self.threshold = 0.0, self._threshold(1)
 
     def _along(self, values) -> np.ndarray:
@@ -153,7 +161,11 @@ class ChangeMonitor:
             The alarm, as long as it stands.
 
         """
+        if not self.explains(score):
+            self.unexplained += 1
+            return self.change
         self.windows += 1
+        self.unexplained = 0
         step = score.at + score.step - self.in_force
         information = score.information / self._scatter.inflation(score.dependence)
         # every scene has its own small error, however much it tells
@@ -166,6 +178,19 @@ class ChangeMonitor:
         if len(self._new) > SINGLE_WINDOWS:
             self._retire()
         return self.change
+
+    def explains(self, score: WindowScore) -> bool:
+        """
+        Tell whether some camera before a still scene explains a window.
+
+        What moves by itself, or a shutter that shakes, leaves more than the usual noise. Where
+        pairs of images show that noise as well, and tracks are independent, it is noise.
+        """
+        usual = self._scatter.usual(self.calibration.noise_sigma_px)
+        return (score.noise_px < UNUSUAL_NOISE * usual.noise_px
+                or score.misfit < UNUSUAL_MISFIT * usual.misfit
+                and score.dependence < UNUSUAL_DEPENDENCE * usual.dependence
+                and score.still > MOSTLY_STILL)
 
     # ------------------------------------------------------------------ the test
 
@@ -181,6 +206,7 @@ class ChangeMonitor:
         Returns
         -------
         statistic : ndarray, shape (n,)
+            As one of three degrees of freedom.
         change : ndarray, shape (n, 3)
         covariance : ndarray, shape (n, 3, 3)
             Tolerance included.
@@ -200,8 +226,18 @@ class ChangeMonitor:
         floor = np.maximum(values, 1e-12 * np.maximum(values[:, -1:], 1e-12))
         inverse = (vectors / floor[:, None]) @ np.swapaxes(vectors, 1, 2)
         change = np.einsum('nij,nj->ni', inverse, right)
-        statistic = np.einsum('ni,nij,nj->n', change, weight, change)
-        return statistic, change, inverse + np.diag(self._of_changes)
+        together = np.einsum('ni,nij,nj->n', change, weight, change)
+        covariance = inverse + np.diag(self._of_changes)
+        # a zoom, a new focus or warmth move the focal length and nothing else
+        own = np.maximum(information[:, 0, 0], floor[:, 0])
+        zoomed = right[:, 0] / own
+        alone = zoomed**2 / (1 / own + self._of_changes[0])
+        statistic, is_alone = _less_probable(together, alone)
+        change[is_alone] = 0
+        covariance[is_alone] = np.diag(self._of_changes)
+        change[is_alone, 0] = zoomed[is_alone]
+        covariance[is_alone, 0, 0] += 1 / own[is_alone]
+        return statistic, change, covariance
 
     def _test(self) -> None:
         """Test every moment that the blocks leave, and judge the most likely one."""
@@ -255,8 +291,7 @@ class ChangeMonitor:
         """Learn how large the errors of windows are; returns their mean, shape (3,)."""
         spread = _inverse(score.information) * self._scatter.inflation(score.dependence)
         step = (score.at + score.step - self.in_force)[self._changes]
-        self._scatter.remember(score.dependence, step,
-                               spread[np.ix_(self._changes, self._changes)])
+        self._scatter.remember(score, step, spread[np.ix_(self._changes, self._changes)])
         self._of_windows, mean = self._scatter.tolerance()
         # neighbouring windows share a scene, so that their mean scatters, too
         self._of_changes = np.maximum(self._least, SHARED_SCATTER * self._of_windows)
@@ -295,6 +330,25 @@ def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
     if covariance[aspect, aspect] < 1e-14:
         covariance[aspect] = covariance[:, aspect] = 0
     return covariance
+
+
+def _less_probable(together: np.ndarray, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Choose between chi-squares of three and of one degree of freedom.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Chi-square with three that is exceeded as rarely as the rarer one, twice as often for
+        having had the choice; far out, where both tails are known.
+    ndarray of bool, shape (n,)
+        Where that of one is the rarer.
+
+    """
+    # tails: sqrt(2 s / pi) exp(-s/2) of three, sqrt(2 / (pi s)) exp(-s/2) of one
+    like_three = alone + 2 * np.log(np.maximum(alone, 1.0))
+    chosen = np.maximum(np.maximum(together, like_three) - 2 * np.log(2), 0.0)
+    return chosen, like_three > together
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

@@ -15,13 +15,27 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.stats import chi2
+
+from selfcal_ros.calibration.monitoring.window_score import WindowScore
 
 #: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
 REMEMBERED, MIN_FOR_SCATTER = 60, 3
 #: The variances that scenes add may grow to so many times the stated tolerance.
 MAX_TOLERANCE = 1e4
+#: A window whose dependence exceeds the usual by this factor has errors of its own.
+UNUSUAL = 1.5
+
+
+class UsualWindow(NamedTuple):
+    """What most windows have: see `WindowScore`."""
+
+    noise_px: float
+    misfit: float
+    dependence: float
 
 
 class WindowScatter:
@@ -37,22 +51,32 @@ class WindowScatter:
 
     def __init__(self, tolerance: np.ndarray):
         self._least = tolerance
-        self._dependence: list[float] = []
+        self._known: list[WindowScore] = []
         self._seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def usual(self, noise_px: float) -> UsualWindow:
+        """Return the medians of the windows so far; the noise that is given without any."""
+        if not self._known:
+            return UsualWindow(noise_px, 1.0, 1.0)
+        return UsualWindow(*np.median([(one.noise_px, one.misfit, max(one.dependence, 1.0))
+                                       for one in self._known], axis=0).tolist())
 
     def inflation(self, own: float) -> float:
         """
         Variance of a window over that of independent errors, never less than one.
 
-        A change raises that of its windows only, which the median ignores.
+        Windows scatter about the median; one that exceeds it by far has errors of its own.
         """
-        return max(1.0, float(np.median([*self._dependence, own])))
+        before = [one.dependence for one in self._known]
+        if before and own > UNUSUAL * max(1.0, float(np.median(before))):
+            return own
+        return max(1.0, float(np.median([*before, own])))
 
-    def remember(self, dependence: float, step, covariance) -> None:
+    def remember(self, score: WindowScore, step, covariance) -> None:
         """Remember a window: its distance from the camera in force, and its covariance."""
-        self._dependence.append(dependence)
+        self._known.append(score)
         self._seen.append((step, covariance))
-        del self._dependence[:-REMEMBERED], self._seen[:-REMEMBERED]
+        del self._known[:-REMEMBERED], self._seen[:-REMEMBERED]
 
     def tolerance(self) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -14,10 +14,11 @@
 """
 What a few successive keyframes say about the internal parameters of a camera in force.
 
-The camera is held while poses and points are adjusted; the score, the derivative of the
-likelihood by the internal parameters once poses and points are eliminated, then tells how far the
-camera is from that which the images show. It costs a fraction of an estimate, and needs
-none of what makes estimates fail: no start for the camera, no choice of models.
+Poses and points are adjusted, without what moves by itself (`window_fit`); the score, the
+derivative of the likelihood by the internal parameters once poses, points and the delay of the
+rows are eliminated, then tells how far the camera is from that which the images show. It costs a
+fraction of an estimate, and needs none of what makes estimates fail: no start for the camera, no
+choice of models.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ import numpy as np
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.lens import Lens
-from selfcal_ros.calibration.bundle.motion import GENERAL
-from selfcal_ros.calibration.bundle.priors import all_fixed
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, OUTLIER_SIGMAS
-from selfcal_ros.calibration.initialisation.initial_structure import planar_start
+from selfcal_ros.calibration.bundle.shutter import LINE_DELAY
 from selfcal_ros.calibration.initialisation.problem import observations_of
-from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, MIN_NOISE_PX
+from selfcal_ros.calibration.initialisation.view_graph import (build_view_graph, MIN_NOISE_PX,
+                                                               ViewGraph)
+from selfcal_ros.calibration.monitoring.view_shapes import shape_of_views
+from selfcal_ros.calibration.monitoring.window_fit import fit_window, WindowFit
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
@@ -44,13 +45,12 @@ from selfcal_ros.values.tracks import Tracks
 WINDOW_TRACKS_PER_VIEW = 120
 #: Windows with fewer views or points say too little to be judged.
 MIN_VIEWS, MIN_POINTS = 4, 20
-#: No path is assumed: even where the calibration's motion was planar, the plane would add one
 
 
 @dataclass(frozen=True)
 class WindowScore:
     """
-    Information of one window about some unknowns of the lens, first order.
+    Information of one window about some unknowns of the lens.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class WindowScore:
     at : ndarray, shape (k,)
         Parameters of the camera that was supposed.
     step : ndarray, shape (k,)
-        From there to the camera that the window shows (one Newton step).
+        From there to the camera that the window shows.
     information : ndarray, shape (k, k)
         Inverse covariance of the step for independent errors.
     dependence : float
@@ -69,6 +69,10 @@ class WindowScore:
         Standard deviation of an image coordinate, with that camera.
     misfit : float
         That noise over what the epipolar geometry leaves, which knows no camera.
+    still : float
+        Share of the tracks that stand still.
+    line_delay, line_delay_sigma : float
+        Time in which the image is read, in intervals between keyframes.
 
     """
 
@@ -79,6 +83,9 @@ class WindowScore:
     dependence: float
     noise_px: float
     misfit: float
+    still: float = 1.0
+    line_delay: float = 0.0
+    line_delay_sigma: float = np.inf
 
 
 def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
@@ -106,29 +113,49 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
     found = adjusted(tracks, camera, rng)
     if isinstance(found, NoEstimate):
         return found
-    graph, bundle, state, observations = found
+    graph, window = found
+    fit = window.fit
+    state, observations, bundle = fit.state, fit.observations, without_camera(fit.bundle, free)
     places = state.lens.places(free)
-    told = without_camera(bundle, free).information(state)
+    told = bundle.information(state)
+    step = told.influence[:, places].sum(axis=0)
     covariance = told.covariance[np.ix_(places, places)]
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         return NoEstimate('window_singular')
-    information = np.linalg.pinv(covariance / np.outer(scale, scale),
-                                 hermitian=True) / np.outer(scale, scale)
+    information = _inverse(covariance)
+    dependence = shared_within_tracks(told, observations.point, places, information)
+    shaped = shape_of_views(replace(fit, bundle=bundle), camera.height, dependence)
+    if shaped is not None:
+        moved, root = (part[places] for part in shaped)
+        step, information = step + moved, _inverse(covariance + root @ root.T)
+    row = bundle.unknowns.places((LINE_DELAY,))[0]
+    supposed = Lens.of(camera).take(free)
     return WindowScore(
-        tuple(int(frame) for frame in graph.frames), state.lens.values[places],
-        told.influence[:, places].sum(axis=0), information,
-        shared_within_tracks(told, observations.point, places, information),
-        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX))
+        tuple(int(frame) for frame in graph.frames), supposed,
+        state.lens.values[places] + step - supposed, information, dependence, bundle.sigma_px,
+        bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
+        float(state.line_delay + told.influence[:, row].sum()),
+        float(np.sqrt(told.covariance[row, row])))
 
 
-def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
+def _inverse(covariance: np.ndarray) -> np.ndarray:
+    """Invert by way of unit diagonals: parameters differ in scale."""
+    scale = np.sqrt(np.diag(covariance))
+    inverse: np.ndarray = np.linalg.pinv(covariance / np.outer(scale, scale),
+                                         hermitian=True) / np.outer(scale, scale)
+    return inverse
+
+
+def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator,
+             ) -> tuple[ViewGraph, WindowFit] | NoEstimate:
     """
-    Adjust poses and points of a window with the camera held.
+    Adjust poses and points of a window, without what moves by itself.
 
     Returns
     -------
-    ViewGraph, Bundle, SceneState, Observations
+    ViewGraph
+    WindowFit
         Or a NoEstimate, where the window says nothing.
 
     """
@@ -143,34 +170,13 @@ def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator):
     observations, _ = observations.select(observations.longest(WINDOW_TRACKS_PER_VIEW))
     if len(observations.track) < MIN_POINTS:
         return NoEstimate('window_few_points', points=len(observations.track))
-    fitted = _fit(graph, observations, camera)
-    if fitted is None:
-        return NoEstimate('window_outside_lens')
-    return graph, *fitted
+    fitted = fit_window(graph, observations, camera)
+    return NoEstimate('window_outside_lens') if fitted is None else (graph, fitted)
 
 
 def without_camera(bundle: Bundle, free: tuple[str, ...]) -> Bundle:
     """Return the same adjustment with these unknowns of the lens free."""
     return bundle.with_priors(bundle.priors.without(free))
-
-
-def _fit(graph, observations: Observations, camera: Camera):
-    """Adjust poses and points with the camera held; gross errors go once."""
-    fixed = all_fixed(Lens.of(camera))
-    bundle = bundle_of(observations, GENERAL, fixed, max(graph.noise_px, MIN_NOISE_PX))
-    state = planar_start(graph.pairs, bundle.blocks, observations.xy, camera, exact=False)
-    if state is None or not np.isfinite(bundle.cost(state)):
-        return None
-    state = bundle.optimise(state, iterations=20, tolerance=0.05)
-    sigma_px = bundle.noise_sigma(state)
-    distance = np.linalg.norm(bundle.residuals(state), axis=1)
-    fewer, points = observations.select(distance < OUTLIER_SIGMAS * sigma_px)
-    if not np.isfinite(sigma_px) or len(np.unique(fewer.view)) < len(state.path):
-        return None
-    state = replace(state, points=state.points[points])
-    bundle = bundle_of(fewer, GENERAL, fixed, sigma_px)
-    state = bundle.optimise(state, iterations=15, tolerance=0.01)
-    return bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX)), state, fewer
 
 
 def shared_within_tracks(told: Information, point, places, information) -> float:
