@@ -60,10 +60,11 @@ BENCHES = {
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
+    'hostile_inputs': 'bad files, messages, options, signals, a full disk, at random',
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
 }
 #: Only when asked for by name.
-LONG = ('coverage', 'lenses', 'wide_lenses', 'shutter')
+LONG = ('coverage', 'hostile_inputs', 'lenses', 'wide_lenses', 'shutter')
 
 
 def main(argv: list[str] | None = None) -> int:

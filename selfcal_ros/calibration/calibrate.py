@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import logging
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
+_LOGGER = logging.getLogger(__name__)
 #: With fewer views a small translation hides in the noise, yet moves the calibration by several
 #: sigmas: that the camera only rotates must then be said.
 ROTATION_MIN_VIEWS = 5
@@ -131,6 +133,18 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
                             f'{MIN_VIEWS}; got {views} for motion {motion}.')
     facts = CameraFacts() if facts is None else facts
     rng = np.random.default_rng(0) if rng is None else rng
+    try:
+        return _calibrated(tracks, motion, facts, rng, start, translation_frames, views)
+    except np.linalg.LinAlgError:
+        _LOGGER.debug('equations without a solution', exc_info=True)
+        return NotCalibrated.of(NoEstimate('equations_singular'), frames=tracks.frames,
+                                facts=facts, software=f'selfcal_ros {__version__}')
+
+
+def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.Generator,
+                start: Camera | None, translation_frames: Sequence[int] | None,
+                views: int | None) -> Calibration | NotCalibrated:
+    """Calibrate by one motion or by the one that is found."""
     size = tracks.image_size or _size_from(tracks)
     software = f'selfcal_ros {__version__}'
     if views is not None:

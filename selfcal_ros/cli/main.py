@@ -70,7 +70,9 @@ def main(argv: list[str] | None = None) -> int:
         completion.answer(build_parser(completion.verb_asked_for(VERBS)))
     if argv is not None:
         return _run(list(argv))
-    with own_process():
+    # the demo shows what its nodes log, and whoever wants to hear more gets everything
+    loud = any(word == 'demo' or word.startswith(('-v', '--verb')) for word in sys.argv[1:])
+    with own_process(library_noise=loud):
         return _run(sys.argv[1:])
     return EXIT_FAULT
 

@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 import os
 import signal
 import sys
+import warnings
 
 from selfcal_ros.cli.status import EXIT_INPUT
 
@@ -33,18 +34,25 @@ class EndedBySignal(BaseException):
 
 
 @contextmanager
-def own_process() -> Iterator[None]:
+def own_process(library_noise: bool = False) -> Iterator[None]:
     """
     Run a command that has the process for itself.
+
+    Parameters
+    ----------
+    library_noise : bool
+        Let libraries of C, and other processes, write to standard error. What they have to say of
+        a damaged file, we say in a sentence.
 
     SIGTERM and SIGHUP unwind it, so that temporary files and other processes go with it, and then
     end it as they would have. Closed streams lead nowhere, and what a terminal cannot show is
     escaped.
     """
     _usable_streams()
-    # what OpenCV has to say of a file, we say in a sentence
-    os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
-    os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
+    if not library_noise:
+        _keep_standard_error()
+        if not sys.warnoptions:
+            warnings.simplefilter('ignore')
     for name in ('SIGTERM', 'SIGHUP'):
         number = getattr(signal, name, None)
         # whoever is ignored, as under nohup, stays so
@@ -95,6 +103,14 @@ def silence(stream) -> None:
     """Lead a stream nowhere, where not even the flush at the end of the process can fail."""
     with suppress(OSError, AttributeError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _keep_standard_error() -> None:
+    """Keep standard error to Python: libpng and others write to its number without being asked."""
+    kept = os.dup(2)
+    sys.stderr = open(kept, 'w', buffering=1, encoding=sys.stderr.encoding or 'utf-8',
+                      errors='backslashreplace')
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def _usable_streams() -> None:

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
-    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.clicks))
+    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.init))
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)

@@ -33,6 +33,10 @@ REFUSALS: dict[str, Phrase] = {
         'The points of an image lie on a line, to within {width_px:.2g} px.',
         'One line in every image says nothing of how the images are related.',
         'Track points all over the images.'),
+    'equations_singular': Phrase(
+        'The equations of these points have no solution.',
+        'Points coincide, lie far off the image, or are the same in image after image.',
+        'Track points all over the images, and leave out what lies off them.'),
     'no_epipolar_geometry': Phrase(
         'No two images share enough points with a consistent epipolar geometry (at least {least} '
         'are needed, and {least_doubtful} where some disagree).',

@@ -133,7 +133,11 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     width, height = np.maximum(np.ceil(tracks.xy.max(axis=0, initial=0) + 1), 1)
     size = tracks.image_size or (int(width), int(height))
     software = f'selfcal_ros {__version__}'
-    result = _calibrate(tracks, target, size, facts)
+    result: Calibration | NoEstimate
+    try:
+        result = _calibrate(tracks, target, size, facts)
+    except np.linalg.LinAlgError:
+        result = NoEstimate('equations_singular')
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=tracks.frames, facts=facts, motion=MOTION,
                                 software=software)
