@@ -33,7 +33,6 @@ import tempfile
 import time
 import traceback
 
-import cv2
 import numpy as np
 
 from bench.hostile_cases import Case, draw, OUTPUTS, whole, write_good_files
@@ -78,10 +77,6 @@ def run(report: Report, args) -> None:
     """Run the cases, and count what must not be."""
     runs = args.runs or RUNS
     report.section('Bad inputs', f'{runs} bad inputs, seed {SEED}; a process each.')
-    # beside our sentence it would be a second one, for whoever is not the command line
-    silent = getattr(getattr(cv2, "utils", None), "logging", None)
-    if silent is not None:
-        silent.setLogLevel(0)
     began = time.perf_counter()
     counts: dict[str, Counter] = defaultdict(Counter)
     total: Counter = Counter()
@@ -178,7 +173,10 @@ def _be_child(case: Case, folder: Path, heard: int) -> None:
 
 
 def _called(call) -> int:
+    from selfcal_ros.cli.own_process import keep_standard_error
     from selfcal_ros.errors import SelfcalError
+    # only what is ours counts
+    keep_standard_error()
     try:
         call()
     except SelfcalError as error:

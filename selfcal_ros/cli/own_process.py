@@ -50,7 +50,7 @@ def own_process(library_noise: bool = False) -> Iterator[None]:
     """
     _usable_streams()
     if not library_noise:
-        _keep_standard_error()
+        keep_standard_error()
         if not sys.warnoptions:
             warnings.simplefilter('ignore')
     for name in ('SIGTERM', 'SIGHUP'):
@@ -105,7 +105,7 @@ def silence(stream) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _keep_standard_error() -> None:
+def keep_standard_error() -> None:
     """Keep standard error to Python: libpng and others write to its number without being asked."""
     kept = os.dup(2)
     sys.stderr = open(kept, 'w', buffering=1, encoding=sys.stderr.encoding or 'utf-8',

@@ -26,6 +26,8 @@ from selfcal_ros.errors import InputError
 
 #: Entries that a YAML file may have, its aliases written out.
 MAX_ENTRIES = 500_000
+#: Lists and mappings within each other.
+MAX_DEPTH = 100
 #: libyaml's is some ten times as fast, where PyYAML was built with it.
 SAFE_LOADER: type = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
@@ -96,6 +98,9 @@ def load_foreign_yaml(text: str | bytes, source: str, loader: type = SAFE_LOADER
 
     """
     try:
+        # libyaml composes by recursion, which ends in a crash
+        if _depth(text, loader) > MAX_DEPTH:
+            raise InputError(f'{source} is not valid YAML, or nested deeper than {MAX_DEPTH}.')
         parser = loader(text)
         try:
             node = parser.get_single_node()
@@ -107,14 +112,26 @@ def load_foreign_yaml(text: str | bytes, source: str, loader: type = SAFE_LOADER
             return parser.construct_document(node)
         finally:
             parser.dispose()
-    except RecursionError:
-        raise InputError(f'{source} is not valid YAML, or nested too deeply.') from None
     except (yaml.YAMLError, ValueError, ArithmeticError, AttributeError, LookupError,
-            TypeError) as error:
+            RecursionError, TypeError) as error:
         # explicit tags on values that do not fit them raise the latter
         where = getattr(error, 'problem_mark', None)
         line = f' (line {where.line + 1})' if where else ''
         raise InputError(f'{source} is not valid YAML{line}.') from None
+
+
+def _depth(text: str | bytes, loader: type) -> int:
+    """Return how deep lists and mappings lie in each other, at most one more than may be."""
+    depth = deepest = 0
+    for event in yaml.parse(text, loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            deepest = max(deepest, depth)
+            if deepest > MAX_DEPTH:
+                break
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+    return deepest
 
 
 def _written_out(node: yaml.Node, known: dict[int, int]) -> int:

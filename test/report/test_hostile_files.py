@@ -57,6 +57,14 @@ def test_yaml_of_aliases_of_aliases(tmp_path, reader, bomb):
     assert 'by aliases' in refusal(reader, path)
 
 
+@pytest.mark.parametrize('opening', ['[', '{', '- ', '? ', '{a: ', '[{'])
+def test_yaml_that_is_nested_without_end(tmp_path, opening):
+    path = tmp_path / 'deep.yaml'
+    path.write_text('a:\n  ' + opening * 200_000, encoding='utf-8')
+    for reader in (read_camera, read_model):
+        assert 'not valid YAML' in refusal(reader, path)
+
+
 def test_aliases_may_be(tmp_path):
     path = tmp_path / 'model.yaml'
     path.write_text('points: [&o [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]\n'

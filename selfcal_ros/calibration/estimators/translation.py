@@ -35,7 +35,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.values.tracks import Tracks
+from selfcal_ros.values.tracks import LARGEST_PX, Tracks
 
 #: Tracks per view that the chain uses, the longest ones.
 CHAIN_TRACKS_PER_VIEW = 100
@@ -78,7 +78,8 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
         said = Finding('frames_said_translated', frames=translated)
     tracks = graph.tracks
     straight = undo_radial(tracks.xy, radial, size)
-    usable = np.isfinite(straight).all(axis=1)
+    # beyond where the model bends back there is no place for a point
+    usable = (np.abs(straight) <= LARGEST_PX).all(axis=1)
     tracks = Tracks(tracks.frame[usable], tracks.track[usable], straight[usable], size)
     tracks = tracks.longest(CHAIN_TRACKS_PER_VIEW)
     chain = calibrate_affine(tracks, translated, size, facts)
