@@ -36,6 +36,7 @@ from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit
                                                          judge_rotations, RotationFit)
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
+from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
@@ -43,6 +44,8 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
+from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks
+from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
@@ -66,6 +69,8 @@ PIVOT_RATIO, HOPELESS = 8.0, 20.0
 SHORT_WAY = 0.3
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
+#: Refusals of circular motion, which name the fact that is missing.
+OF_CIRCLES = ('flat_turntable', 'circle_undetermined')
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
@@ -147,6 +152,12 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
     """Calibrate by one motion or by the one that is found."""
     size = tracks.image_size or _size_from(tracks)
     software = f'selfcal_ros {__version__}'
+    still = find_still_tracks(tracks) if motion != 'repeated' else None
+    if still is not None:
+        rest = tracks.select(~np.isin(tracks.track, still.track))
+        return _beside_still_tracks(calibrate(
+            replace(rest, image_size=size), motion=motion, facts=facts, rng=rng, start=start,
+            translation_frames=translation_frames, views=views), rest, still)
     if views is not None:
         tracks = spread_views(tracks, views)
     graph = build_view_graph(tracks, rng, straight=facts.distortion == 'none')
@@ -181,6 +192,17 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
                                                         software=software)
 
 
+def _beside_still_tracks(result: Calibration | NotCalibrated, rest: Tracks, still: StillTracks,
+                         ) -> Calibration | NotCalibrated:
+    """Tell with a result what stood still in the image, and had no part in it."""
+    findings = (still.finding(), *result.findings)
+    if not result:
+        return replace(result, findings=findings)
+    names = np.unique(rest.track)
+    labels = result.labels or TrackLabels(names, np.full(len(names), STATIC))
+    return replace(result, findings=findings, labels=labels.with_still(still.track))
+
+
 def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration | NotCalibrated:
     """Calibrate from the images of one of two cameras: of the one that has more to show."""
     groups = sorted((mixed.values['first'], mixed.values['second']))
@@ -211,6 +233,13 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         turned = _about_a_point(graph, size, facts, motion, turning)
         if turned is not None:
             return turned
+    elif doubtful:
+        in_plane = on_one_plane(graph)
+        if in_plane is not None:
+            plane = calibrate_from_motion(in_plane, size, facts, [], MOTION_MODELS[motion],
+                                          flat=True)
+            if plane or plane.kind in OF_CIRCLES:
+                return plane
     moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
                                    is_weak=is_weak)
     if not little or (moving and turning is not None):
@@ -226,7 +255,8 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         return rotating if motion == 'auto' and simpler else moving
     if not moving and graph.parallax < PARALLAX_RATIO:
         plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
-        return plane or moving
+        # a plane that turns in itself is not for want of parallax
+        return plane if plane or plane.kind in OF_CIRCLES else moving
     return moving
 
 

@@ -30,12 +30,14 @@ from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.matching import detect, match_pairs
+from selfcal_ros.features.matching import detect, Features, match_pairs
+from selfcal_ros.features.moving_part import MovingPart, still_features
 from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.neighbours import Film, SeenPoints
+from selfcal_ros.values.still_tracks import find_still_tracks
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
@@ -44,6 +46,8 @@ _JUDGES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
+#: The same of what moves before a camera that stands, which fills less of the image.
+_PART_STEP = 0.3
 #: Positions less certain than four times the median are dropped; bounds of that limit.
 _SIGMA_LIMIT_PX = (0.08, 0.5)
 
@@ -121,13 +125,23 @@ def extract_tracks(frames, mode: str = 'auto', progress=None, max_keyframes: int
     images = [grey for _, grey, _ in probe]
     frames = itertools.chain(probe, frames)
     mask, found = within_circle(images, mask)
-    if mode == 'auto':
+    may_change = mode == 'auto'
+    if may_change:
         mode, why = _choose_mode(images, mask)
         found.append(why)
     report = progress or (lambda text, done: None)
-    run = _video if mode == 'video' else _wide
-    tracks, keyframes = run(frames, report, max_keyframes, seed, found, mask)
-    return Extraction(tracks, keyframes, mode, tuple(found))
+    album = _Album(max(_MAX_IMAGES, max_keyframes))
+    if mode == 'video':
+        remarks: list[Finding] = []
+        tracks, keyframes = _video(frames, report, max_keyframes, seed, remarks, mask,
+                                   album if may_change else None)
+        if not album.images:
+            return Extraction(tracks, keyframes, mode, (*found, *remarks))
+        found.append(Finding('too_fast_to_follow'))
+    else:
+        album.fill(frames)
+    tracks, keyframes = _wide(album, report, max_keyframes, seed, found, mask)
+    return Extraction(tracks, keyframes, 'wide', tuple(found))
 
 
 def _checked(frames, mask: ImageMask | None):
@@ -162,22 +176,45 @@ def _choose_mode(images, mask):
     return mode, Finding('mode_chosen', followed=share, step=step, mode=mode)
 
 
-def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
+class _Album:
+    """Images of a sequence, evenly spaced and no more than there is room for."""
+
+    def __init__(self, limit: int):
+        """Start without an image."""
+        self.limit = limit
+        self.indices: list[int] = []
+        self.images: list[np.ndarray] = []
+        self.stamps: dict[int, int] = {}
+        self.stride = 1
+        self._count = 0
+
+    def add(self, index: int, grey: np.ndarray, stamp_ns: int) -> None:
+        """Take the next image, if it is its turn."""
+        self._count += 1
+        if (self._count - 1) % self.stride:
+            return
+        self.indices.append(index)
+        self.stamps[index] = stamp_ns
+        self.images.append(grey)
+        if len(self.images) > self.limit:
+            self.stride *= 2
+            self.indices, self.images = self.indices[::2], self.images[::2]
+
+    def fill(self, frames) -> None:
+        """Take all images."""
+        for frame in frames:
+            self.add(*frame)
+
+    def clear(self) -> None:
+        """Forget the images."""
+        self.indices, self.images, self.stamps = [], [], {}
+
+
+def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], mask):
     """Match descriptors between neighbours, loop closures and look-alikes."""
-    indices, stamps, images, features = [], {}, [], []
-    stride, last = 1, None
-    limit = max(_MAX_IMAGES, max_keyframes)
-    for count, (index, grey, stamp_ns) in enumerate(frames):
-        last = grey.shape
-        if count % stride:
-            continue
-        indices.append(index)
-        stamps[index] = stamp_ns
-        images.append(grey)
-        if len(images) > limit:
-            stride *= 2
-            indices, images = indices[::2], images[::2]
-    if last is None:
+    indices, stamps, images, stride = album.indices, album.stamps, album.images, album.stride
+    features: list[Features] = []
+    if not images:
         raise InputError('There is no image in the input.')
     if len(images) > max_keyframes:
         chosen = np.unique(np.linspace(0, len(images) - 1, max_keyframes).round().astype(int))
@@ -188,7 +225,13 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
         for found in pool.map(partial(detect, mask=mask), images):
             features.append(found)
             report('features', len(features))
-    size = (last[1], last[0])
+    size = images[0].shape[::-1]
+    resting = still_features(features)
+    if resting is not None:
+        findings.append(Finding(
+            'fixed_camera_features', features=int(np.median([one.sum() for one in resting])),
+            share=float(np.mean(np.concatenate(resting)))))
+        features = [one.select(~rests) for one, rests in zip(features, resting)]
     matches, bend, static = match_pairs(features, propose_pairs(features), size, seed,
                                         lambda share: report('matching', share))
     image, place, track, contradictory = link(features, matches)
@@ -216,29 +259,54 @@ def _wide(frames, report, max_keyframes, seed, findings: list[Finding], mask):
     return _finish(tracks, findings, seed), keyframes
 
 
-def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask):
-    """Follow corners, keep keyframes; where there are too many, ask for more parallax."""
-    tracker, selector, kept, stamps = KltTracker(mask=mask), None, [], {}
+def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
+           album: _Album | None = None):
+    """
+    Follow corners, keep keyframes; where there are too many, ask for more parallax.
+
+    The album keeps images if what moves before a camera that stands could not be followed.
+    """
+    tracker, selector, part, stamps = KltTracker(mask=mask), None, None, {}
+    kept: list[tuple] = []
+    of_part: list[tuple] = []
     size = None
     film, filmed = Film(), {}
     for count, (index, grey, stamp_ns) in enumerate(frames):
         ids, xy = tracker.add(grey)
         report('tracking', count + 1)
         film.add(SeenPoints(ids, xy, stamp_ns))
-        if selector is None:
+        if selector is None or part is None:
             size = grey.shape[::-1]
-            selector = KeyframeSelector(_KEYFRAME_STEP * float(np.hypot(*size)))
-        if not selector.offer(ids, xy):
+            step_px = _KEYFRAME_STEP * float(np.hypot(*size))
+            selector, part = KeyframeSelector(step_px), MovingPart(_PART_STEP * step_px)
+        lists = [(selector, kept)] if selector.offer(ids, xy) else []
+        if part.is_possible:
+            lists += [(part.selector, of_part)] if part.offer(ids, xy) else []
+            if album is not None:
+                album.add(index, grey, stamp_ns)
+        elif of_part or album is not None:
+            # the camera moves: what was chosen without it is of no use
+            of_part.clear()
+            if album is not None:
+                album.clear()
+                album = None
+        if not lists:
             continue
-        kept.append((index, ids, xy, *tracker.appearances))
+        record = (index, ids, xy, *tracker.appearances)
         filmed[index] = film.keep()
         stamps[index] = stamp_ns
-        if len(kept) > max_keyframes:
-            kept = kept[::2]
-            selector.displacement_px *= 2
-            selector.lost_share = min(0.7, 1.3 * selector.lost_share)
-    if size is None:
+        for chooser, chosen in lists:
+            chosen.append(record)
+            if len(chosen) > max_keyframes:
+                chosen[:] = chosen[::2]
+                chooser.displacement_px *= 2
+                chooser.lost_share = min(0.7, 1.3 * chooser.lost_share)
+    if size is None or part is None:
         raise InputError('There is no image in the input.')
+    if album is not None and not part.is_too_fast:
+        album.clear()
+    if part.stood and len(of_part) >= 3:
+        kept = of_part
     keyframes = np.array([one[0] for one in kept], dtype=int)
     tracks = Tracks(np.repeat(keyframes, [len(one[1]) for one in kept]),
                     np.concatenate([one[1] for one in kept] or [np.empty(0)]),
@@ -266,6 +334,10 @@ def _straightened(kept, size, seed) -> list[np.ndarray]:
 
 def _finish(tracks, findings: list[Finding], seed):
     """Drop static points, then what contradicts epipolar geometry."""
+    still = find_still_tracks(tracks)
+    if still is not None and still.fixed_camera:
+        findings.append(still.finding())
+        tracks = tracks.select(~np.isin(tracks.track, still.track))
     whole = tracks
     tracks, static = drop_static(whole)
     if static:

@@ -76,6 +76,17 @@ class Features:
         """Descriptors (at most, 128) of the largest blobs: a summary of the image."""
         return self.descriptors[np.argsort(-self.size_px, kind='stable')[:most]]
 
+    def select(self, kept: np.ndarray) -> Features:
+        """Return the features of the places where kept (N,) is true."""
+        place = np.cumsum(kept) - 1
+        rows = kept[self.second]
+        a, b, alike = self.twins
+        both = kept[a] & kept[b]
+        main, further = np.split(self.descriptors, [len(self.xy)])
+        return Features(self.xy[kept], self.size_px[kept],
+                        np.concatenate([main[kept], further[rows]]), place[self.second[rows]],
+                        (place[a[both]], place[b[both]], alike[both]))
+
     @property
     def twin_similarity(self) -> np.ndarray:
         """Similarity to the most alike other place of the same image, shape (N,)."""

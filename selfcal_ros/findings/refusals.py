@@ -114,6 +114,20 @@ REFUSALS: dict[str, Phrase] = {
         'With a level horizon all members of the family of cameras have the same skew.',
         'State the aspect ratio (square pixels: 1) or the principal point, or mount the camera '
         'with a roll of 20 degrees or more.'),
+    'flat_turntable': Phrase(
+        'What turns is one flat disc, about the axis that is perpendicular to it: {missing} stay '
+        'open.',
+        'A plane that turns in itself shows its circular points, and nothing else. These are two '
+        'numbers, where a camera with square pixels has three.',
+        'State square pixels and the principal point as facts, or put things of some height on '
+        'the disc.'),
+    'circle_undetermined': Phrase(
+        'All views turn about one axis ({turned_deg:.0f} degrees in all), which leaves {missing} '
+        'open.',
+        'In circular motion the principal point is free along the image of the axis (thesis 5.3). '
+        'So is the focal length where the camera looks straight at the axis.',
+        'State square pixels and the principal point as facts. Or turn the thing about a second '
+        'axis, too: tilt it, or move the camera off the circle.'),
     'parameters_undetermined': Phrase(
         'The images do not determine {missing}: the camera turned by {turned_deg:.0f} degrees in '
         'all ({path} motion).',

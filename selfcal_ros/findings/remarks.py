@@ -293,6 +293,32 @@ REMARKS: dict[str, Phrase] = {
         'What moves with the camera says nothing of the scene. Neither does the background of a '
         'turntable.',
         'Clean the lens, or keep the robot out of the image.'),
+    'still_tracks': Phrase(
+        '{tracks} tracks ({share:percent} % of the positions) stand still in the image all the '
+        'time while others move; they were set aside.',
+        "They move with the camera, as a robot's body or a reflection does. Or a fixed camera "
+        'sees them beside a thing that moves. Either way they say nothing of the motion that '
+        'calibrates.',
+        'Nothing; a mask cuts such parts out exactly.'),
+    'fixed_camera': Phrase(
+        '{tracks} tracks ({share:percent} % of the positions) stood still all over: '
+        'the camera was taken as fixed, and calibrated from what moves before it.',
+        'A camera that moves sees no point of a still scene stay where it is all the time. What '
+        'moves as one rigid body before a fixed camera calibrates it as well.',
+        'Let the thing that moves fill more of the image. If the camera did move, mask what moves '
+        'with it.'),
+    'fixed_camera_features': Phrase(
+        '{features} features an image ({share:percent} %) stood still all the time: the camera '
+        'was taken as fixed, and calibrated from what moves before it.',
+        'Photographs by a camera that moves show no point of a still scene at the same place. '
+        'What moves as one rigid body before a fixed camera calibrates it as well.',
+        'Let the thing that moves fill more of the image. If the camera did move, mask what moves '
+        'with it.'),
+    'too_fast_to_follow': Phrase(
+        'The camera stood, and what moves before it moves too fast to be followed: matched as '
+        'photographs.',
+        'Most of the image stands still, and so looks like a video. The rest does not.',
+        'Nothing; smaller steps give more points.'),
     'static_tracks': Phrase(
         "{tracks} tracks stay still in the image while the scene moves (dirt, the robot's body); "
         "they were dropped.",

@@ -70,9 +70,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
         'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
-        (`RowReadout`), 'labels' (tracks by what they are, where something moves by itself or
-        jumps), and 'hint' (what the images suggest where the status is 'hint': 'camera', 'lens',
-        'sigma', 'covariance', 'parameter_names').
+        (`RowReadout`), 'labels' (tracks by what they are, where something moves by itself,
+        jumps, or stands still in the image), and 'hint' (what the images suggest where the status
+        is 'hint': 'camera', 'lens', 'sigma', 'covariance', 'parameter_names').
 
     """
     fixed = result.fixed_points if result else None

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What became of every track: it stands still, moves by itself, jumped, or nothing explains it."""
+"""What became of every track: of the still scene, moving by itself, or still in the image."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ import numpy as np
 #: What a track may be; rigid bodies follow, `moving 1` with the most tracks first.
 STATIC, UNEXPLAINED, UNCLEAR, JUMPED, MOVING = range(5)
 NAMES = ('static', 'unexplained', 'unclear', 'jumped')
+#: And such as have no part in anything.
+STILL_IN_IMAGE = 'still in the image'
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class TrackLabels:
         Index among `names`.
     bodies : int
         Things that move by themselves.
+    aside : bool
+        Whether there are tracks that stand still in the image, and were set aside: the last name.
 
     Examples
     --------
@@ -51,17 +55,26 @@ class TrackLabels:
     track: np.ndarray
     label: np.ndarray
     bodies: int = 0
+    aside: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the labels."""
-        return (*NAMES, *(f'moving {k + 1}' for k in range(self.bodies)))
+        return (*NAMES, *(f'moving {k + 1}' for k in range(self.bodies)),
+                *((STILL_IN_IMAGE,) if self.aside else ()))
 
     def of(self, name: str) -> np.ndarray:
         """Return the identities of the tracks with a label."""
         wanted = self.names.index(name)
         chosen: np.ndarray = self.track[self.label == wanted]
         return chosen
+
+    def with_still(self, track: np.ndarray) -> TrackLabels:
+        """Return the labels with further tracks, that stand still in the image."""
+        names = np.concatenate([self.track, track])
+        label = np.concatenate([self.label, np.full(len(track), MOVING + self.bodies)])
+        order = np.argsort(names, kind='stable')
+        return TrackLabels(names[order], label[order], self.bodies, aside=True)
 
     def share(self, name: str) -> float:
         """Return the share of tracks with a label."""

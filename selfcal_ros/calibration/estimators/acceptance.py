@@ -64,6 +64,8 @@ MINIMUM_FREEDOM = 40
 SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 #: With more than this share of the points behind the cameras the scene is inside out.
 MAX_BEHIND = 0.03
+#: A plane turns in itself where its normal is nearer than this to the axis, radians.
+PARALLEL_RAD = np.radians(15.0)
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
 #: it unobservable comes with advice.
 ADVISED_FRACTION = 0.05
@@ -144,6 +146,11 @@ def _is_ahead(found: _Optimum) -> NoEstimate | None:
 def _is_determined(found: _Optimum) -> NoEstimate | None:
     """Refuse a motion that leaves parameters of K open, and tell which would not."""
     missing, status = found.missing, found.status
+    if _turns_in_itself(found):
+        # a small sigma of all three would rest on where the distortion is centred
+        open_names = tuple(name for name in ('fx', 'fy', 'cx', 'cy') if name not in found.held)
+        return NoEstimate('flat_turntable', missing=missing or open_names, status={
+            **status, **dict.fromkeys(open_names, 'unobservable')})
     if not missing and found.path.refusal is None:
         return None
     if found.path.motion == 'translation':
@@ -152,6 +159,18 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
     names = missing or tuple(n for n in ('fx', 'cx', 'cy') if n not in found.held)
     return found.path.explain(missing, found.problem.facts).saying(
         status=status, further=found.motion_for(names))
+
+
+def _turns_in_itself(found: _Optimum) -> bool:
+    """Tell whether one plane turns about its normal, and the principal point is not known."""
+    if (found.problem.flat is None or found.path.motion != 'circular'
+            or found.problem.facts.principal_point is not None):
+        return False
+    points = found.fit.state.points
+    near = points[np.abs(points[:, 3]) > 1e-6 * np.linalg.norm(points[:, :3], axis=1)]
+    places = near[:, :3] / near[:, 3:]
+    normal = np.linalg.svd(places - np.median(places, axis=0), full_matrices=False)[2][2]
+    return bool(abs(normal[2]) > np.cos(PARALLEL_RAD))
 
 
 #: What an optimum must pass to be a calibration, in the order in which it is tried.

@@ -77,6 +77,8 @@ class PathDescription:
             if abs(self.roll_rad) < LEVEL_RAD:
                 return NoEstimate('horizon_level', missing=missing,
                                   roll_deg=float(np.degrees(abs(self.roll_rad))))
+        if self.motion == 'circular' and facts.principal_point is None:
+            return NoEstimate('circle_undetermined', missing=missing, turned_deg=turned_deg)
         return NoEstimate('parameters_undetermined', missing=missing, turned_deg=turned_deg,
                           path=self.motion)
 
