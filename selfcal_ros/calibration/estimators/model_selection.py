@@ -20,15 +20,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import to_parameters
+from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.robust_fit import (choose_motion, fit_robustly, is_chance,
-                                                       Observations, refit, RobustFit)
+                                                       Observations, OUTLIER_SIGMAS, refit,
+                                                       RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
                                                                REGULARISED)
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
                                                             usual_matrix)
-from selfcal_ros.calibration.observability import parameter_status
+from selfcal_ros.calibration.observability import LEAST_NOISE_PX, parameter_status
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     ClusterCovariance,
                                                                     jackknife_excess)
@@ -132,6 +134,47 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     profile_excess = profile_excess + (curved + lens.excess) / known
     shared = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
     return ModelDecision(fit, facts, exact, shared, profile_excess, turned, fraction)
+
+
+def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int]) -> bool:
+    """
+    Tell whether the images prefer a motion that leaves the plane freely, beyond chance.
+
+    Beside a small turn the usual unevenness of a ground is large, and a plane that nobody stated
+    explains the images by many outliers, more noise and another focal length.
+
+    Parameters
+    ----------
+    model : ModelDecision
+        Of planar motion.
+    tried : Observations
+        All that the fit was offered, those that it rejects too.
+    size : (int, int)
+        Width and height of the image.
+
+    Returns
+    -------
+    bool
+
+    """
+    fit = model.fit
+    motion = replace(GENERAL, zoom=fit.motion.zoom, parallel=fit.motion.parallel)
+    if fit.observations.shutter is not None:
+        tried = fit.observations
+    start = with_all_points(fit.state, tried)
+    # what leaves less than any image's noise leaves no doubt
+    if start is None or fit.bundle.sigma_px < LEAST_NOISE_PX:
+        return False
+    free = fit_robustly(tried, start, motion, fit.bundle.priors, fit.bundle.sigma_px)
+    sigma_px = min(fit.bundle.sigma_px, free.bundle.sigma_px)
+
+    def badness(one: RobustFit) -> float:
+        rejected = len(tried.view) - len(one.observations.view)
+        return (replace(one, bundle=one.bundle.with_sigma(sigma_px)).cost
+                + 0.5 * OUTLIER_SIGMAS**2 * rejected)
+
+    excess = 2 * (badness(fit) - badness(free)) / robust_covariance_of(free, size).inflation**2
+    return not is_chance(excess, 3 * len(fit.state.path))
 
 
 def hold_parallel(fit: RobustFit, parallel: tuple[int, ...], size: tuple[int, int],

@@ -29,11 +29,13 @@ from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
-                                                       RobustFit, with_all_points)
+                                                       OUTLIER_SIGMAS, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
-                                                                hold_parallel, ModelDecision,
+                                                                hold_parallel, leaves_plane,
+                                                                ModelDecision,
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad)
@@ -64,6 +66,9 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
+#: Where a plane that nobody stated rejects more of what pairs of images agree on than this share,
+#: free motion is tried beside it.
+MANY_REJECTED = 0.05
 #: Refusal of a focal length that varies, and those that it may be the reason of.
 NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
@@ -107,16 +112,36 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     problem = problem_of(graph, size, facts, flat, at_once)
     if isinstance(problem, NoEstimate):
         return problem
-    problem = replace(problem, is_weak=is_weak)
+    problem = replace(problem, is_weak=is_weak, supposes_plane=GENERAL in motions)
     for motion in motions:
         result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
         if result or result.values.get('motion') != 'general':
             break
+    if result and motion is not motions[-1] and _rejects_much(result, graph):
+        free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
+        result = free if free and _is_likelier(free, result) else result
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
         result = planar if planar and planar.focal is not None else result
     return result
+
+
+def _rejects_much(result: Calibration, graph: ViewGraph) -> bool:
+    """Tell whether many observations contradict that do not contradict pairs of images."""
+    rejected = result.outlier_count - graph.rejected
+    return rejected > MANY_REJECTED * (rejected + result.observation_count)
+
+
+def _is_likelier(one: Calibration, other: Calibration) -> bool:
+    """Compare what two calibrations leave of the same observations, each rejected one counted."""
+    sigma_px = min(one.noise_sigma_px, other.noise_sigma_px)
+
+    def badness(result: Calibration) -> float:
+        square = result.observation_count * (result.reprojection_rms_px / sigma_px)**2
+        return square + OUTLIER_SIGMAS**2 * result.outlier_count
+
+    return badness(one) < badness(other)
 
 
 def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat: bool = False,
@@ -207,6 +232,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
                                  turned_deg=float(np.degrees(turned))),)
     model = shutter.widened(
         choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
+    if problem.supposes_plane and problem.motion.keeps_plane \
+            and leaves_plane(model, medium, problem.size):
+        return not_planar(out_of_plane_rad(model.fit.state.path))
     problem, stated = settled(problem, model), problem.facts
     result = finish(problem, model, graph, stated)
     if not result and result.kind == NOT_CONSTANT and may_vary(problem):

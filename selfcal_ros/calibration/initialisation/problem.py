@@ -53,7 +53,7 @@ class SelfCalibrationProblem:
     `flat` where the scene may be one plane, `pivot` where the camera turns about a fixed point;
     `bend` is that of the lens which the pairs show, for radii in half image diagonals; `instants`
     tell when each view was taken, in any unit; `is_weak` where the translations are small beside
-    the rotations.
+    the rotations, `supposes_plane` where nobody said that the motion is planar.
     """
 
     observations: Observations
@@ -67,6 +67,7 @@ class SelfCalibrationProblem:
     bend: Bend = ()
     instants: tuple[float, ...] = ()
     is_weak: bool = False
+    supposes_plane: bool = False
 
     @property
     def views(self) -> int:

@@ -44,10 +44,12 @@ USUAL_ASPECT = 1.0
 MAX_DISPLACEMENTS = 4
 #: A fall of the cost by more than this is another optimum.
 BETTER_BY = 0.05
+#: Where one better optimum follows another so often, the valley has none.
+MAX_OPTIMA = 6
 
 
 def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: float = 1.0,
-                              least: float = PROFILED_FRACTION,
+                              least: float = PROFILED_FRACTION, optima: int = MAX_OPTIMA,
                               ) -> tuple[RobustFit, np.ndarray]:
     """
     Compare the cost along the valley of a weak optimum with the quadratic.
@@ -65,6 +67,8 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
         Nothing is followed where every sigma is a smaller share of what makes a parameter
         unobservable. 0: not only the worst parameter is followed, but focal length and
         principal point, too.
+    optima : int
+        Better optima to be tried at most; beyond, the parameter counts as not determined.
 
     Returns
     -------
@@ -94,7 +98,11 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
             continue
         found = _beyond(fit, place, joint, fraction)
         if isinstance(found, RobustFit):
-            return profile_likelihood_excess(found, size, fraction, least)
+            if optima > 0:
+                return profile_likelihood_excess(found, size, fraction, least, optima - 1)
+            open_end = np.zeros_like(nothing)
+            open_end[place, place] = (UNOBSERVABLE_FACTOR * limits[place])**2
+            return found, open_end
         values, vectors = np.linalg.eigh(found / scale)
         excess = excess + scale * ((vectors * np.maximum(values, 0)) @ vectors.T)
     # what is held has no variance, not even that of rounding
