@@ -22,7 +22,7 @@ from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.result import HINT, Reconstruction
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.synthetic.hard_scenes import hand, one_curve, vehicle
+from selfcal_ros.synthetic.hard_scenes import hand, one_curve, scene, vehicle
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -76,3 +76,18 @@ def test_the_widest_turn_is_between_any_two_views():
     about_x = np.radians([[10, 0, 0], [-20, 0, 0], [0, 0, 0]])
     assert np.degrees(widest_turn_rad(rotation_matrix(about_x))) == pytest.approx(30)
     assert widest_turn_rad(np.eye(3)[None]) == 0
+
+
+def test_a_plane_that_nobody_stated_must_explain_a_clip_as_well_as_free_motion():
+    """A hand goes aside, turns by 6 degrees and trembles: beside that no plane is likely."""
+    t, rng = np.linspace(-0.5, 0.5, 8), np.random.default_rng(1)
+    R = rotation_matrix(np.radians(np.column_stack(
+        [1.2 * np.sin(9 * t + 1), 6 * t, 1.2 * np.cos(7 * t)])))
+    centres = np.column_stack([-0.5 * t, 0.06 * np.sin(8 * t + 1), 0.08 * np.sin(11 * t + 2)])
+    clip = scene(rng, np.concatenate([R, -R @ centres[:, :, None]], axis=2), count=80,
+                 depth_m=(1.5, 5))
+    result = calibrate(clip.tracks, facts=FACTS)
+    assert result.motion == 'general' and result.is_hint
+    found = result.hint
+    away = found.camera.parameters[:4] - clip.camera.parameters[:4]
+    assert (np.abs(away) < 4 * np.sqrt(np.diag(found.covariance))[:4]).all()

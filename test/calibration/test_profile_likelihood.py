@@ -15,6 +15,7 @@
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.uncertainty import profile_likelihood
 from selfcal_ros.synthetic.scenes import sequence_si
 
 
@@ -49,3 +50,18 @@ def test_pixels_twice_as_wide_as_high_are_no_accident_that_is_believed(seed):
 
     assert not result
     assert 'fy' in result.reason
+
+
+def test_a_valley_without_an_optimum_is_left_open_and_not_followed_for_ever(monkeypatch):
+    tracks = sequence_si(np.random.default_rng(1), 1.0, 3).tracks
+    asked = []
+
+    def better(fit, *_):
+        asked.append(fit)
+        return fit
+
+    monkeypatch.setattr(profile_likelihood, '_beyond', better)
+    result = calibrate(tracks, motion='planar',
+                       facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'))
+    assert not result and result.kind == 'parameters_undetermined'
+    assert len(asked) == profile_likelihood.MAX_OPTIMA + 1
