@@ -21,8 +21,8 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL
-from selfcal_ros.calibration.bundle.robust_fit import (choose_motion, fit_robustly, is_chance,
-                                                       Observations, OUTLIER_SIGMAS, refit,
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, choose_motion, fit_robustly,
+                                                       is_chance, Observations, refit,
                                                        RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
@@ -166,14 +166,13 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
     if start is None or fit.bundle.sigma_px < LEAST_NOISE_PX:
         return False
     free = fit_robustly(tried, start, motion, fit.bundle.priors, fit.bundle.sigma_px)
-    sigma_px = min(fit.bundle.sigma_px, free.bundle.sigma_px)
-
-    def badness(one: RobustFit) -> float:
-        rejected = len(tried.view) - len(one.observations.view)
-        return (replace(one, bundle=one.bundle.with_sigma(sigma_px)).cost
-                + 0.5 * OUTLIER_SIGMAS**2 * rejected)
-
-    excess = 2 * (badness(fit) - badness(free)) / robust_covariance_of(free, size).inflation**2
+    # both of the same observations: a threshold that a few of them cross would decide
+    start = with_all_points(fit.state, free.observations)
+    if start is None:
+        return False
+    bundle = bundle_of(free.observations, fit.motion, fit.bundle.priors, free.bundle.sigma_px)
+    held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=0.05)
+    excess = 2 * (bundle.cost(held) - free.cost) / robust_covariance_of(free, size).inflation**2
     return not is_chance(excess, 3 * len(fit.state.path))
 
 

@@ -29,8 +29,7 @@ from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
-                                                       OUTLIER_SIGMAS, RobustFit,
-                                                       with_all_points)
+                                                       RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -117,9 +116,11 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
         if result or result.values.get('motion') != 'general':
             break
-    if result and motion is not motions[-1] and _rejects_much(result, graph):
+    if result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED:
+        # a plane far from the truth, from where no way leads to what free motion explains
         free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
-        result = free if free and _is_likelier(free, result) else result
+        if free and _rejected(free, graph) < _rejected(result, graph) / 2:
+            result = free
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
@@ -127,21 +128,10 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     return result
 
 
-def _rejects_much(result: Calibration, graph: ViewGraph) -> bool:
-    """Tell whether many observations contradict that do not contradict pairs of images."""
+def _rejected(result: Calibration, graph: ViewGraph) -> float:
+    """Share of the observations that contradict, though they do not contradict pairs."""
     rejected = result.outlier_count - graph.rejected
-    return rejected > MANY_REJECTED * (rejected + result.observation_count)
-
-
-def _is_likelier(one: Calibration, other: Calibration) -> bool:
-    """Compare what two calibrations leave of the same observations, each rejected one counted."""
-    sigma_px = min(one.noise_sigma_px, other.noise_sigma_px)
-
-    def badness(result: Calibration) -> float:
-        square = result.observation_count * (result.reprojection_rms_px / sigma_px)**2
-        return square + OUTLIER_SIGMAS**2 * result.outlier_count
-
-    return badness(one) < badness(other)
+    return rejected / max(rejected + result.observation_count, 1)
 
 
 def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat: bool = False,
