@@ -64,6 +64,9 @@ USUAL_PARALLAX = 12.0
 #: That is tried where rotation alone leaves less than so many times the noise, and the search for
 #: a rotation ends where its first start leaves more than so many times.
 PIVOT_RATIO, HOPELESS = 8.0, 20.0
+#: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, a free
+#: motion is taken that leaves less than this share of its noise.
+PIVOT_NOISE, CLEARER = 1.5, 0.97
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
 SHORT_WAY = 0.3
@@ -223,15 +226,16 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
     little = enough and graph.parallax < DOUBTFUL_PARALLAX
     doubtful = little or (enough and graph.usual_parallax < USUAL_PARALLAX)
     turning: RotationFit | NoEstimate | None = None
-    is_weak = False
+    turned: Calibration | NoEstimate | None = None
+    is_weak, turned_px = False, 0.0
     if doubtful and facts.focal != 'varying':
         turning = fit_rotations(graph.tracks, size, facts,
                                 np.inf if little else HOPELESS * graph.noise_px)
         is_weak = isinstance(turning, RotationFit) and (
             turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
     if is_weak and isinstance(turning, RotationFit):
-        turned = _about_a_point(graph, size, facts, motion, turning)
-        if turned is not None:
+        turned, turned_px = _about_a_point(graph, size, facts, motion, turning)
+        if turned is not None and (turned or turned.kind != 'fact_contradicted'):
             return turned
     elif doubtful:
         in_plane = on_one_plane(graph)
@@ -242,6 +246,9 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
                 return plane
     moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
                                    is_weak=is_weak)
+    if turned is not None:
+        # a path that only looks like a turn contradicts the facts, too
+        return moving if moving and moving.noise_sigma_px < CLEARER * turned_px else turned
     if not little or (moving and turning is not None):
         return moving
     if turning is None:
@@ -261,25 +268,38 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
 
 
 def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
-                   turning: RotationFit) -> Calibration | NoEstimate | None:
-    """Try whether the camera only turns, about its centre or a point beside it; None if not."""
+                   turning: RotationFit) -> tuple[Calibration | NoEstimate | None, float]:
+    """
+    Try whether the camera only turns, about its centre or a point beside it.
+
+    Returns
+    -------
+    Calibration or NoEstimate or None
+        None if it does not.
+    float
+        Noise that a turn leaves, pixels.
+
+    """
     problem = problem_of(graph, size, facts)
     if isinstance(problem, NoEstimate):
-        return None
+        return None, 0.0
     decided = decide_pivot(problem, graph, turning)
     if isinstance(decided, NoEstimate):
-        return None
+        return None, 0.0
     problem, decision = decided
+    noise_px = decision.model.fit.bundle.sigma_px
     if decision.is_rotation and motion == 'auto':
         rotating = judge_rotations(turning, size, facts, may_zoom=False)
         if rotating:
             return replace(rotating, covariance=rotating.covariance
-                           + decision.hidden(rotating, size))
-    if decision.holds and decision.moved_share < SHORT_WAY:
+                           + decision.hidden(rotating, size)), noise_px
+    explained = noise_px < PIVOT_NOISE * problem.noise_px
+    if decision.holds and explained and decision.moved_share < SHORT_WAY:
         result = finish(settled(problem, decision.model), decision.model, graph, facts)
         # a focal length that varies is for the free motions
-        return result if result or result.kind not in (NOT_CONSTANT, *UNEXPLAINED) else None
-    return None
+        if result or result.kind not in (NOT_CONSTANT, *UNEXPLAINED):
+            return result, noise_px
+    return None, noise_px
 
 
 def _size_from(tracks: Tracks) -> tuple[int, int]:

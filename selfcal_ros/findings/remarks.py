@@ -216,9 +216,11 @@ REMARKS: dict[str, Phrase] = {
         'The difference may be an accident: it is one in a hundred calibrations.',
         'Check the fact, or state it with a sigma.'),
     'fact_unchecked': Phrase(
-        'The images cannot check the stated {fact}. An error of {error:.2g} in {unknown} would '
-        'not show, and move {name} by {change:.2g} px, {sigmas:.0f} of its sigmas.',
-        'The motion leaves the fact open. The sigmas hold if the fact is exact.',
+        'The camera rests on the stated {fact}, and the images cannot check it. An error of '
+        '{error:.2g} in {unknown} would not show, and move {name} by {change:.2g} px, '
+        '{sigmas:.0f} of its sigmas. They hold only if the fact is exact.',
+        'The motion leaves the fact open. Most sensors have square pixels within 0.001, but '
+        'images that were resized or rectified need not.',
         'State the fact with a sigma, or move so that the images tell.'),
     'fact_trusted': Phrase(
         'The images contradict the stated {fact}: they prefer {preferred:preferred}. It was '

@@ -14,6 +14,7 @@
 """What is supposed of the camera, against images that know better."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,11 +26,13 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.synthetic.few_view_scenes import general_views
+from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2', focal='constant',
                      shutter='global')
@@ -94,6 +97,32 @@ def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():
     assert 'stated aspect ratio' in refused.reason and '--trust-facts' in refused.advice
     assert kept and 'fact_trusted' in [one.kind for one in kept.findings]
     assert np.isclose(kept.camera.K[1, 1], kept.camera.K[0, 0])
+
+
+def test_an_exact_plane_leaves_the_aspect_ratio_open_and_that_is_said_first():
+    camera = Camera([[520, 0, 328], [0, 540.8, 235], [0, 0, 1]], (), *SIZE)
+    scene = vehicle(np.random.default_rng(0), s_curve(8), camera=camera, count=120)
+    result = calibrate(scene.tracks, motion='planar', facts=replace(SQUARE, distortion='none'))
+
+    # 70 sigmas off, for the images do not know better
+    assert abs(result.camera.K[1, 1] - 540.8) > 4 * result.sigma['fy']
+    assert result.findings[0].kind == 'fact_unchecked'
+    told = {one.values['fact']: one.values for one in result.findings
+            if one.kind == 'fact_unchecked'}
+    assert told['aspect ratio']['error'] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize('whole', [False, True], ids=['observations', 'tracks'])
+def test_what_goes_with_the_rest_of_its_track_does_not_contradict(whole):
+    scene, rng = seen_by(6), np.random.default_rng(6)
+    tracks = scene.tracks
+    bad = rng.random(tracks.track.max() + 1 if whole else len(tracks)) < 0.25
+    bad = bad[tracks.track] if whole else bad
+    xy = np.where(bad[:, None], rng.uniform(0, SIZE, (len(tracks), 2)), tracks.xy)
+    fit = optimum(scene, xy=xy if whole else None)
+    given = SimpleNamespace(given=Tracks(tracks.frame, tracks.track, xy, SIZE),
+                            frames=tracks.frames)
+    assert abs(share_that_contradicts(fit, given) - bad.mean()) < 0.02
 
 
 def test_images_of_two_cameras_are_parted():

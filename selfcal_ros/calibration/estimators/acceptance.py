@@ -24,6 +24,7 @@ from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
 from selfcal_ros.calibration.estimators.motion_class import (describe_path, PathDescription,
                                                              widest_turn_rad)
@@ -209,9 +210,11 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
                          problem.motion.fixed_pivot)
     status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
-    optimum = _Optimum(fit, model, problem, path, status, held,
-                       outliers / max(outliers + len(fit.observations.view), 1), graph.noise_px,
-                       field, verdict, covariance)
+    rejected = outliers / max(outliers + len(fit.observations.view), 1)
+    if rejected > MAX_OUTLIERS:
+        rejected = min(rejected, share_that_contradicts(fit, graph))
+    optimum = _Optimum(fit, model, problem, path, status, held, rejected, graph.noise_px, field,
+                       verdict, covariance)
     for accepted in ACCEPTANCE_TESTS:
         refusal = accepted(optimum)
         if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):
@@ -220,7 +223,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
             return refusal.saying(**{'status': status, 'facts': facts, **refusal.values,
                                      'motion': path.motion})
     covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
-    findings += of_facts
+    # first, for all the rest rests on them
+    findings = of_facts + findings
     known = identify(model.fit, problem.size,
                      tuple(name for name in status if status[name] == 'estimated'))
     if known.weakest_share > ADVISED_FRACTION:

@@ -41,6 +41,8 @@ from selfcal_ros.geometry.optimise import huber_weights
 #: Directions of which the elimination leaves less than this share are what the estimate has
 #: already, and cannot be tested.
 INDEPENDENT = 1e-8
+#: Unknowns that have more than this part in such a direction may be anything.
+OPEN_PART = 1e-3
 #: Smallest probability that a number can hold.
 _TINY = 1e-300
 
@@ -82,6 +84,7 @@ class Tested:
     value : ndarray, shape (m,)
         Of the further unknowns: how far off the supposition is.
     covariance : ndarray, shape (m, m)
+        Infinite on the diagonal where the images say nothing.
     response : ndarray, shape (k, m)
         How the unknowns of the lens follow them.
     chi2 : float
@@ -185,7 +188,11 @@ class JointInformation:
         inverse = root @ root.T
         theta = -self.pull * inverse @ u
         total = float(np.sum((root.T @ u)**2)) * self.pull**2 / self.factor
-        return Tested(name, unknowns, theta, self.factor * inverse, self.lens @ basis, total,
+        covariance = self.factor * inverse
+        # what the estimate has already tells nothing: no value is excluded
+        anything = (np.abs(vectors[:, ~kept]) > OPEN_PART).any(axis=1)
+        covariance[anything, anything] = np.inf
+        return Tested(name, unknowns, theta, covariance, self.lens @ basis, total,
                       int(kept.sum()))
 
 
