@@ -20,13 +20,15 @@ ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable,
+                            Shutdown)
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+from selfcal_ros.nodes.launch_arguments import launch_problem
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -44,10 +46,25 @@ ARGUMENTS = {
     'auto_save': ('false', 'write the file after every estimate'),
     'calibrator': ('planar_calibrator', 'planar_calibrator or affine_calibrator'),
     'composed': ('false', 'all nodes in one process: least latency from image to CameraInfo'),
+    'respawn': ('false', 'start a node again that has crashed'),
+    'use_sim_time': ('false', 'take the time from /clock, as of a bag or a simulation'),
     'rviz': ('false', 'show tracks, path and structure in RViz'),
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'agv.yaml']), 'parameters of the nodes'),
 }
+
+
+def check(context):
+    """Start nothing where an argument is wrong."""
+    problem = launch_problem({name: LaunchConfiguration(name).perform(context)
+                              for name in ARGUMENTS})
+    if problem:
+        raise RuntimeError(problem)
+
+
+def ended(event, _):
+    """End everything where a node has refused its input or its parameters."""
+    return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
 
 
 def generate_launch_description():
@@ -67,23 +84,29 @@ def generate_launch_description():
     apart = UnlessCondition(value['composed'])
     played = NotEqualsSubstitution(value['bag'], '')
 
-    def node(executable, parameters=(), remappings=(), condition=None, arguments=()):
+    sim_time = {'use_sim_time': ParameterValue(value['use_sim_time'], value_type=bool)}
+
+    def node(executable, parameters=(), remappings=(), condition=None, arguments=(),
+             respawn=value['respawn']):
         return Node(package='selfcal_ros', executable=executable, output='screen',
                     namespace=value['namespace'], arguments=list(arguments), condition=condition,
-                    parameters=[value['params_file'], *parameters], remappings=remappings)
+                    parameters=[value['params_file'], *parameters], remappings=remappings,
+                    respawn=respawn, respawn_delay=2.0, on_exit=ended)
 
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
+        OpaqueFunction(function=check),
         # finds peers at once, and has room for large images
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE',
                                PathJoinSubstitution([share, 'config', 'fastdds.xml'])),
-        node(value['calibrator'], [calibrator], infos, apart),
-        node('feature_tracker', [], images, apart),
-        node('all_nodes', [calibrator], images + infos, IfCondition(value['composed']),
+        node(value['calibrator'], [calibrator, sim_time], infos, apart),
+        node('feature_tracker', [sim_time], images, apart),
+        node('all_nodes', [calibrator, sim_time], images + infos, IfCondition(value['composed']),
              ['feature_tracker', value['calibrator']]),
-        node('bag_player', [player], images, IfCondition(played)),
+        # at the end of the bag it is done
+        node('bag_player', [player], images, IfCondition(played), respawn=False),
         Node(package='rviz2', executable='rviz2', condition=IfCondition(value['rviz']),
-             namespace=value['namespace'],
+             namespace=value['namespace'], parameters=[sim_time],
              arguments=['-d', PathJoinSubstitution([share, 'config', 'selfcal.rviz'])]),
     ])

@@ -17,7 +17,7 @@ Calibrate several cameras at once, each in a namespace of its own.
 ros2 launch selfcal_ros cameras.launch.py cameras:=left,right
 
 Camera `left` publishes /left/image_raw, gets /left/camera_info, and its file is left.yaml. The
-arguments of agv.launch.py hold for all of them.
+arguments of agv.launch.py hold for all of them; in `output`, ${NAME} is the name of the camera.
 """
 
 from launch import LaunchDescription
@@ -26,11 +26,15 @@ from launch.actions import (DeclareLaunchArgument, GroupAction, IncludeLaunchDes
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
+from selfcal_ros.nodes.launch_arguments import shared_file_problem
 
 
 def include_each(context):
     """Include agv.launch.py once for each name."""
     names = LaunchConfiguration('cameras').perform(context).replace(',', ' ').split()
+    problem = shared_file_problem(names, context.launch_configurations.get('output', ''))
+    if problem:
+        raise RuntimeError(problem)
     path = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'launch', 'agv.launch.py'])
     # a source of its own for each: one that is shared would start the same nodes twice
     return [GroupAction([IncludeLaunchDescription(

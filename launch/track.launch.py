@@ -21,13 +21,15 @@ model:=/path/to/object.cao start_pose:="0 0 0.5 0 0 0"
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable,
+                            Shutdown)
 from launch.conditions import IfCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+from selfcal_ros.nodes.launch_arguments import launch_problem
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -41,9 +43,24 @@ ARGUMENTS = {
     'rate': ('1.0', 'playback speed'),
     'loop': ('false', 'play the bag again and again'),
     'namespace': ('', 'namespace of all nodes; one for each camera'),
+    'respawn': ('false', 'start a node again that has crashed'),
+    'use_sim_time': ('false', 'take the time from /clock, as of a bag or a simulation'),
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'track.yaml']), 'parameters of the nodes'),
 }
+
+
+def check(context):
+    """Start nothing where an argument is wrong."""
+    problem = launch_problem({name: LaunchConfiguration(name).perform(context)
+                              for name in ARGUMENTS})
+    if problem:
+        raise RuntimeError(problem)
+
+
+def ended(event, _):
+    """End everything where a node has refused its input or its parameters."""
+    return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
 
 
 def generate_launch_description():
@@ -56,14 +73,18 @@ def generate_launch_description():
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
+        OpaqueFunction(function=check),
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
         Node(package='selfcal_ros', executable='rorapid_tracker', output='screen',
              namespace=value['namespace'],
              remappings=[*topics, ('camera_info', value['camera_info'])],
+             respawn=value['respawn'], respawn_delay=2.0, on_exit=ended,
              parameters=[value['params_file'],
-                         {name: text[name] for name in text if name != 'bag'}]),
+                         {name: text[name] for name in text if name != 'bag'},
+                         {'use_sim_time': ParameterValue(value['use_sim_time'],
+                                                         value_type=bool)}]),
         Node(package='selfcal_ros', executable='bag_player', output='screen',
-             namespace=value['namespace'], remappings=topics,
+             namespace=value['namespace'], remappings=topics, on_exit=ended,
              condition=IfCondition(NotEqualsSubstitution(value['bag'], '')),
              parameters=[value['params_file'],
                          {'bag': text['bag'],

@@ -15,6 +15,7 @@
 
 from dataclasses import dataclass
 import os
+import sys
 
 from selfcal_ros.calibration.result import NotCalibrated
 
@@ -31,4 +32,6 @@ class Request:
             raise ValueError('of the program')
         if self.what == 'death':
             os._exit(1)
+        if self.what == 'loaded':
+            return NotCalibrated(f"loaded {'selfcal_ros.calibration.calibrate' in sys.modules}")
         return NotCalibrated(f'{self.what} from {os.getpid()}')

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from importlib import import_module
 import traceback
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -88,6 +89,11 @@ class Job(Generic[R]):
         except Exception:  # a calibration must not be lost to what is drawn from it
             traceback.print_exc()
         return value, prepared
+
+
+def load_estimator() -> None:
+    """Load what estimates: the package itself loads nothing before it is used."""
+    import_module('selfcal_ros.calibration.calibrate')
 
 
 @dataclass(frozen=True)

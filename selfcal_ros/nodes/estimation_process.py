@@ -23,7 +23,7 @@ import signal
 
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.nodes.estimation_job import Job, JobResult
+from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
 
 #: The child yields to whoever has an image to follow.
 NICENESS = 5
@@ -95,8 +95,7 @@ def _work(pipe) -> None:
     """Run jobs until the other end of the pipe is closed."""
     _yield_to_others()
     # now, and not when the first job waits
-    import selfcal_ros
-    del selfcal_ros
+    load_estimator()
     while True:
         try:
             job = pipe.recv()

@@ -18,7 +18,7 @@ from __future__ import annotations
 import queue
 import threading
 
-from selfcal_ros.nodes.estimation_job import Job, JobResult
+from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
 
 
 class EstimationWorker:
@@ -29,6 +29,9 @@ class EstimationWorker:
     """
 
     def __init__(self) -> None:
+        # now, and not when the first job waits; here, for a thread that loads libraries must not
+        # be ended
+        load_estimator()
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._results: queue.Queue[JobResult] = queue.Queue()
         threading.Thread(target=self._work, daemon=True, name='estimation').start()

@@ -33,6 +33,7 @@ import time
 from msg_adapters.stamps import stamp_ns
 import rclpy
 from rclpy.node import Node
+from selfcal_ros.nodes.launch_arguments import CALIBRATORS
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
 from selfcal_ros.pipeline.replay import ImageRecording
 from selfcal_ros.report.files import atomic_write
@@ -42,7 +43,6 @@ from std_srvs.srv import Trigger
 
 #: A process that does not end by itself gets so long before it is killed.
 GRACE_S = 5.0
-CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
 
 
 class ReplayTimeout(Exception):

@@ -154,16 +154,19 @@ def answer(worker, timeout_s=30):
 
 def test_the_child_survives_faults_and_is_replaced_when_it_dies(capfd):
     worker = EstimationProcess()
-    jobs = [Job(JobKind.ESTIMATE, Request(what)) for what in ('first', 'fault', 'death', 'last')]
+    jobs = [Job(JobKind.ESTIMATE, Request(what)) for what in ('first', 'fault', 'death', 'last',
+                                                              'loaded')]
     for job in jobs:
         worker.submit(job)
     said = []
     for job in jobs:
-        done = answer(worker)
+        done = answer(worker, 120)
         assert done.job is job and not done.value and done.prepared is None
         said.append(str(done.value))
     assert 'first from' in said[0] and str(os.getpid()) not in said[0]
     assert 'ValueError: of the program' in said[1]
     assert 'ended unexpectedly' in said[2] and 'last from' in said[3]
+    # the first estimate need not wait for its libraries
+    assert 'loaded True' in said[4]
     assert worker.poll() is None
     assert 'ValueError' in capfd.readouterr().err

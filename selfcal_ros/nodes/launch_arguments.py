@@ -1,0 +1,78 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What can be wrong with the arguments of our launch files, looked at before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import os
+
+CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
+
+#: Arguments that name a file or folder, which must be there where it is given.
+_PATHS = ('bag', 'params_file', 'model', 'camera_file')
+
+
+def launch_problem(values: Mapping[str, str]) -> str:
+    """
+    Say what is wrong with the arguments of a launch file; '' if nothing is.
+
+    What a node cannot do it says itself, but by then the others run. A launch file that fails
+    half way leaves behind what it has started.
+
+    Parameters
+    ----------
+    values : mapping of str
+        Of those arguments that there are, as text.
+
+    """
+    for name in _PATHS:
+        path = os.path.expanduser(values.get(name, ''))
+        if path and not os.path.exists(path):
+            return f'{name}:={values[name]}: there is no such file or folder.'
+    calibrator = values.get('calibrator', CALIBRATORS[0])
+    if calibrator not in CALIBRATORS:
+        return f'calibrator:={calibrator}: it must be one of {", ".join(CALIBRATORS)}.'
+    if values.get('rviz', '').lower() in ('true', '1') and not is_installed('rviz2'):
+        return ('rviz:=true needs the package rviz2, which is not installed '
+                '(sudo apt install ros-jazzy-rviz2).')
+    return ''
+
+
+def shared_file_problem(names: list[str], output: str) -> str:
+    """
+    Say that several cameras would write one file; '' if each has its own.
+
+    Parameters
+    ----------
+    names : list of str
+        Of the cameras.
+    output : str
+        The argument `output`.
+
+    """
+    if len(names) < 2 or not output or '${NAME}' in output:
+        return ''
+    return (f"output:={output}: {len(names)} cameras cannot share one file; let the path hold "
+            "${NAME}, in quotes: 'output:=/path/to/${NAME}.yaml'.")
+
+
+def is_installed(package: str) -> bool:
+    """Tell whether there is a package of ROS in the sourced workspaces."""
+    from ament_index_python.packages import get_package_prefix
+    try:
+        get_package_prefix(package)
+    except (LookupError, OSError, ValueError):
+        return False
+    return True

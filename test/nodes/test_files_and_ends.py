@@ -1,0 +1,129 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibration file is found under every name that drivers use, and begins the next run."""
+
+import fcntl
+import os
+from pathlib import Path
+import time
+
+import pytest
+from rclpy.node import Node
+from rclpy.task import Future
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.nodes.calibration_file import CalibrationFile
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.entry_point import spin_until
+from selfcal_ros.nodes.file_url import path_of
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.nodes.quality_of_service import STEADY
+from selfcal_ros.nodes.shared_memory import sweep
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+from sensor_msgs.msg import CameraInfo, PointCloud2
+
+
+@pytest.mark.parametrize('url, path', [
+    ('file:///data/${NAME}.yaml', '/data/front.yaml'),
+    ('FILE:///data/a b.yaml', '/data/a b.yaml'),
+    ('file://${ROS_HOME}/camera_info/${NAME}.yaml', '/ros/camera_info/front.yaml'),
+    ('${ROS_HOME}/x.yaml', '/ros/x.yaml'),
+    ('~/x.yaml', '/home/u/x.yaml'), ('x.yaml', 'x.yaml'),
+    ('package://my_robot/calibrations/${NAME}.yaml',
+     '{prefix}/share/my_robot/calibrations/front.yaml')])
+def test_urls_are_read_as_camera_info_manager_does(monkeypatch, tmp_path, url, path):
+    index = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    index.mkdir(parents=True)
+    (index / 'my_robot').touch()
+    (tmp_path / 'share' / 'my_robot').mkdir()
+    for name, value in (('ROS_HOME', '/ros'), ('HOME', '/home/u'),
+                        ('AMENT_PREFIX_PATH', str(tmp_path))):
+        monkeypatch.setenv(name, value)
+    assert path_of(url, 'front') == Path(path.replace('{prefix}', str(tmp_path)))
+    monkeypatch.delenv('ROS_HOME')
+    assert CalibrationFile('front').path == Path('/home/u/.ros/camera_info/front.yaml')
+
+
+@pytest.mark.parametrize('url, words', [
+    ('package://no_such_package_here/x.yaml', "no package 'no_such_package_here'"),
+    ('package:x.yaml', 'package://PACKAGE/PATH'), ('package://x', 'package://PACKAGE/PATH'),
+    ('file://host/x.yaml', 'three slashes'), ('flash:///x', 'a path, file:///PATH or package'),
+    ('https://example.org/x.yaml', 'a path, file'), ('${HOME}/x.yaml', 'no ${HOME}')])
+def test_urls_of_other_kinds_are_refused_and_no_folder_is_made(monkeypatch, tmp_path, url, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArgumentError) as refused:
+        CalibrationFile('front', url)
+    assert words in str(refused.value) and str(refused.value).endswith('.')
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path):
+    path = tmp_path / 'front.yaml'
+    camera = Camera.from_parameters([500, 500, 320, 240, 0, 0, 0, 0, 0], 640, 480)
+    write_camera_yaml(path, camera, 'front')
+    graph = graph('-p', 'camera_name:=front', '-p', f'output:={path}')
+    node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    infos = graph.listen(CameraInfo, 'camera_info')
+    tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
+
+    def focal(size):
+        node._size = size
+        known = len(infos)
+        tracks.publish(PointCloud2())
+        graph.wait_for(lambda: len(infos) > known)
+        return infos[-1].k[0]
+
+    graph.wait_for(lambda: tracks.get_subscription_count() and infos is not None)
+    assert focal((640, 480)) == 500
+    # it is no calibration of images of another size
+    assert focal((320, 240)) == 0 and focal((640, 480)) == 500
+    assert not graph.call('planar_calibrator/save').success
+    assert graph.call('planar_calibrator/reset').success
+    assert focal((640, 480)) == 0
+
+
+def test_a_node_that_waits_for_its_end_does_not_grow_while_it_waits(graph):
+    graph, added, ticks = graph(), [], []
+
+    class Finished(Future):
+        def add_done_callback(self, callback):
+            added.append(callback)
+            super().add_done_callback(callback)
+
+    node, finished = Node('player'), Finished()
+
+    def tick():
+        ticks.append(1)
+        if len(ticks) == 50:
+            finished.set_result(True)
+
+    graph.add(node).create_timer(0.001, tick, clock=STEADY)
+    spin_until(graph.executor, finished)
+    assert len(ticks) == 50 and len(added) == 1
+
+
+def test_shared_memory_of_processes_that_are_no_more_is_freed(tmp_path):
+    names = [f'fastrtps_{k:016x}' for k in range(3)]
+    for name in (*names, 'fastrtps_port7661', 'another'):
+        for file in (tmp_path / name, tmp_path / f'{name}_el'):
+            file.touch()
+            os.utime(file, (time.time() - 100, time.time() - 100))
+    # the first lives, the second has just begun, the third was killed
+    os.utime(tmp_path / f'{names[1]}_el')
+    with (tmp_path / f'{names[0]}_el').open('rb') as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert sweep(tmp_path) == 1
+    left = {file.name.removesuffix('_el') for file in tmp_path.iterdir()}
+    assert left == {*names[:2], 'fastrtps_port7661', 'another'}
+    assert sweep(tmp_path / 'none') == 0

@@ -1,0 +1,79 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Arguments of launch files and nodes: what is wrong is one sentence, and nothing starts."""
+
+from pathlib import Path
+
+import pytest
+
+from selfcal_ros.nodes import launch_arguments
+from selfcal_ros.nodes.entry_point import refusal, run_node
+from selfcal_ros.nodes.launch_arguments import launch_problem, shared_file_problem
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_launch_looks_at_its_arguments_first(monkeypatch, tmp_path):
+    fine = {'bag': '', 'rviz': 'false', 'calibrator': 'affine_calibrator',
+            'params_file': str(ROOT / 'config' / 'arm.yaml'), 'image': '/nope'}
+    assert launch_problem(fine) == ''
+    assert launch_problem({**fine, 'bag': str(tmp_path)}) == ''
+    assert launch_problem({**fine, 'bag': '/nope'}) == (
+        'bag:=/nope: there is no such file or folder.')
+    assert 'model:=' in launch_problem({'model': str(tmp_path / 'x.cao')})
+    assert 'planar_calibrator' in launch_problem({**fine, 'calibrator': 'planar'})
+    monkeypatch.setattr(launch_arguments, 'is_installed', lambda package: False)
+    assert 'rviz2, which is not installed' in launch_problem({**fine, 'rviz': 'true'})
+    monkeypatch.setattr(launch_arguments, 'is_installed', lambda package: True)
+    assert launch_problem({**fine, 'rviz': 'true'}) == ''
+
+
+def test_a_package_that_is_not_there_is_not_installed(monkeypatch, tmp_path):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    assert not launch_arguments.is_installed('rviz2')
+    index = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    index.mkdir(parents=True)
+    (index / 'rviz2').touch()
+    assert launch_arguments.is_installed('rviz2')
+
+
+def test_cameras_do_not_share_a_file():
+    assert 'hold ${NAME}' in shared_file_problem(['left', 'right'], '/data/camera.yaml')
+    for names, output in ((['left'], '/data/camera.yaml'), (['left', 'right'], ''),
+                          (['left', 'right'], '/data/${NAME}.yaml')):
+        assert shared_file_problem(names, output) == ''
+
+
+@pytest.mark.parametrize('name', ['agv', 'track'])
+def test_launch_files_look_before_they_start(name):
+    text = (ROOT / 'launch' / f'{name}.launch.py').read_text(encoding='utf-8')
+    first = text.index('OpaqueFunction(function=check)')
+    body = text.index('return LaunchDescription(')
+    starts = [text.find(word, body) for word in ('        node(', '        Node(')]
+    assert body < first < min(start for start in starts if start > 0)
+    for argument in ("'respawn': ", "'use_sim_time': ", 'on_exit=ended'):
+        assert argument in text
+
+
+@pytest.mark.parametrize('given, words', [
+    (['bag:=/x'], "takes no argument 'bag:=/x'; say --ros-args -p bag:=/x"),
+    (['image:=/cam'], '--ros-args -r image:=/cam'),
+    (['--rate', '5'], "takes no argument '--rate'; parameters follow --ros-args -p"),
+    (['--ros-args', '-p', 'rate:=1.0', '--', 'late'], "takes no argument 'late'")])
+def test_an_argument_that_a_node_does_not_take_is_refused(capsys, given, words):
+    assert run_node(lambda: pytest.fail('no node is to start'), given) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count('\n') == 1
+    for fine in ([], ['--ros-args', '-p', 'bag:=/x', '-r', '__ns:=/left']):
+        assert refusal('bag_player', fine) == ''
