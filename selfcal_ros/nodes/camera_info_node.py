@@ -20,12 +20,12 @@ when it changes, and replaced by `~/set_camera_info`.
 
 from __future__ import annotations
 
-from msg_adapters.camera_info import camera_from_info, camera_info_message, window_of
+from msg_adapters.camera_info import camera_info_message, ImageWindow, window_of
+from msg_adapters.copied_camera import copied_camera, copied_message, CopiedCamera
 from msg_adapters.message_types import rclpy_types
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
@@ -34,7 +34,7 @@ from selfcal_ros.nodes.parameters import CameraInfoPublisherParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.sensor_roi import DRIVER_TOPIC
-from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
+from selfcal_ros.report.copied_camera_yaml import read_copied_camera, write_copied_camera
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -47,7 +47,7 @@ class CameraInfoPublisher(Node):
         self.parameters = declare(self, CameraInfoPublisherParameters)
         self._file = CalibrationFile(self.parameters.camera_name, self.parameters.camera_info_url)
         self._types = rclpy_types()
-        self._camera: Camera | None = None
+        self._camera: CopiedCamera | None = None
         self._modified_ns = None
         self._publisher = self.create_publisher(CameraInfo, 'camera_info', PER_IMAGE)
         source = self.parameters.source
@@ -72,7 +72,7 @@ class CameraInfoPublisher(Node):
     def _check_change(self, new: CameraInfoPublisherParameters):
         """Refuse a file that cannot be read: the calibration in force is better than none."""
         if new.camera_info_url != self.parameters.camera_info_url:
-            read_camera_yaml(CalibrationFile(new.camera_name, new.camera_info_url).path)
+            read_copied_camera(CalibrationFile(new.camera_name, new.camera_info_url).path)
 
     def _change(self, new: CameraInfoPublisherParameters, old: CameraInfoPublisherParameters):
         """Do what changed parameters say."""
@@ -96,7 +96,7 @@ class CameraInfoPublisher(Node):
             self.get_logger().warning(f'{self._file.path} does not exist: K is zero until it does')
             return
         try:
-            self._camera, name = read_camera_yaml(self._file.path)
+            self._camera, name = read_copied_camera(self._file.path)
         except InputError as error:
             self.get_logger().error(f'{error} The last calibration stays in force.')
             return
@@ -114,17 +114,21 @@ class CameraInfoPublisher(Node):
                                       throttle_duration_sec=5.0)
             return
         size = int(msg.width), int(msg.height)
-        self._publisher.publish(camera_info_message(self._fitting(size), msg.header, self._types,
-                                                    size if any(size) else None, window))
+        self._publish(msg.header, size, window)
 
     def _on_image(self, msg: Image | CompressedImage):
         self._watchdog.heard()
         # a compressed image does not tell its size before it is decoded
         size = (int(msg.width), int(msg.height)) if isinstance(msg, Image) else (0, 0)
-        self._publisher.publish(camera_info_message(self._fitting(size), msg.header, self._types,
-                                                    size if any(size) else None))
+        self._publish(msg.header, size, ImageWindow())
 
-    def _fitting(self, size: tuple[int, int]) -> Camera | None:
+    def _publish(self, header, size: tuple[int, int], window: ImageWindow):
+        camera = self._fitting(size)
+        self._publisher.publish(
+            camera_info_message(None, header, self._types, size, window) if camera is None
+            else copied_message(camera, header, self._types, window))
+
+    def _fitting(self, size: tuple[int, int]) -> CopiedCamera | None:
         """Return the camera if it is one of this size; (0, 0): the size is not known."""
         camera = self._camera
         if camera is None or size in ((0, 0), (camera.width, camera.height)):
@@ -138,18 +142,15 @@ class CameraInfoPublisher(Node):
     def _on_set(self, request, response):
         """Take a calibration at once, and keep it in the file as camera_info_manager does."""
         try:
-            camera = camera_from_info(request.camera_info)
-            if camera is None or not (camera.width and camera.height):
-                raise InputError('The CameraInfo holds no calibration (K[0], width or height is '
-                                 'zero).')
+            camera = copied_camera(request.camera_info)
         except InputError as error:
             response.success, response.status_message = False, str(error)
             return response
         self._camera = camera
         try:
             self._file.path.parent.mkdir(parents=True, exist_ok=True)
-            write_camera_yaml(self._file.path, camera, self._file.camera_name,
-                              ['received by set_camera_info'])
+            write_copied_camera(self._file.path, camera, self._file.camera_name,
+                                ['received by set_camera_info'])
         except (InputError, OSError) as error:
             response.success = False
             response.status_message = f'in force, but not written: {error}'

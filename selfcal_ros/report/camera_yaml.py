@@ -21,6 +21,7 @@ them reports only 'file not found'. Evidence goes into comments, which every rea
 from __future__ import annotations
 
 from collections.abc import Iterable
+import json
 from pathlib import Path
 import re
 
@@ -35,8 +36,9 @@ import yaml
 #: Lens models that image_geometry knows.
 ROS_MODELS = tuple(ROS_COEFFICIENTS)
 _NAME = re.compile(r'[A-Za-z0-9_]+\Z')
-_REQUIRED = ('image_width', 'image_height', 'camera_matrix', 'distortion_coefficients',
-             'rectification_matrix', 'projection_matrix')
+#: Keys that a camera file must have.
+REQUIRED = ('image_width', 'image_height', 'camera_matrix', 'distortion_coefficients',
+            'rectification_matrix', 'projection_matrix')
 
 
 def camera_yaml(camera: Camera, name: str, comments: Iterable[str] = ()) -> str:
@@ -58,23 +60,52 @@ def camera_yaml(camera: Camera, name: str, comments: Iterable[str] = ()) -> str:
         If the name is impossible or the image size is not known.
 
     """
-    check_camera_name(name)
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('A camera file needs the image size; give the camera its width and '
                             'height.')
     if camera.model not in ROS_MODELS:
         raise ArgumentError(f'A camera file of ROS cannot hold the lens model {camera.model}.')
-    # a name such as 00123, 1e5, yes or null is no string unless it is quoted
-    plain = isinstance(yaml.safe_load(name), str) and not name[0].isdigit()
+    return ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
+                    camera.distortion, np.eye(3), np.column_stack([camera.K, np.zeros(3)]),
+                    comments)
+
+
+def ros_yaml(size: tuple[int, int], name: str, K: np.ndarray, model: str, d: np.ndarray,
+             R: np.ndarray, P: np.ndarray, comments: Iterable[str] = ()) -> str:
+    """
+    Return the text of a camera file, given what it holds.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Width and height.
+    name : str
+        Camera name: letters, digits and underscores.
+    K, R : ndarray, shape (3, 3)
+    model : str
+        Of the lens.
+    d : ndarray, shape (N,)
+        Its coefficients.
+    P : ndarray, shape (3, 4)
+    comments : iterable of str
+        Lines to put at the top after '# '.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is impossible.
+
+    """
+    check_camera_name(name)
     lines = ['# ' + ''.join(c if c.isprintable() else ' ' for c in line)
              for comment in comments for line in str(comment).splitlines()]
-    lines += [f'image_width: {camera.width}', f'image_height: {camera.height}',
-              f'camera_name: {name}' if plain else f'camera_name: "{name}"']
-    lines += _matrix('camera_matrix', camera.K)
-    lines += [f'distortion_model: {camera.model}']
-    lines += _matrix('distortion_coefficients', camera.distortion[None])
-    lines += _matrix('rectification_matrix', np.eye(3))
-    lines += _matrix('projection_matrix', np.column_stack([camera.K, np.zeros(3)]))
+    lines += [f'image_width: {size[0]}', f'image_height: {size[1]}',
+              f'camera_name: {_string(name)}']
+    lines += _matrix('camera_matrix', K)
+    lines += [f'distortion_model: {_string(model)}']
+    lines += _matrix('distortion_coefficients', d[None])
+    lines += _matrix('rectification_matrix', R)
+    lines += _matrix('projection_matrix', P)
     lines += ['binning_x: 0', 'binning_y: 0', 'roi:', '  x_offset: 0', '  y_offset: 0',
               '  height: 0', '  width: 0', '  do_rectify: false']
     return '\n'.join(lines) + '\n'
@@ -85,6 +116,12 @@ def check_camera_name(name: str) -> None:
     if not _NAME.match(name):
         raise ArgumentError(f'The camera name {name!r:.60} is impossible; use letters, digits and '
                             'underscores.')
+
+
+def _string(text: str) -> str:
+    """Quote what YAML would not take for a string: 00123, 1e5, yes, null."""
+    plain = _NAME.match(text) and isinstance(yaml.safe_load(text), str) and not text[0].isdigit()
+    return text if plain else json.dumps(text)
 
 
 def write_camera_yaml(path, camera: Camera, name: str,
@@ -132,6 +169,19 @@ def read_camera_yaml(path) -> tuple[Camera, str]:
 
 def parse_camera_yaml(text: str, source: str = 'the text') -> tuple[Camera, str]:
     """Parse the text of a camera file; `source` names it in errors. See `read_camera_yaml`."""
+    return camera_from_document(ros_document(text, source), source)
+
+
+def ros_document(text: str, source: str) -> dict:
+    """
+    Return the keys of a camera file of ROS, which are all there.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind, or incomplete.
+
+    """
     convert = 'convert it with `selfcal convert`'
     if text.lstrip().startswith('%YAML') or '!!opencv-matrix' in text:
         raise InputError(f'{source} is an OpenCV FileStorage file, not a ROS camera file; '
@@ -139,7 +189,14 @@ def parse_camera_yaml(text: str, source: str = 'the text') -> tuple[Camera, str]
     document = load_yaml(text, source)
     if is_kalibr(document):
         raise InputError(f'{source} is a Kalibr file, not a ROS camera file; {convert}.')
-    return camera_from_document(document, source)
+    _check_keys(document, source)
+    return document
+
+
+def _check_keys(document: dict, source: str) -> None:
+    missing = [key for key in REQUIRED if key not in document]
+    if missing:
+        raise InputError(f'{source} lacks {", ".join(missing)}; a ROS camera file has them all.')
 
 
 def is_kalibr(document: dict) -> bool:
@@ -158,10 +215,8 @@ def camera_from_document(document: dict, source: str) -> tuple[Camera, str]:
         If the file is incomplete, or its lens model is unknown.
 
     """
-    missing = [key for key in _REQUIRED if key not in document]
-    if missing:
-        raise InputError(f'{source} lacks {", ".join(missing)}; a ROS camera file has them all.')
-    sizes = [positive_integer(document[key], f'{source}: {key}') for key in _REQUIRED[:2]]
+    _check_keys(document, source)
+    sizes = [positive_integer(document[key], f'{source}: {key}') for key in REQUIRED[:2]]
     K = matrix(document, 'camera_matrix', (3, 3), source)
     matrix(document, 'rectification_matrix', (3, 3), source)
     matrix(document, 'projection_matrix', (3, 4), source)

@@ -282,3 +282,30 @@ def test_the_publisher_stands_in_for_a_driver_without_the_service(graph, tmp_pat
     assert exchange(graph, driver, message, infos).k[0] == 520
     camera, name = read_camera_yaml(tmp_path / 'ros_home/camera_info/camera.yaml')
     assert name == 'camera' and np.array_equal(camera.K, CAMERA.K)
+
+
+@pytest.mark.parametrize('model, d', [('double_sphere', [0.5, -0.2]),
+                                      ('rational_polynomial', list(np.linspace(-0.1, 0.1, 14)))])
+def test_what_is_not_understood_is_served_and_set_all_the_same(graph, tmp_path, model, d):
+    # the right camera of a stereo pair, of a lens that we do not know
+    R = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    P = np.column_stack([0.9 * CAMERA.K, [-52.0, 0, 0]])
+    given = CameraInfo(width=640, height=480, distortion_model=model, d=d, k=CAMERA.K.ravel(),
+                       r=R.ravel(), p=P.ravel())
+    graph = graph()
+    infos = graph.listen(CameraInfo, 'camera_info')
+    driver = graph.probe.create_publisher(CameraInfo, 'driver/camera_info', 10)
+    node = graph.add(CameraInfoPublisher())
+    client = graph.probe.create_client(SetCameraInfo, 'camera_info_publisher/set_camera_info')
+    graph.wait_for(client.service_is_ready)
+    future = client.call_async(SetCameraInfo.Request(camera_info=given))
+    graph.wait_for(future.done)
+    assert future.result().success, future.result().status_message
+    message = camera_info_message(None, header(5), TYPES, (640, 480))
+    # from memory, and from the file
+    for _ in range(2):
+        served = exchange(graph, driver, message, infos)
+        assert served.distortion_model == model and list(served.d) == d
+        assert np.array_equal(served.r, R.ravel()) and np.array_equal(served.p, P.ravel())
+        node._camera = node._modified_ns = None
+        node._look()

@@ -1,0 +1,73 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Camera files of ROS as they are: read and written without a look at their lens model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from msg_adapters.copied_camera import CopiedCamera
+import numpy as np
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.report.camera_yaml import REQUIRED, ros_document, ros_yaml
+from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.yaml_text import decoded, matrix, positive_integer, read_bytes
+
+
+def read_copied_camera(path) -> tuple[CopiedCamera, str]:
+    """
+    Read a camera file of ROS, of whatever lens model.
+
+    Returns
+    -------
+    camera : CopiedCamera
+    name : str
+        'unknown' where the file does not name the camera.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another kind, incomplete, or holds no calibration.
+
+    """
+    source = str(path)
+    document = ros_document(decoded(read_bytes(path), path), source)
+    width, height = (positive_integer(document[key], f'{source}: {key}') for key in REQUIRED[:2])
+    K, R, P = (matrix(document, key, shape, source) for key, shape in (
+        ('camera_matrix', (3, 3)), ('rectification_matrix', (3, 3)),
+        ('projection_matrix', (3, 4))))
+    d = np.ravel(matrix(document, 'distortion_coefficients', (1, None), source))
+    try:
+        camera = CopiedCamera(width, height, str(document.get('distortion_model', 'plumb_bob')),
+                              d, K, R, P)
+    except InputError as error:
+        raise InputError(f'{source}: {error}') from None
+    return camera, str(document.get('camera_name') or 'unknown')
+
+
+def write_copied_camera(path, camera: CopiedCamera, name: str, comments=()) -> Path:
+    """
+    Write a camera file of ROS; it appears whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is impossible.
+    InputError
+        If the file cannot be written.
+
+    """
+    return atomic_write(path, ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
+                                       camera.d, camera.R, camera.P, comments))
