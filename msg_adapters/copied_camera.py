@@ -56,7 +56,7 @@ class CopiedCamera:
     R: np.ndarray
     P: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse what is no calibration."""
         if not self.K[0, 0] or not (self.width and self.height):
             raise InputError('The CameraInfo holds no calibration (K[0], width or height is '
