@@ -46,7 +46,7 @@ MAX_RATIO = 0.5
 #: Processes of each arrangement: modules of selfcal_ros.nodes, with their arguments.
 ARRANGEMENTS = {
     'two processes': [['feature_tracker'], ['planar_calibrator']],
-    'one process': [['all', 'feature_tracker', 'planar_calibrator']],
+    'one process': [['composition', 'feature_tracker', 'planar_calibrator']],
 }
 HEADER = ('arrangement', 'output', 'images', 'median ms', 'p95 ms', 'p99 ms', 'max ms', 'lost')
 
