@@ -38,8 +38,8 @@ import numpy as np
 
 #: Images a second of the simulated time, its hours, and seconds of real time at most, a node.
 RATE_HZ, HOURS, MOST_S = 30.0, 10.0, 35.0
-#: So many messages may be unanswered.
-AHEAD = 8
+#: So many messages may be unanswered; the tracker of objects takes the newest only.
+AHEAD, AHEAD_OF_OBJECTS = 8, 1
 #: More growth than this, beyond twice its error, fails; the calibrator's 54 MB an hour did.
 MOST_MB_PER_HOUR = 1.0
 BAG, OBJECT = ROOT / 'bags' / 'agv_drive', ROOT / 'bags' / 'tracked_object'
@@ -152,6 +152,7 @@ class Feeder:
         self.images = self._sent = 0
         self._node = rclpy.create_node('soak')
         self._messages, self._publisher = [], None
+        self._ahead = AHEAD_OF_OBJECTS if name == 'rorapid_tracker' else AHEAD
         topic, kind = {'bag_player': ('image/compressed', CompressedImage),
                        'feature_tracker': ('tracks', PointCloud2),
                        'rorapid_tracker': ('pose', PoseWithCovarianceStamped)}.get(
@@ -192,7 +193,7 @@ class Feeder:
             wait = time.monotonic() + 0.2
             while True:
                 rclpy.spin_once(self._node, timeout_sec=0.01)
-                if self._sent - self.images < AHEAD:
+                if self._sent - self.images < self._ahead:
                     break
                 if time.monotonic() > wait:
                     self._sent = self.images

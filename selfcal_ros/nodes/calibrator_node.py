@@ -40,6 +40,7 @@ from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.parameter_declaration import declare, follow
+from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
@@ -190,16 +191,16 @@ class Calibrator(Node):
         if result and kept is not None and kept is not result:
             self.get_logger().info('the new calibration is less precise than the one in force, '
                                    'which stays')
-            self._result.publish(String(data=result_to_json(kept)))
+            self._publish_result(kept)
             return
         if result and result.focal is None:
             self._watch.watch(result, request)
         elif result:
             # a lens that zooms would be blamed for that alone
             self._watch.forget()
-        self._result.publish(String(data=result_to_json(result)))
+        self._publish_result(result)
         if not result:
-            self.get_logger().info(str(result), throttle_duration_sec=5.0)
+            self.get_logger().info(in_parameters(str(result)), throttle_duration_sec=5.0)
             return
         sigma = result.sigma
         self.get_logger().info(
@@ -214,6 +215,9 @@ class Calibrator(Node):
                 self._save(result)
             except SelfcalError as error:
                 self.get_logger().error(str(error), throttle_duration_sec=30.0)
+
+    def _publish_result(self, result):
+        self._result.publish(String(data=in_parameters(result_to_json(result))))
 
     def _save(self, calibration) -> str:
         """Write the file and give it to a driver; returns what was done."""
@@ -240,15 +244,14 @@ class Calibrator(Node):
         """Tell everybody that what was known is void."""
         self.get_logger().info(f'starting anew: {reason}')
         self._watch.forget()
-        self._result.publish(String(data=result_to_json(
-            NotCalibrated.of(NoEstimate('session_reset', why=reason)))))
+        self._publish_result(NotCalibrated.of(NoEstimate('session_reset', why=reason)))
         self._scene.clear()
 
     def _on_calibrate(self, _, response):
         self._watch.release()
         state = self._session.snapshot()
         if state.calibration and not state.new_keyframes and not state.estimating:
-            self._result.publish(String(data=result_to_json(state.calibration)))
+            self._publish_result(state.calibration)
             response.success = True
             response.message = 'nothing new since the last result, which is published again'
             return response
@@ -297,8 +300,9 @@ class Calibrator(Node):
         elif complaint:
             level, text = WARN, f'{complaint}; {text}'
         values['tracks lost'] = self._count.lost + self._count.overrun
-        status = status_message(f'{diagnostic_name(self)}: calibration', level, text, self._types,
-                                values, self.parameters.camera_name)
+        status = status_message(f'{diagnostic_name(self)}: calibration', level,
+                                in_parameters(text), self._types, values,
+                                self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)
         self._diagnostics.publish(diagnostics_message([status], header, self._types))
 

@@ -161,6 +161,7 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     from selfcal_ros.errors import SelfcalError
+    from selfcal_ros.nodes.parameter_words import in_parameters
     from selfcal_ros.nodes.shared_memory import sweep
     sweep()
     try:
@@ -184,7 +185,7 @@ def run_nodes(make_nodes: Callable, args: list[str] | None = None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except SelfcalError as error:
-        print(error, file=sys.stderr)
+        print(in_parameters(str(error)), file=sys.stderr)
         return 2
     except Exception:
         # SIGINT and SIGTERM can invalidate the context between two calls inside spin()

@@ -27,6 +27,7 @@ from rclpy.exceptions import InvalidParameterValueException
 
 from selfcal_ros.errors import ArgumentError, SelfcalError
 from selfcal_ros.nodes import parameters
+from selfcal_ros.nodes.parameter_words import in_parameters
 
 #: Parameters that every node of ROS has, or that come with its topics.
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
@@ -109,7 +110,7 @@ def follow(node, check: Callable, apply: Callable) -> None:
             if new != node.parameters:
                 check(new)
         except SelfcalError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=in_parameters(str(error)))
         except Exception as error:  # a node must not die of what somebody asks for
             return SetParametersResult(successful=False, reason=_fault(node, error))
         return SetParametersResult(successful=True)

@@ -30,6 +30,7 @@ from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
+from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
@@ -214,7 +215,7 @@ class RorapidNode(Node):
         """Publish what the thread has finished."""
         while (done := self._worker.poll()) is not None:
             if isinstance(done, str):
-                self.get_logger().warning(done)
+                self.get_logger().warning(in_parameters(done))
             else:
                 self._publish_image(done)
 
@@ -229,8 +230,8 @@ class RorapidNode(Node):
         if tracked is None or camera is None:
             # there is a problem with every image that was not tracked
             return
-        self._say(tracked.state.value + (f': {tracked.reason}' if tracked.reason else ''),
-                  tracked.state)
+        self._say(in_parameters(tracked.state.value + (f': {tracked.reason}' if tracked.reason
+                                                       else '')), tracked.state)
         if tracked.state is TrackerState.LOST:
             return
         pose = np.column_stack([tracked.rotation, tracked.translation])
@@ -278,8 +279,9 @@ class RorapidNode(Node):
         if complaint:
             level, text = max(level, WARN), f'{complaint}; {text}'
         values.update(self._inputs.count.values)
-        status = status_message(f'{diagnostic_name(self)}: tracking', level, text, self._types,
-                                values, self.parameters.camera_name)
+        status = status_message(f'{diagnostic_name(self)}: tracking', level,
+                                in_parameters(text), self._types, values,
+                                self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)
         self._diagnostics.publish(diagnostics_message([status], header, self._types))
 

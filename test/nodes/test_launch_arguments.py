@@ -14,12 +14,15 @@
 """Arguments of launch files and nodes: what is wrong is one sentence, and nothing starts."""
 
 from pathlib import Path
+import re
 
 import pytest
 
 from selfcal_ros.nodes import launch_arguments
 from selfcal_ros.nodes.entry_point import refusal, run_node
 from selfcal_ros.nodes.launch_arguments import launch_problem, shared_file_problem
+from selfcal_ros.nodes.parameter_words import in_parameters
+from selfcal_ros.nodes.parameters_table import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -77,3 +80,22 @@ def test_an_argument_that_a_node_does_not_take_is_refused(capsys, given, words):
     assert words in said and said.count('\n') == 1
     for fine in ([], ['--ros-args', '-p', 'bag:=/x', '-r', '__ns:=/left']):
         assert refusal('bag_player', fine) == ''
+
+
+def test_sentences_of_nodes_name_parameters_and_not_options():
+    # of what a node can come to say, every option has a parameter, but where there is none
+    none = {'--translation-frames', '--principal-point', '--image-size', '--object', '--overlay'}
+    known = {name for table in PARAMETERS.values() for name in table.__dataclass_fields__}
+    sources = [*(ROOT / 'selfcal_ros' / 'findings').glob('refusals.py'),
+               ROOT / 'selfcal_ros' / 'pipeline' / 'bag_source.py']
+    said = re.findall(r"(?<![\w`-])--[a-z][a-z-]*(?: (?:\w+|\"))?", ' '.join(
+        in_parameters(path.read_text(encoding='utf-8')) for path in sources))
+    assert {one.split()[0] for one in said} <= none
+    assert in_parameters('nothing (--aspect-ratio free, --skew free), or say --trust-facts') == (
+        'nothing (aspect_ratio:=0.0, zero_skew:=false), or say trust_facts:=true')
+    assert in_parameters('Pick: `selfcal model --vertices --motion auto`; --motion auto') == (
+        'Pick: `selfcal model --vertices --motion auto`; motion:=auto')
+    for given in ('--topic', '--init takes', '--motion auto', '--lens plumb_bob', '--camera)',
+                  '--camera-model zoom', '--focal varying', '--trust-facts', '--skew free'):
+        words = in_parameters(given)
+        assert '--' not in words and set(re.findall(r'[a-z_]+', words)) & known
