@@ -62,7 +62,7 @@ BENCHES = {
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
     'hostile_inputs': 'bad files, messages, options, signals, a full disk, at random',
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
-    'soak': 'memory, threads and files of the nodes over simulated hours',
+    'soak': 'memory, threads and files of the nodes over simulated hours: hours',
 }
 #: Only when asked for by name.
 LONG = ('coverage', 'hostile_inputs', 'lenses', 'wide_lenses', 'shutter')

@@ -37,7 +37,7 @@ from bench.tables import Report
 import numpy as np
 
 #: Images a second of the simulated time, its hours, and seconds of real time at most, a node.
-RATE_HZ, HOURS, MOST_S = 30.0, 10.0, 35.0
+RATE_HZ, HOURS, MOST_S = 30.0, 10.0, 1500.0
 #: So many messages may be unanswered; the tracker of objects takes the newest only.
 AHEAD, AHEAD_OF_OBJECTS = 8, 1
 #: More growth than this, beyond twice its error, fails; the calibrator's 54 MB an hour did.
@@ -149,7 +149,7 @@ class Feeder:
         import rclpy
         from geometry_msgs.msg import PoseWithCovarianceStamped
         from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
-        self.images = self._sent = 0
+        self.images = self._sent = self._number = 0
         self._node = rclpy.create_node('soak')
         self._messages, self._publisher = [], None
         self._ahead = AHEAD_OF_OBJECTS if name == 'rorapid_tracker' else AHEAD
@@ -162,7 +162,8 @@ class Feeder:
         if name == 'bag_player':
             return
         images = recorded(OBJECT if name == 'rorapid_tracker' else BAG)
-        # there and back: nothing jumps but the time
+        # there and back: nothing jumps but the time, and that not for objects
+        self._jumps = name != 'rorapid_tracker'
         topic, self._messages = {
             'feature_tracker': lambda: ('image/compressed', images + images[::-1]),
             'rorapid_tracker': lambda: ('image/compressed', images + images[::-1]),
@@ -182,13 +183,23 @@ class Feeder:
                 self._publisher is not None and not self._publisher.get_subscription_count()):
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
+    def _stamped(self, number: int):
+        """Return a message of the loop, with a time that begins anew with it."""
+        place = number % len(self._messages)
+        message = self._messages[place]
+        now_s = (place if self._jumps else number) / RATE_HZ
+        message.header.stamp.sec = 100 + int(now_s)
+        message.header.stamp.nanosec = int(now_s % 1 * 1e9)
+        return message
+
     def feed(self, seconds: float) -> None:
         """Send for a while; what stays unanswered is given up."""
         import rclpy
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if self._publisher is not None:
-                self._publisher.publish(self._messages[self._sent % len(self._messages)])
+                self._publisher.publish(self._stamped(self._number))
+                self._number += 1
                 self._sent += 1
             wait = time.monotonic() + 0.2
             while True:
