@@ -49,7 +49,7 @@ def _any(rng: np.random.Generator) -> Any:
     return VALUES[int(rng.integers(len(VALUES)))]
 
 
-def _some(rng: np.random.Generator, good: Any, share: float = 0.4) -> Any:
+def _some(rng: np.random.Generator, good: Any, share: float = 0.15) -> Any:
     """Return the good value or any other."""
     return _any(rng) if rng.random() < share else good
 

@@ -122,6 +122,7 @@ def write_good_files(folder: Path) -> None:
         f'{k},{k % 5},{k // 5},{k % 3}\n' for k in range(40)), encoding='utf-8')
     (folder / 'picked.yaml').write_text(
         'vertices:\n  a: [20, 20, 22, 20]\n  b: [90, 25, 93, 25]\n  c: [60, 80, 64, 80]\n'
+        '  d: [30, 70, 35, 70]\n'
         'faces:\n- [a, b, c]\nframe: [a, b, c]\n', encoding='utf-8')
 
 
@@ -140,7 +141,7 @@ READERS: tuple[tuple[str, str], ...] = (
     *((name, f'compare @ {name}') for name in ('camera.yaml', 'camera.xml', 'm.cameramodel',
                                                'cameras.txt', 'cameras.bin', 'result.json',
                                                'camchain.yaml', 'opencv.yaml')),
-    ('result.json', 'compare camera.yaml camera.xml --result-a @ --json out.json'),
+    ('result.json', 'compare result.json result.json --result-a @ --json out.json'),
     ('camera.yaml', 'convert @ out.xml'), ('camchain.yaml', 'convert @ out.yaml'),
     ('result.json', 'convert @ out.cameramodel'), ('opencv.yaml', 'convert @ out.txt'),
     ('model.cao', 'track object --camera object.camera.yaml --model @ --init object.pos --output '
@@ -254,14 +255,14 @@ OPTIONS = {
     'track object --camera object.camera.yaml --model model.cao --init object.pos': (
         '--output', '--overlay', '--init', '--clicks', '--camera', '--model', '--method',
         '--motion', '--plane-axis', '--camera-model', '--topic'),
-    'model images --camera camera.yaml --baseline 0.1 --output out.cao': (
+    'model images --camera camera.yaml --vertices picked.yaml --baseline 0.1': (
         '--images', '--length', '--between', '--baseline', '--region', '--vertices', '--obj',
         '--topic', '--output'),
     'convert camera.yaml out.xml': ('--to', '--camera', '--camera-name', '--image-size', '--topic',
                                     '--storage', '--input-topic', '--compressed', '--frame-id'),
     'convert images out_bag': ('--to', '--topic', '--storage', '--compressed', '--frame-id',
                                '--image-size', '--camera-name'),
-    'compare camera.yaml result.json': ('--result-a', '--result-b', '--camera-a', '--camera-b',
+    'compare camera.yaml opencv.yaml': ('--result-a', '--result-b', '--camera-a', '--camera-b',
                                         '--image-size', '--json')}
 VALUES = (*ODD, '/dev/null', '/dev/zero', '/dev/full', '/', '.', '..', '', ' ', 'images', 'bag',
           'nowhere/x', 'tracks.csv', 'out.yaml', '1', '2', '0.5', '3 3', 'a' * 300, '-', '--',
@@ -304,5 +305,10 @@ def whole(path: Path) -> bool:
     data = path.read_bytes()
     if path.suffix == '.json':
         json.loads(data)
-    ends = {'.html': b'</html>\n', '.xml': b'</opencv_storage>\n', '.cameramodel': b'}\n'}
+    if path.suffix == '.ply':
+        header, _, body = data.partition(b'end_header\n')
+        count = int(header.partition(b'element vertex ')[2].split()[0])
+        return len(body) == count * (4 * header.count(b'property float')
+                                     + header.count(b'property uchar'))
+    ends = {'.html': b'</html>', '.xml': b'</opencv_storage>\n', '.cameramodel': b'}\n'}
     return data.endswith(ends.get(path.suffix, b'' if path.suffix in ('.bin',) else b'\n'))

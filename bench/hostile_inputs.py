@@ -238,7 +238,8 @@ def _faults(case, folder, old, before, status, text, memory_mb) -> tuple[str, ..
     left = set(_names(folder)) - before
     if any(re.search(r'\.selfcal-|\.part$', name) for name in left):
         faults.append('half-written')
-    elif status == 2 and any(re.match('out', name) for name in left):
+    elif status == 2 and case.file_bytes is None and any(
+            name.startswith('out') for name in left):
         faults.append('half-written')
     elif not all(_old_or_whole(folder / name, name in old, status) for name in OUTPUTS):
         faults.append('half-written')
@@ -268,14 +269,32 @@ def _names(folder: Path) -> list[str]:
     return [str(path.relative_to(folder)) for path in folder.rglob('*')]
 
 
+def _orphans(folder: Path) -> bool:
+    """Tell whether processes that were started in a folder still run after a while."""
+    deadline = time.monotonic() + 60
+    mark = f'TMPDIR={folder}'.encode()
+    while time.monotonic() < deadline:
+        left = []
+        for process in Path('/proc').glob('[0-9]*'):
+            try:
+                left += [process] * (mark in (process / 'environ').read_bytes())
+            except OSError:
+                continue
+        if not left:
+            return False
+        time.sleep(0.1)
+    return True
+
+
 def run_signal(number: int, temporary: Path) -> Outcome:
     """Send a signal to a command at a random time of its work."""
     rng = np.random.default_rng((SEED, number, 1))
     folder = temporary / 'signal'
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    verb = [['calibrate', str(ROOT / 'bags' / 'arm_move'), '--report', 'out.html'],
-            ['convert', str(ROOT / 'bags' / 'arm_move'), 'out_bag']][int(rng.integers(2))]
+    arm, drive = (str(ROOT / 'bags' / name) for name in ('arm_move', 'agv_drive'))
+    verb = [['calibrate', arm, '--report', 'out.html'], ['convert', arm, 'out_bag'],
+            ['calibrate', arm, drive, '--jobs', '2', '--output-dir', 'many']][number % 3]
     code = 'import sys; from selfcal_ros.cli.main import main; print("on", flush=True); main()'
     began = time.perf_counter()
     process = subprocess.Popen(
@@ -284,7 +303,7 @@ def run_signal(number: int, temporary: Path) -> Outcome:
     # what comes before is the start of Python
     process.stdout.readline()
     time.sleep(float(rng.uniform(0, 3)))
-    sent = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP][int(rng.integers(3))]
+    sent = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL][int(rng.integers(4))]
     process.send_signal(sent)
     try:
         heard = process.communicate(timeout=MAX_WALL_S)[1].decode('utf-8', 'replace')
@@ -293,8 +312,12 @@ def run_signal(number: int, temporary: Path) -> Outcome:
         process.communicate()
         return Outcome(-9, '', 0.0, ('hang',), 0.0)
     faults = ['traceback'] * ('Traceback' in heard)
-    if process.returncode != 0 and _names(folder) and any(
-            '.selfcal-' in name or name.startswith(('tmp', 'out_bag')) for name in _names(folder)):
+    if _orphans(folder):
+        faults.append('hang')
+    # nobody can tidy up after what cannot be caught
+    if process.returncode not in (0, -signal.SIGKILL) and any(re.search(
+            '^tmp|selfcal-', name) for name in _names(folder)) or not _old_or_whole(
+                folder / 'out_bag', False, 0):
         faults.append('half-written')
     if process.returncode not in (0, -sent):
         faults.append('traceback')

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
+import sys
 import time
 from typing import Any
 
@@ -96,6 +97,10 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     shared: dict[str, Any] = {
         'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
         'image_size': settings.image_size, 'progress': progress}
+    named = settings.translation_frames or settings.motion == 'repeated'
+    if named and Path(path).suffix.lower() == '.csv' and settings.max_keyframes is None:
+        # frames that are named, or are objects, are all used
+        shared['max_keyframes'] = sys.maxsize
     # OpenCV and SciPy load here, not where the command line starts
     if settings.mask is not None:
         from selfcal_ros.features.mask import read_mask

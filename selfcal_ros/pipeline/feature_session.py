@@ -19,6 +19,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
+
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
@@ -27,6 +29,12 @@ from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
     from selfcal_ros.features.mask import ImageMask
+
+#: Frames of a table that are used by default: more cost time, and hardly lower the sigmas.
+MAX_TABLE_FRAMES = 60
+#: Displacement between keyframes as a share of the extent, and share of the tracks that may be
+#: lost, each milder than the next.
+_STEPS = ((0.02, 0.35), (0.04, 0.5), (0.08, 0.65), (0.12, 0.75))
 
 
 @dataclass(frozen=True)
@@ -57,7 +65,8 @@ class ExtractedTracks:
         return sentences(self.findings)
 
 
-def tracks_of_table(source: FrameSource, mask: ImageMask | None = None) -> ExtractedTracks:
+def tracks_of_table(source: FrameSource, mask: ImageMask | None = None,
+                    max_keyframes: int | None = None) -> ExtractedTracks:
     """
     Return the tracks of a table; with a remark where nobody has told the size of the images.
 
@@ -66,6 +75,8 @@ def tracks_of_table(source: FrameSource, mask: ImageMask | None = None) -> Extra
     source : FrameSource
     mask : ImageMask, optional
         Positions that it hides are left out.
+    max_keyframes : int, optional
+        Frames that are used at most; of more, those between which the points move most.
 
     Raises
     ------
@@ -78,8 +89,36 @@ def tracks_of_table(source: FrameSource, mask: ImageMask | None = None) -> Extra
         width, height = tracks.image_size or mask.size
         mask.check((height, width))
         tracks = replace(tracks.select(mask.allows(tracks.xy, 0.0)), image_size=mask.size)
-    return ExtractedTracks(tracks, source.description,
-                           () if tracks.image_size else (Finding('image_size_not_stated'),))
+    findings: tuple[Finding, ...] = ()
+    if not tracks.image_size:
+        findings = (Finding('image_size_not_stated'),)
+    frames = tracks.frames
+    most = MAX_TABLE_FRAMES if max_keyframes is None else max_keyframes
+    if len(frames) > most:
+        tracks = tracks.in_frames(_keyframes(tracks, most))
+        findings += (Finding('keyframes_chosen', keyframes=len(tracks.frames),
+                             frames=len(frames)),)
+    return ExtractedTracks(tracks, source.description, findings)
+
+
+def _keyframes(tracks: Tracks, most: int) -> np.ndarray:
+    """Choose so many frames at most, by how far points move from one to the next."""
+    from selfcal_ros.features.selection import KeyframeSelector
+    order = np.argsort(tracks.frame, kind='stable')
+    frames, starts = np.unique(tracks.frame[order], return_index=True)
+    rows = np.split(order, starts[1:])
+    extent_px = float(np.hypot(*np.ptp(tracks.xy, axis=0)))
+    kept: list[int] = []
+    for step, lost in _STEPS:
+        selector = KeyframeSelector(step * extent_px, lost)
+        kept = [k for k, row in enumerate(rows) if selector.offer(tracks.track[row],
+                                                                  tracks.xy[row])]
+        if len(kept) <= most:
+            return frames[kept]
+    # so long a way takes more: the stretch that shows most, whose frames share points
+    seen = np.cumsum([0, *(len(rows[k]) for k in kept)])
+    first = int(np.argmax(seen[most:] - seen[:-most]))
+    return frames[kept[first:first + most]]
 
 
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
@@ -117,7 +156,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
     """
     with open_source(path, topic, image_size) as source:
         if source.kind == 'tracks':
-            return tracks_of_table(source, mask)
+            return tracks_of_table(source, mask, max_keyframes)
         # OpenCV loads here, not where the command line starts
         from selfcal_ros.features.extraction import extract_tracks
         total = source.count

@@ -28,8 +28,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.bag_writer import write_image_bag
+from selfcal_ros.pipeline.feature_session import MAX_TABLE_FRAMES, read_tracks
 from selfcal_ros.pipeline.file_sources import natural_key
 from selfcal_ros.pipeline.sources import Frame, open_source
+from selfcal_ros.values.tracks import Tracks
 
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 START_NS = 1_700_000_000_123_456_789
@@ -389,3 +391,18 @@ def test_real_images():
         assert next(iter(source)).name == '01.jpg'
     with open_source(root / 'visp_tracking_videos' / 'images' / 'teabox.mp4') as source:
         assert source.image_size == (640, 480) and sum(1 for _ in source) == source.count
+
+
+def test_a_long_table_is_thinned_to_frames_that_still_share_points(tmp_path):
+    # 40 points a frame, each seen in 10 frames
+    frame, track = (grid.ravel() for grid in np.mgrid[:900, :40])
+    track = track + 4 * frame
+    x = 600 - 60 * (frame - (track - 39) / 4)
+    tracks = Tracks(frame, track, np.column_stack([x, track % 7 * 60.0]), (640, 480))
+    tracks.to_csv(tmp_path / 'long.csv')
+    for limit, most in ((None, MAX_TABLE_FRAMES), (30, 30)):
+        found = read_tracks(tmp_path / 'long.csv', image_size=(640, 480), max_keyframes=limit)
+        assert 3 <= len(found.tracks.frames) <= most and 'out of 900 frames' in found.notes[0]
+    tracks.in_frames(range(MAX_TABLE_FRAMES)).to_csv(tmp_path / 'short.csv')
+    found = read_tracks(tmp_path / 'short.csv', image_size=(640, 480))
+    assert len(found.tracks.frames) == MAX_TABLE_FRAMES and not found.notes
