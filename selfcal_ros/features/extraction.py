@@ -31,7 +31,7 @@ from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import detect, Features, match_pairs
-from selfcal_ros.features.moving_part import MovingPart, still_features
+from selfcal_ros.features.moving_part import MovingPart, still_features, without_edges
 from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.features.static_region import drop_static_regions
@@ -337,7 +337,8 @@ def _finish(tracks, findings: list[Finding], seed):
     still = find_still_tracks(tracks)
     if still is not None and still.fixed_camera:
         findings.append(still.finding())
-        tracks = tracks.select(~np.isin(tracks.track, still.track))
+        rests = np.isin(tracks.track, still.track)
+        tracks = without_edges(tracks.select(~rests), tracks.select(rests))
     whole = tracks
     tracks, static = drop_static(whole)
     if static:

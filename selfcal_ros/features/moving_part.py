@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 
 from selfcal_ros.features.matching import Features
 from selfcal_ros.features.selection import KeyframeSelector
+from selfcal_ros.values.tracks import Tracks
 
 #: A point that stays so near to where it was first seen stands still; further off it moves.
 _STILL_PX, _MOVES_PX = 1.5, 3.0
@@ -37,8 +38,10 @@ _LEAST = 8
 _MOST, _ALWAYS = 0.5, 0.9
 #: From one image to the next so far at most.
 _STEP_PX = 0.7
-#: Where so many points an image are lost, more than move, these cannot be followed.
-_LOST = 10
+#: Where so many points an image are lost, of as many that move, these cannot be followed.
+_LOST, _LOST_SHARE = 10, 0.4
+#: A patch reaches so far.
+_EDGE_PX = 10.0
 #: Features of so many other images are looked up at the same place: within so much, and alike.
 _COMPARED, _PLACE_PX, _ALIKE = 12, 1.0, 0.9
 
@@ -76,7 +79,8 @@ class MovingPart:
     @property
     def is_too_fast(self) -> bool:
         """Tell whether the camera stood, and what moves before it could not be followed."""
-        return (self._resting >= 0.95 * self._images > 0 and self._lost > self._moved
+        return (self._resting >= 0.95 * self._images > 0
+                and self._lost > _LOST_SHARE * self._moved
                 and self._lost > _LOST * self._images)
 
     def offer(self, ids: np.ndarray, xy: np.ndarray) -> bool:
@@ -92,8 +96,8 @@ class MovingPart:
 
         """
         _, here, there = np.intersect1d(ids, self._ids, assume_unique=True, return_indices=True)
-        origin, reach, born = xy.copy(), np.zeros(len(ids)), np.full(len(ids), self._way)
-        step = np.zeros(len(ids))
+        origin, reach, step = xy.copy(), np.zeros(len(ids)), np.zeros(len(ids))
+        born = np.full(len(ids), np.inf)
         if len(here):
             origin[here], born[here] = self._origin[there], self._born[there]
             step[here] = np.linalg.norm(xy[here] - self._xy[there], axis=1)
@@ -106,10 +110,11 @@ class MovingPart:
             self._way += way
             judged = self._way - born > _JUDGED_PX
             still = judged & (reach < _STILL_PX)
-            # before any is judged nothing speaks against it
-            self._way_standing += way * (still.sum() >= _MOST * judged.sum())
+            early = self._way < 2 * _JUDGED_PX
+            self._way_standing += way * (early or still.sum() >= max(
+                _LEAST, _MOST * judged.sum()))
         self._ids, self._xy, self._origin, self._reach, self._born = (
-            ids.copy(), xy.copy(), origin, reach, born)
+            ids.copy(), xy.copy(), origin, reach, np.minimum(born, self._way))
         return bool(moves.sum() >= _LEAST and self.selector.offer(ids[moves], xy[moves]))
 
     def _count(self, step: np.ndarray, before: int) -> None:
@@ -119,6 +124,35 @@ class MovingPart:
         self._resting += 2 * resting > before
         self._moved += len(step) - resting
         self._lost += before - len(step)
+
+
+def near_still(xy: np.ndarray, still_xy: np.ndarray) -> np.ndarray:
+    """
+    Tell which points lie so near to what stands still that their patches show both, (N,) of bool.
+
+    Where a thing ends before a wall, there is a corner that belongs to neither.
+    """
+    if not len(still_xy) or not len(xy):
+        return np.zeros(len(xy), bool)
+    apart: np.ndarray = cKDTree(still_xy).query(xy)[0]
+    return apart < _EDGE_PX
+
+
+def without_edges(tracks: Tracks, still: Tracks) -> Tracks:
+    """
+    Leave out positions beside what stands still in the same image, see `near_still`.
+
+    Parameters
+    ----------
+    tracks, still : Tracks
+        What moves, and what does not.
+
+    """
+    keep = np.ones(len(tracks), bool)
+    for frame in tracks.frames:
+        rows = np.flatnonzero(tracks.frame == frame)
+        keep[rows] = ~near_still(tracks.xy[rows], still.xy[still.frame == frame])
+    return tracks.select(keep).with_at_least(2)
 
 
 def still_features(features: list[Features]) -> list[np.ndarray] | None:
@@ -153,6 +187,8 @@ def still_features(features: list[Features]) -> list[np.ndarray] | None:
             times[near[alike > _ALIKE]] += 1
         holds.append(np.mean(times >= 0.5 * len(others)) > _MOST / 2)
         still.append(times >= max(1, 0.15 * len(others)))
+    for one, rests in zip(features, still):
+        rests |= near_still(one.xy, one.xy[rests])
     rest = np.array([np.count_nonzero(~one) for one in still])
     if np.mean(holds) < _ALWAYS or np.mean(rest >= _LEAST) < _ALWAYS:
         return None
