@@ -26,8 +26,8 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
-from selfcal_ros.calibration.estimators.motion_class import (describe_path, PathDescription,
-                                                             widest_turn_rad)
+from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
+                                                             PathDescription, widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
                                                              LENS_MODEL)
@@ -65,6 +65,9 @@ MINIMUM_FREEDOM = 40
 SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 #: With more than this share of the points behind the cameras the scene is inside out.
 MAX_BEHIND = 0.03
+#: Circular motion with an unknown principal point determines the focal length better than this
+#: share, or not at all: what is left of the systematic errors is a multiple of such sigmas.
+OF_CIRCLE_SIGMA = 0.02
 #: A plane turns in itself where its normal is nearer than this to the axis, radians.
 PARALLEL_RAD = np.radians(15.0)
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
@@ -153,13 +156,38 @@ def _is_determined(found: _Optimum) -> NoEstimate | None:
         return NoEstimate('flat_turntable', missing=missing or open_names, status={
             **status, **dict.fromkeys(open_names, 'unobservable')})
     if not missing and found.path.refusal is None:
-        return None
+        return _centre_of_circle(found)
     if found.path.motion == 'translation':
         # without rotation a small sigma is an accident of a wrong optimum
         status = {name: 'held' if name in found.held else 'unobservable' for name in status}
     names = missing or tuple(n for n in ('fx', 'cx', 'cy') if n not in found.held)
     return found.path.explain(missing, found.problem.facts).saying(
         status=status, further=found.motion_for(names))
+
+
+def _centre_of_circle(found: _Optimum) -> NoEstimate | None:
+    """Refuse a focal length that goes along with a principal point that the circle leaves open."""
+    names = [name for name in ('fx', 'fy', 'cx', 'cy') if name not in found.held]
+    focal_sigma = float(np.sqrt(found.covariance[0, 0])) / found.fit.state.lens['f']
+    if (found.path.motion != 'circular' or found.problem.facts.principal_point is not None
+            or focal_sigma <= OF_CIRCLE_SIGMA or found.path.rotation_rad < SMALL_TURN_RAD
+            or not _sees_axis(found)):
+        return None
+    return NoEstimate('circle_undetermined', missing=tuple(names),
+                      turned_deg=float(np.degrees(found.path.rotation_rad)))
+
+
+def _sees_axis(found: _Optimum) -> bool:
+    """Tell whether the axis passes through the image at the height of the usual point."""
+    state = found.fit.state
+    place, points = axis_place(state.path), state.points
+    near = np.abs(points[:, 3]) > 1e-6 * np.linalg.norm(points[:, :3], axis=1)
+    if place is None or not near.any():
+        return False
+    at = state.path.mount @ [*place, np.median(points[near, 2] / points[near, 3])]
+    pixel = state.camera(*found.problem.size).K @ at
+    return bool(at[2] > 0 and (pixel[:2] > 0).all()
+                and (pixel[:2] < pixel[2] * np.array(found.problem.size)).all())
 
 
 def _turns_in_itself(found: _Optimum) -> bool:

@@ -144,7 +144,7 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
     elif keeps_plane and tilt > MAX_TILT_RAD:
         motion = 'general'
         refusal = not_planar(tilt)
-    elif keeps_plane and _is_circular(path):
+    elif keeps_plane and axis_place(path) is not None:
         motion = 'circular'
         findings.append(Finding('circular_motion'))
     if motion in ('planar', 'circular') and not exact:
@@ -152,8 +152,8 @@ def describe_path(path: AxisPath, exact: bool, keeps_plane: bool = True,
     return PathDescription(motion, rotation, tilt, refusal, tuple(findings), roll)
 
 
-def _is_circular(path: AxisPath) -> bool:
-    """Test whether one world axis keeps its place in all cameras: R_i c + p_i = constant."""
+def axis_place(path: AxisPath) -> np.ndarray | None:
+    """Place (2,) that one world axis keeps in all views: R_i c + p_i = constant; None if none."""
     R = path.rotations()[:, :2, :2]
     p = path.translation[:, :2]
     views = len(p)
@@ -162,5 +162,6 @@ def _is_circular(path: AxisPath) -> bool:
     error = (matrix.reshape(-1, 4) @ solution + p.ravel()).reshape(-1, 2)
     radius = np.linalg.norm(solution[2:])
     span = np.ptp(path.centres()[:, :2], axis=0).max()
-    return bool(np.sqrt(np.mean(np.sum(error**2, axis=1)))
-                < CIRCULAR_FRACTION * min(radius, 5 * span))
+    keeps = (np.sqrt(np.mean(np.sum(error**2, axis=1)))
+             < CIRCULAR_FRACTION * min(radius, 5 * span))
+    return solution[2:] if keeps else None
