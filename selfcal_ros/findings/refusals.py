@@ -208,8 +208,8 @@ REFUSALS: dict[str, Phrase] = {
         'sigmas.',
         'The residuals are alike in each region of the image. No lens deviates that much from '
         'its model.',
-        'The scene may be nearly one plane, move, or repeat itself; or the lens needs another '
-        'lens model (--lens plumb_bob).'),
+        'The scene may be nearly one plane, move, or repeat itself; or the lens is not of the '
+        'stated model (--lens auto).'),
     # facts
     'fact_contradicted': Phrase(
         'The images contradict the stated {fact} by {sigmas:.0f} sigmas: they prefer '

@@ -155,15 +155,36 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     lens = fit.state.lens
     if not lens.model.is_perspective:
         return 'equidistant', 'plumb_bob', 'rational'
+    if _is_barrel(lens, size):
+        return 'plumb_bob', 'equidistant', 'rational'
+    return ('plumb_bob',)
+
+
+def _is_barrel(lens: Lens, size: tuple[int, int]) -> bool:
     corner = float(np.hypot(*size)) / 2 / lens['f']
-    barrel = -lens['k1'] * corner**2
-    return (('plumb_bob', 'equidistant', 'rational') if barrel > BARREL else ('plumb_bob',))
+    return bool(-lens['k1'] * corner**2 > BARREL)
+
+
+def gentle_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
+                ) -> tuple[Lens, Priors]:
+    """
+    Return a lens to begin a path with, and what is known of it.
+
+    At first points lie far outside the image, where the polynomial of a strong barrel throws
+    them away and no descent finds back. The nearest equidistant lens does not.
+    """
+    lens = fit.state.lens
+    if not (lens.model.is_perspective and 'k1' in lens.names and _is_barrel(lens, size)):
+        return lens, fit.bundle.priors
+    found = with_lens(fit.state, fit.observations.xy, 'equidistant').lens
+    facts = replace(facts, distortion='equidistant', lens_population=True)
+    return found, lens_priors(facts, size, found['f'])
 
 
 def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
             decentring: float | None) -> RobustFit:
     """Fit a lens to the same observations, decentring as large as the images suggest."""
-    state = with_lens(fit, facts.distortion)
+    state = with_lens(fit.state, fit.observations.xy, facts.distortion)
     priors = lens_priors(facts, size, state.lens['f'], decentring or DECENTRING[-1])
     found = _refitted(fit, state, priors)
     if facts.distortion == 'plumb_bob' and priors.population is not None and decentring is None:
@@ -181,20 +202,20 @@ def _refitted(fit: RobustFit, state: SceneState, priors: Priors) -> RobustFit:
     return replace(fit, bundle=bundle, state=state)
 
 
-def with_lens(fit: RobustFit, name: str) -> SceneState:
-    """Return the state of a fit with the lens that is nearest to its own in another model."""
+def with_lens(state: SceneState, xy: np.ndarray, name: str) -> SceneState:
+    """Return a state with the lens of another model that is nearest to its own at pixels xy."""
     model, names = LENS_CHOICES[name]
-    lens = fit.state.lens
+    lens = state.lens
     if lens.model is model:
-        return fit.state
+        return state
     camera = lens.camera()
-    rays = camera.rays(fit.observations.xy)
+    rays = camera.rays(xy)
     seen = np.isfinite(rays).all(axis=1)
     if model.is_perspective:
         seen &= rays[:, 2] > np.cos(WIDEST_PERSPECTIVE)
-    image = camera.pinhole.normalised(fit.observations.xy[seen])
+    image = camera.pinhole.normalised(xy[seen])
     values = fitted_coefficients(model, names, rays[seen], image)
-    return replace(fit.state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
+    return replace(state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
 
 
 def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
+from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
                                                                 ModelDecision,
@@ -327,8 +328,10 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
     # the rows' displacements are found once there is a path
     few = replace(few, shutter=None)
-    bundle = bundle_of(few, problem.motion, model.fit.bundle.priors, 10 * problem.noise_px)
-    starts = [problem.start(bundle.blocks, few.xy, found.camera(), exact)
+    lens, priors = gentle_lens(model.fit, problem.facts, problem.size)
+    bundle = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
+    camera = replace(found, lens=lens).camera()
+    starts = [problem.start(bundle.blocks, few.xy, camera, exact)
               for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
     standing = [state if not model.exact else replace(state, path=state.path.flat())
                 for state in starts if state is not None]
@@ -338,5 +341,7 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
     state = replace(state, path=state.path.aligned(problem.motion))
     state = bundle.optimise(state, iterations=15, tolerance=1.0)
-    state = replace(state, line_delay=found.line_delay)
-    return with_all_points(state, problem.observations) or folded
+    whole = with_all_points(replace(state, line_delay=found.line_delay), problem.observations)
+    if whole is None:
+        return folded
+    return with_lens(whole, problem.observations.xy, problem.facts.distortion)

@@ -150,7 +150,9 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     if set(place) != {int(frame) for frame in graph.frames}:
         return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     fit = turning.lens.fit
-    state = with_lens(fit, 'plumb_bob') if fit.state.lens.model.is_perspective else fit.state
+    state = fit.state
+    if state.lens.model.is_perspective:
+        state = with_lens(state, fit.observations.xy, 'plumb_bob')
     rotations = state.path.cam_from_world()[[place[int(f)] for f in graph.frames], :, :3]
     rotations = rotations @ rotations[0].T
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
