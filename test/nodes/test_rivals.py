@@ -13,11 +13,15 @@
 # limitations under the License.
 """Two publishers where there should be one: who they are is said, and one camera is kept to."""
 
+from msg_adapters.tracks import tracks_from_message
 import pytest
 from rclpy.node import Node
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
+from selfcal_ros.nodes.diagnostic_name import diagnostic_name
+from selfcal_ros.nodes.tracker_node import FeatureTracker
 from selfcal_ros.pipeline.size_guard import MIXED_S, PATIENCE_S, SizeGuard
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from test_support import image_stream
 
 LARGE, SMALL = (640, 480), (320, 240)
 
@@ -63,3 +67,31 @@ def test_a_second_publisher_of_our_camera_info_is_named(graph, monkeypatch):
     driver.destroy_publisher(theirs)
     graph.wait_for(lambda: not ours._rivals.complaint)
     assert len(said) == 1
+
+
+def test_two_cameras_on_one_topic_are_named_once_and_one_is_followed(graph, monkeypatch):
+    graph = graph()
+    tracker, said = graph.add(FeatureTracker()), []
+    for level in ('info', 'warning'):
+        monkeypatch.setattr(type(tracker.get_logger()), level,
+                            lambda self, text, **_: said.append(text))
+    tracks = graph.listen(PointCloud2, 'tracks')
+    other = graph.add(Node('usb_cam', namespace='right')).create_publisher(Image, '/image', 5)
+    ours = graph.probe.create_publisher(Image, 'image', 5)
+    image_stream.play(graph, ours, image_stream.image, tracks, 1)
+    for frame in range(1, 9):
+        other.publish(image_stream.image(frame, 480, 360))
+        ours.publish(image_stream.image(frame))
+        graph.wait_for(lambda: len(tracks) > frame)
+    graph.wait_for(lambda: tracker._rivals.complaint)
+    assert {tracks_from_message(msg).image_size for msg in tracks} == {(320, 240)}
+    assert 'images of 480x360 pixels come between those of 320x240' in tracker._mixed()
+    # a handful of lines, not one an image
+    assert len(said) < 6 and any('(/probe, /right/usb_cam)' in text for text in said)
+
+
+def test_nodes_of_two_cameras_have_two_names_in_the_diagnostics(graph):
+    graph = graph()
+    names = [diagnostic_name(graph.add(Node('feature_tracker', namespace=space)))
+             for space in ('left', 'right', '')]
+    assert names == ['left/feature_tracker', 'right/feature_tracker', 'feature_tracker']
