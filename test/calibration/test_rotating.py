@@ -15,6 +15,7 @@
 
 import numpy as np
 import pytest
+from selfcal_ros.calibration.estimators import acceptance
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera, CameraFacts
@@ -72,6 +73,18 @@ def test_pan_alone_suffices_with_square_pixels():
     facts = CameraFacts(skew=0.0, aspect_ratio=910 / 900, distortion='none')
     found = calibrate_rotating(_head(1, axes=(0, 1, 0)).tracks, SIZE, facts)
     assert abs(found.camera.K[0, 0] - 900) < 4 * found.sigma['fx'] < 10
+
+
+def test_rotations_pass_the_gates_of_every_motion(monkeypatch):
+    tracks = _head(1).tracks
+    found = calibrate_rotating(tracks, SIZE, CameraFacts(aspect_ratio=1.0, distortion='none'))
+    assert not found and found.kind == 'fact_contradicted'
+    assert found.values['fact'] == 'aspect ratio' and found.values['motion'] == 'rotation'
+
+    for limit, value, kind in (('MINIMUM_FREEDOM', 10**6, 'too_few_observations'),
+                               ('MAX_OUTLIERS', -1.0, 'too_many_outliers')):
+        monkeypatch.setattr(acceptance, limit, value)
+        assert calibrate_rotating(tracks, SIZE, STRAIGHT).kind == kind
 
 
 def test_a_camera_that_moved_is_not_taken_for_one_that_rotates():

@@ -107,8 +107,7 @@ class _Optimum:
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
-    return (NoEstimate('too_many_outliers', rejected=float(found.rejected))
-            if found.rejected > MAX_OUTLIERS else None)
+    return most_agree(found.rejected)
 
 
 def _facts_hold(found: _Optimum) -> NoEstimate | None:
@@ -298,6 +297,12 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
                       facts=result.facts, status=result.status, hint=result,
                       further=tuple(one for one in result.findings
                                     if one.kind == 'motion_suggestion'))
+
+
+def most_agree(rejected: float) -> NoEstimate | None:
+    """Refuse what a larger share of the observations than `MAX_OUTLIERS` contradicts."""
+    return (NoEstimate('too_many_outliers', rejected=float(rejected))
+            if rejected > MAX_OUTLIERS else None)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

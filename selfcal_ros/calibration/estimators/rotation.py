@@ -36,7 +36,9 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
+from selfcal_ros.calibration.estimators.acceptance import most_agree, unchecked
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
+from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
@@ -183,14 +185,13 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
 def judge_rotations(found: RotationFit, size: tuple[int, int], facts: CameraFacts,
                     may_zoom: bool = True) -> Calibration | NoEstimate:
     """Tell whether rotations alone explain the views, and what they determine."""
-    result = _assess(found.lens, found.observed, found.frames, size, found.conic, found.noise_px)
+    result = _assess(found.lens, found, size, facts)
     if may_zoom and facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
         lens = _fit(_zooming(found.frames), found.observed, found.H, found.order, found.conic,
                     found.sigma_px, size, facts)
         if not isinstance(lens, NoEstimate):
-            return _assess(lens, found.observed, found.frames, size, found.conic,
-                           found.noise_px) or result
+            return _assess(lens, found, size, facts) or result
     return result
 
 
@@ -244,8 +245,10 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
     return choose_lens(fit, facts, size, 1.0, determined, ORDINARY_DECENTRING)
 
 
-def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
+def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], stated: CameraFacts,
+            ) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
+    observed, frames, noise_px = found.observed, found.frames, found.noise_px
     state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
     total, motion = len(observed.view), lens.fit.motion
     bundle = bundle_of(observed, motion, priors, max(noise_px, 0.02))
@@ -284,8 +287,17 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
     if missing:
-        refusal = NoEstimate('rotations_leave_open', missing=missing) if conic else conic
+        refusal = (NoEstimate('rotations_leave_open', missing=missing) if found.conic
+                   else found.conic)
         return refusal.saying(status=status, motion='rotation', facts=facts)
+    # the gates of every other motion
+    verdict = examine_facts(fit, stated, size, dependence.inflation**2)
+    for refused in (most_agree(fit.outliers / total), unchecked(bundle),
+                    verdict.refusal(covariance, focal)):
+        if refused is not None:
+            return refused.saying(**{'status': status, **refused.values, 'motion': 'rotation',
+                                     'facts': facts})
+    covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
     residuals = bundle.residuals(state)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',
@@ -296,7 +308,7 @@ def _assess(lens: LensDecision, observed, frames, size, conic, noise_px):
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points),
         residuals=residuals, population=priors.population, focal=course,
-        findings=course_findings(course))
+        findings=course_findings(course) + of_facts)
 
 
 def _starting_cameras(conic, size, facts):
