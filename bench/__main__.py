@@ -39,6 +39,7 @@ BENCHES = {
     'rendered_drive': 'rendered drive, images to K, beside COLMAP',
     'real_sets': 'recorded sets with known cameras (--peer: beside COLMAP)',
     'dinosaur': 'the turntable of vgg_dino: steps and fixed points',
+    'turntable': 'a fixed camera before a wall and a turntable, rendered and pasted',
     'arm': 'rendered and recorded arms, general motion against its bound',
     'affine_tables': 'thesis tables 4.1 and 4.2, rotations that leave parameters open',
     'few_views': 'four general views, equal objects in one image, and Kruppa, beside truth',

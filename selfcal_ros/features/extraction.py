@@ -31,13 +31,13 @@ from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import detect, Features, match_pairs
-from selfcal_ros.features.moving_part import MovingPart, still_features, without_edges
+from selfcal_ros.features.moving_part import MovingPart, PART_STEP
 from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
 from selfcal_ros.features.static_region import drop_static_regions
+from selfcal_ros.features.still_features import still_features, without_still
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.neighbours import Film, SeenPoints
-from selfcal_ros.values.still_tracks import find_still_tracks
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
@@ -46,8 +46,6 @@ _JUDGES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
-#: The same of what moves before a camera that stands, which fills less of the image.
-_PART_STEP = 0.3
 #: Positions less certain than four times the median are dropped; bounds of that limit.
 _SIGMA_LIMIT_PX = (0.08, 0.5)
 
@@ -278,7 +276,7 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
         if selector is None or part is None:
             size = grey.shape[::-1]
             step_px = _KEYFRAME_STEP * float(np.hypot(*size))
-            selector, part = KeyframeSelector(step_px), MovingPart(_PART_STEP * step_px)
+            selector, part = KeyframeSelector(step_px), MovingPart(PART_STEP * step_px)
         lists = [(selector, kept)] if selector.offer(ids, xy) else []
         if part.is_possible:
             lists += [(part.selector, of_part)] if part.offer(ids, xy) else []
@@ -334,12 +332,8 @@ def _straightened(kept, size, seed) -> list[np.ndarray]:
 
 def _finish(tracks, findings: list[Finding], seed):
     """Drop static points, then what contradicts epipolar geometry."""
-    still = find_still_tracks(tracks)
-    if still is not None and still.fixed_camera:
-        findings.append(still.finding())
-        rests = np.isin(tracks.track, still.track)
-        tracks = without_edges(tracks.select(~rests), tracks.select(rests))
-    whole = tracks
+    whole, told = without_still(tracks)
+    findings += told
     tracks, static = drop_static(whole)
     if static:
         findings.append(Finding('static_tracks', tracks=int(static)))

@@ -22,12 +22,12 @@ far, the images that count are those between which the latter move.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from selfcal_ros.features.matching import Features
 from selfcal_ros.features.selection import KeyframeSelector
-from selfcal_ros.values.tracks import Tracks
 
+#: Displacement between keyframes as a share of what it is where the camera moves: what moves
+#: before a camera that stands fills less of the image.
+PART_STEP = 0.3
 #: A point that stays so near to where it was first seen stands still; further off it moves.
 _STILL_PX, _MOVES_PX = 1.5, 3.0
 #: Points are judged after the others went so far, and the camera after so much more.
@@ -40,10 +40,6 @@ _MOST, _ALWAYS = 0.5, 0.9
 _STEP_PX = 0.7
 #: Where so many points an image are lost, of as many that move, these cannot be followed.
 _LOST, _LOST_SHARE = 10, 0.4
-#: A patch reaches so far.
-_EDGE_PX = 10.0
-#: Features of so many other images are looked up at the same place: within so much, and alike.
-_COMPARED, _PLACE_PX, _ALIKE = 12, 1.0, 0.9
 
 
 class MovingPart:
@@ -124,72 +120,3 @@ class MovingPart:
         self._resting += 2 * resting > before
         self._moved += len(step) - resting
         self._lost += before - len(step)
-
-
-def near_still(xy: np.ndarray, still_xy: np.ndarray) -> np.ndarray:
-    """
-    Tell which points lie so near to what stands still that their patches show both, (N,) of bool.
-
-    Where a thing ends before a wall, there is a corner that belongs to neither.
-    """
-    if not len(still_xy) or not len(xy):
-        return np.zeros(len(xy), bool)
-    apart: np.ndarray = cKDTree(still_xy).query(xy)[0]
-    return apart < _EDGE_PX
-
-
-def without_edges(tracks: Tracks, still: Tracks) -> Tracks:
-    """
-    Leave out positions beside what stands still in the same image, see `near_still`.
-
-    Parameters
-    ----------
-    tracks, still : Tracks
-        What moves, and what does not.
-
-    """
-    keep = np.ones(len(tracks), bool)
-    for frame in tracks.frames:
-        rows = np.flatnonzero(tracks.frame == frame)
-        keep[rows] = ~near_still(tracks.xy[rows], still.xy[still.frame == frame])
-    return tracks.select(keep).with_at_least(2)
-
-
-def still_features(features: list[Features]) -> list[np.ndarray] | None:
-    """
-    Find features that come back at the same place of image after image.
-
-    Parameters
-    ----------
-    features : list of Features
-        Of all images.
-
-    Returns
-    -------
-    list of ndarray of bool or None
-        By image which features stand still; None where the camera does not.
-
-    """
-    count = len(features)
-    if count < 3 or min(len(one.xy) for one in features) < _LEAST:
-        return None
-    trees = [cKDTree(one.xy) for one in features]
-    still, holds = [], []
-    for k, one in enumerate(features):
-        others = np.unique(np.linspace(0, count - 1, _COMPARED + 1).round().astype(int))
-        others = others[others != k]
-        times = np.zeros(len(one.xy))
-        for other in others:
-            apart, at = trees[other].query(one.xy, distance_upper_bound=_PLACE_PX)
-            near = np.flatnonzero(np.isfinite(apart))
-            alike = np.einsum('ij,ij->i', one.descriptors[near],
-                              features[other].descriptors[at[near]])
-            times[near[alike > _ALIKE]] += 1
-        holds.append(np.mean(times >= 0.5 * len(others)) > _MOST / 2)
-        still.append(times >= max(1, 0.15 * len(others)))
-    for one, rests in zip(features, still):
-        rests |= near_still(one.xy, one.xy[rests])
-    rest = np.array([np.count_nonzero(~one) for one in still])
-    if np.mean(holds) < _ALWAYS or np.mean(rest >= _LEAST) < _ALWAYS:
-        return None
-    return still

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.features.moving_part import MovingPart, PART_STEP
 from selfcal_ros.features.selection import KeyframeSelector
 from selfcal_ros.pipeline.estimate_request import EstimateRequest, Keyframe, SessionSettings
 from selfcal_ros.pipeline.session_state import (after, ESTIMATE_TRANSITIONS, EstimateState,
@@ -118,7 +119,8 @@ class CalibrationSession:
         """Forget the keyframes: what comes shares no tracks with them."""
         self._keyframes: list[Keyframe] = []
         self._film = Film()
-        self._selector = None
+        self._selector: KeyframeSelector | None = None
+        self._part = MovingPart(0.0)
         self._newest_points = 0
         self._new_keyframes = 0
 
@@ -136,6 +138,7 @@ class CalibrationSession:
         old, self.settings = self.settings, settings
         if self._selector is not None:
             self._selector.displacement_px = self._parallax_px
+            self._part.selector.displacement_px = PART_STEP * self._parallax_px
         self._thin_out()
         if (old.motion, old.facts) != (settings.motion, settings.facts):
             self._new_keyframes = len(self._keyframes)
@@ -202,9 +205,14 @@ class CalibrationSession:
         self._newest_points = len(ids)
         if self._selector is None:
             self._selector = KeyframeSelector(self._parallax_px)
+            self._part = MovingPart(PART_STEP * self._parallax_px)
         # a nearly empty image (lens covered, motion blur) is no view of anything
-        if len(ids) >= MINIMUM_POINTS and self._selector.offer(frame.ids, frame.xy):
-            self._keyframes.append(replace(frame, filmed=self._film.keep()))
+        whole = len(ids) >= MINIMUM_POINTS and self._selector.offer(ids, xy)
+        of_part = self._part.offer(ids, xy) and self._part.stood
+        if not self._part.stood and any(one.of_part for one in self._keyframes):
+            self._keyframes = [one for one in self._keyframes if not one.of_part]
+        if whole or of_part:
+            self._keyframes.append(replace(frame, filmed=self._film.keep(), of_part=not whole))
             self._new_keyframes += 1
             self._thin_out()
         return interruption

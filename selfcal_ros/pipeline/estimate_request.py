@@ -16,13 +16,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.selection import drop_static, verify
+from selfcal_ros.features.still_features import without_still
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.values.neighbours import Filmed
 from selfcal_ros.values.tracks import Tracks
@@ -91,6 +92,8 @@ class Keyframe:
         Pixels.
     filmed : Filmed
         The points in the frames just before and after.
+    of_part : bool
+        Kept for what moves before a camera that stands.
 
     """
 
@@ -99,6 +102,7 @@ class Keyframe:
     ids: np.ndarray
     xy: np.ndarray
     filmed: Filmed | None = None
+    of_part: bool = False
 
     @property
     def neighbours(self) -> np.ndarray:
@@ -143,7 +147,9 @@ class EstimateRequest:
         if calibrate is None:
             import selfcal_ros
             calibrate = selfcal_ros.calibrate
-        tracks, _ = drop_static(self.tracks)
+        tracks, told = without_still(self.tracks)
+        tracks, _ = drop_static(tracks)
         tracks, _, _ = verify(tracks)
-        return calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
-                         start=self.start.camera if self.start else None)
+        result = calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
+                           start=self.start.camera if self.start else None)
+        return replace(result, findings=(*told, *result.findings)) if told else result
