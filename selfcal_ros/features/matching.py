@@ -40,6 +40,8 @@ _MIN_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - _USUAL_SIMILARITY)
 _SAME_SIMILARITY = 0.95
 #: Images larger than this are searched at half size; registration restores the accuracy.
 _FULL_SIZE_PIXELS = 1_200_000
+#: And smaller still where this would be more: the pyramid of SIFT takes some 200 bytes a pixel.
+_LARGEST_SEARCH_PIXELS = 2_500_000
 _STATIC_PX, _MOVING_PX = 0.7, 4.0
 #: Not among the types that OpenCV states.
 _sift = cv2.SIFT_create             # type: ignore[attr-defined]
@@ -156,13 +158,14 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
     Features
 
     """
-    halved = grey.size > _FULL_SIZE_PIXELS
-    image = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if halved \
-        else grey
+    scale = 2.0 if grey.size > _FULL_SIZE_PIXELS else 1.0
+    while grey.size > _LARGEST_SEARCH_PIXELS * scale**2:
+        scale *= 2
+    image = grey if scale == 1 else cv2.resize(grey, None, fx=1 / scale, fy=1 / scale,
+                                               interpolation=cv2.INTER_AREA)
     sift = _sift(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
     points, descriptors = sift.detectAndCompute(image, None)
     if mask is not None and len(points):
-        scale = 2.0 if halved else 1.0
         keep = np.flatnonzero(mask.allows_blobs(
             scale * np.array([point.pt for point in points]),
             scale / 2 * np.array([point.size for point in points])))
@@ -182,7 +185,7 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
                         (none, none, np.empty(0, np.float32)))
     xy = np.array([point.pt for point in points], dtype=float) - _sift_offset_px()
     size = np.array([point.size for point in points]) / 2
-    xy, size = (2 * xy + 0.5, 2 * size) if halved else (xy, size)
+    xy, size = scale * xy + (scale - 1) / 2, scale * size
     descriptors = descriptors.astype(np.float32)
     descriptors = np.sqrt(descriptors / (descriptors.sum(axis=1, keepdims=True) + 1e-9))
     _, start, place = np.unique(np.round(xy, 1), axis=0, return_index=True, return_inverse=True)
