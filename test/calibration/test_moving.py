@@ -89,6 +89,22 @@ def test_a_thing_that_moves_is_labelled_and_has_no_part():
     assert sum(len(some) for some in told.values()) == len(labels.track)
 
 
+def test_what_passes_by_within_a_few_views_is_found_though_no_track_is_rejected():
+    rng = np.random.default_rng(11)
+    tracks = world(rng, moving=60)
+    # each of its points is seen in three or four views: too short to lose its track
+    first = rng.integers(0, 3, tracks.track.max() + 1)[tracks.track] * 3
+    tracks = tracks.select((tracks.track < 90) | (
+        (tracks.frame >= first) & (tracks.frame < first + 4))).with_at_least(3)
+    result = calibrate(tracks, motion='general', facts=FACTS)
+    assert result, str(result)
+    assert np.abs(off_by(result)).max() < 4
+    assert 'tracks_moving' in [one.kind for one in result.findings]
+    labels = result.labels
+    own = np.concatenate([labels.of(f'moving {k + 1}') for k in range(labels.bodies)])
+    assert np.mean(own < 90) < 0.05
+
+
 def test_tracks_that_jump_are_used_in_two_parts():
     tracks = world(np.random.default_rng(5), jumping=30)
     result = calibrate(tracks, motion='general', facts=FACTS)

@@ -44,6 +44,9 @@ CLEAR = 12.0
 #: Rejected tracks stand out when they are so many, with this share of the observations; short
 #: ones go with a single gross error.
 FEW_TRACKS, FEW, LONG = 4, 0.04, 5
+#: So do tracks that were kept, but that no still point explains as a whole, beyond this share.
+#: Gross errors, heavy tails and bends of the path leave up to 0.08.
+UNEXPLAINED_SHARE = 0.09
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
@@ -76,7 +79,7 @@ class SortedTracks:
 
 def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tracks) -> bool:
     """
-    Tell whether so many tracks were rejected as a whole that they may be something else.
+    Tell whether so many tracks were rejected or fit badly that they may be something else.
 
     Parameters
     ----------
@@ -97,7 +100,19 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     kept[np.searchsorted(names, fit.observations.track)] = np.bincount(fit.observations.point)
     long = length >= LONG
     lost = long & (2 * kept < length)
-    return bool(lost.sum() >= FEW_TRACKS and length[lost].sum() > FEW * length[long].sum())
+    return bool(lost.sum() >= FEW_TRACKS and length[lost].sum() > FEW * length[long].sum()
+                or _unexplained(fit, given) > UNEXPLAINED_SHARE)
+
+
+def _unexplained(fit: RobustFit, given: Tracks) -> float:
+    """Return the share of the given tracks that no still point explains, of all judged."""
+    given = given.with_at_least(2)
+    identity, point = np.unique(given.track, return_inverse=True)
+    test = test_tracks(fit.bundle, fit.state, Observations(
+        np.searchsorted(given.frames, given.frame), point, given.xy, identity))
+    if test is None or not test.tested.any() or len(given.frames) < len(fit.state.path):
+        return 0.0
+    return float(np.mean(~test.explained[test.tested]))
 
 
 def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[int, int],
