@@ -36,7 +36,8 @@ class SentenceParser(argparse.ArgumentParser):
         wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: (\S+)", message)
         if not wrong:
             return ''
-        near = get_close_matches(wrong[1] or wrong[2].partition('=')[0], self._words(), 1, 0.7)
+        word = wrong[2].partition('=')[0] if wrong[1] is None else wrong[1]
+        near = get_close_matches(word, self._words(), 1, 0.7)
         return f'did you mean {near[0]}? ' if near else ''
 
     def _words(self) -> list[str]:

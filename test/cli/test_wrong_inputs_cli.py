@@ -29,6 +29,7 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--reprot=r.html'], 'unrecognized arguments: --reprot=r.html; did '
      'you mean --report?'),
     (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
+    (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
     (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
     (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
     (['calibrate', ''], 'selfcal calibrate: An INPUT is empty'),
