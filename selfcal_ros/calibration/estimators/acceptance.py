@@ -67,7 +67,7 @@ SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
 MAX_BEHIND = 0.03
 #: Circular motion with an unknown principal point determines the focal length better than this
 #: share, or not at all: what is left of the systematic errors is a multiple of such sigmas.
-OF_CIRCLE_SIGMA = 0.02
+OF_CIRCLE_SIGMA = 0.015
 #: A plane turns in itself where its normal is nearer than this to the axis, radians.
 PARALLEL_RAD = np.radians(15.0)
 #: A calibration whose weakest direction has more than this fraction of the sigma that would make
