@@ -72,7 +72,8 @@ setup(
         'numpy>=1.26',
         'scipy>=1.11',
         'opencv-python-headless>=4.6',
-        'rosbags>=0.10',
+        # its readers are bounded by the names that they have since
+        'rosbags>=0.11.9',
         'matplotlib>=3.6',
         'tqdm>=4.64',
         'PyYAML>=6.0',
