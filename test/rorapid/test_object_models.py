@@ -145,7 +145,8 @@ def test_a_drawing_has_all_parts(tmp_path):
     ('vertices: {a: [1, 2, 3, 4]}\nlines: [[a, a]]', 'twice'),
     ('vertices: {a: [1, 2, 3, 4]}\nfaces: [[a, a]]', 'face 0 must be'),
     ('vertices: {a: [1, 2, 3, 4]}\ncolour: red', 'colour'),
-    ('vertices: {a: [1, 2, 3, 4]', 'no YAML'), ('a: !!python/object:os.system x', 'no YAML')])
+    ('vertices: {a: [1, 2, 3, 4]', 'is not valid YAML'),
+    ('a: !!python/object:os.system x', 'is not valid YAML')])
 def test_what_is_wrong_with_picked_vertices_is_one_sentence(tmp_path, text, says):
     path = tmp_path / 'picked.yaml'
     path.write_text(text)

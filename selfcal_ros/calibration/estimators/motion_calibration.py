@@ -38,7 +38,8 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 ModelDecision,
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
-                                                             out_of_plane_rad)
+                                                             out_of_plane_rad,
+                                                             widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_vary, near_state,
@@ -66,9 +67,9 @@ MOTION_MODELS = {
 #: Views that are said to be parallel and turn by less than this, but measurably, are those of a
 #: robot that does not repeat its orientation exactly.
 MAX_TURN_RAD = np.radians(1.0)
-#: Where a plane that nobody stated rejects more of what pairs of images agree on than this share,
-#: free motion is tried beside it.
-MANY_REJECTED = 0.05
+#: A plane that nobody stated is tried against free motion where the camera turns by less than
+#: this; from a new start, too, where it rejects more than this share of what pairs agree on.
+LITTLE_TURN_RAD, MANY_REJECTED = np.radians(35.0), 0.05
 #: Refusal of a focal length that varies, and those that it may be the reason of.
 NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
@@ -117,7 +118,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
         if result or result.values.get('motion') != 'general':
             break
-    if result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED:
+    if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
+            and widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3]) < LITTLE_TURN_RAD):
         # a plane far from the truth, from where no way leads to what free motion explains
         free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
         if free and _rejected(free, graph) < _rejected(result, graph) / 2:
@@ -223,8 +225,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
                                  turned_deg=float(np.degrees(turned))),)
     model = shutter.widened(
         choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
-    if problem.supposes_plane and problem.motion.keeps_plane \
-            and leaves_plane(model, medium, problem.size):
+    if (problem.supposes_plane and problem.motion.keeps_plane
+            and widest_turn_rad(model.fit.state.path.rotations()) < LITTLE_TURN_RAD
+            and leaves_plane(model, medium, problem.size)):
         return not_planar(out_of_plane_rad(model.fit.state.path))
     problem, stated = settled(problem, model), problem.facts
     result = finish(problem, model, graph, stated)

@@ -47,6 +47,9 @@ FEW_TRACKS, FEW, LONG = 4, 0.04, 5
 #: So do tracks that were kept, but that no still point explains as a whole, beyond this share.
 #: Gross errors, heavy tails and bends of the path leave up to 0.08.
 UNEXPLAINED_SHARE = 0.09
+#: Tracks whose upper quartile leaves more than this, in sigma a degree of freedom, drift with
+#: their patches: then still ones fail as wholes, too.
+DRIFTS = 1.25
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
@@ -105,12 +108,21 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
 
 
 def _unexplained(fit: RobustFit, given: Tracks) -> float:
-    """Return the share of the given tracks that no still point explains, of all judged."""
+    """
+    Return the share of the given tracks that no still point explains, of all judged.
+
+    Zero where patches drift, for there it tells nothing.
+    """
     given = given.with_at_least(2)
     identity, point = np.unique(given.track, return_inverse=True)
     test = test_tracks(fit.bundle, fit.state, Observations(
         np.searchsorted(given.frames, given.frame), point, given.xy, identity))
     if test is None or not test.tested.any() or len(given.frames) < len(fit.state.path):
+        return 0.0
+    left = test.length - test.lost
+    freedom = freedom_of(left[test.tested & (left >= VERIFYING_VIEWS)])
+    square = test.square[test.tested & (left >= VERIFYING_VIEWS)]
+    if not len(freedom) or np.percentile(square / freedom, 75) > DRIFTS**2:
         return 0.0
     return float(np.mean(~test.explained[test.tested]))
 
