@@ -48,8 +48,9 @@ FEW_TRACKS, FEW, LONG = 4, 0.04, 5
 #: Gross errors, heavy tails and bends of the path leave up to 0.08.
 UNEXPLAINED_SHARE = 0.09
 #: Tracks whose upper quartile leaves more than this, in sigma a degree of freedom, drift with
-#: their patches: then still ones fail as wholes, too.
-DRIFTS = 1.25
+#: their patches. Then still ones fail as wholes, too, and the share of rejected ones that stands
+#: out is this: a rendered still scene reaches 0.04.
+DRIFTS, FEW_DRIFTING = 1.25, 0.08
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
@@ -103,28 +104,35 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     kept[np.searchsorted(names, fit.observations.track)] = np.bincount(fit.observations.point)
     long = length >= LONG
     lost = long & (2 * kept < length)
-    return bool(lost.sum() >= FEW_TRACKS and length[lost].sum() > FEW * length[long].sum()
-                or _unexplained(fit, given) > UNEXPLAINED_SHARE)
+    share = length[lost].sum() / max(length[long].sum(), 1)
+    share *= lost.sum() >= FEW_TRACKS
+    if share > FEW_DRIFTING:
+        return True
+    test = _tested(fit, given)
+    if test is None:
+        return bool(share > FEW)
+    if _drift(test):
+        return False
+    return bool(share > FEW or np.mean(~test.explained[test.tested]) > UNEXPLAINED_SHARE)
 
 
-def _unexplained(fit: RobustFit, given: Tracks) -> float:
-    """
-    Return the share of the given tracks that no still point explains, of all judged.
-
-    Zero where patches drift, for there it tells nothing.
-    """
+def _tested(fit: RobustFit, given: Tracks) -> TrackTest | None:
+    """Judge the given tracks as points that stand still; None where that is not possible."""
     given = given.with_at_least(2)
+    if len(given.frames) < len(fit.state.path):
+        return None
     identity, point = np.unique(given.track, return_inverse=True)
     test = test_tracks(fit.bundle, fit.state, Observations(
         np.searchsorted(given.frames, given.frame), point, given.xy, identity))
-    if test is None or not test.tested.any() or len(given.frames) < len(fit.state.path):
-        return 0.0
+    return test if test is not None and test.tested.any() else None
+
+
+def _drift(test: TrackTest) -> bool:
+    """Tell whether patches drift, so that still points fail as wholes, too."""
     left = test.length - test.lost
-    freedom = freedom_of(left[test.tested & (left >= VERIFYING_VIEWS)])
-    square = test.square[test.tested & (left >= VERIFYING_VIEWS)]
-    if not len(freedom) or np.percentile(square / freedom, 75) > DRIFTS**2:
-        return 0.0
-    return float(np.mean(~test.explained[test.tested]))
+    judged = test.tested & (left >= VERIFYING_VIEWS)
+    return bool(judged.any() and np.percentile(
+        test.square[judged] / freedom_of(left[judged]), 75) > DRIFTS**2)
 
 
 def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[int, int],
