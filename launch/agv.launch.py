@@ -20,15 +20,14 @@ ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
 """
 
 from launch import LaunchDescription
-from launch.actions import (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable,
-                            Shutdown)
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-from selfcal_ros.nodes.launch_arguments import launch_problem
+from selfcal_ros.nodes.launch_hooks import end_on_refusal, look_at_arguments
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -52,19 +51,6 @@ ARGUMENTS = {
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'agv.yaml']), 'parameters of the nodes'),
 }
-
-
-def check(context):
-    """Start nothing where an argument is wrong."""
-    problem = launch_problem({name: LaunchConfiguration(name).perform(context)
-                              for name in ARGUMENTS})
-    if problem:
-        raise RuntimeError(problem)
-
-
-def ended(event, _):
-    """End everything where a node has refused its input or its parameters."""
-    return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
 
 
 def generate_launch_description():
@@ -91,12 +77,12 @@ def generate_launch_description():
         return Node(package='selfcal_ros', executable=executable, output='screen',
                     namespace=value['namespace'], arguments=list(arguments), condition=condition,
                     parameters=[value['params_file'], *parameters], remappings=remappings,
-                    respawn=respawn, respawn_delay=2.0, on_exit=ended)
+                    respawn=respawn, respawn_delay=2.0, on_exit=end_on_refusal)
 
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
-        OpaqueFunction(function=check),
+        look_at_arguments(ARGUMENTS),
         # finds peers at once, and has room for large images
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE',
                                PathJoinSubstitution([share, 'config', 'fastdds.xml'])),

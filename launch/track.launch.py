@@ -21,15 +21,14 @@ model:=/path/to/object.cao start_pose:="0 0 0.5 0 0 0"
 """
 
 from launch import LaunchDescription
-from launch.actions import (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable,
-                            Shutdown)
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-from selfcal_ros.nodes.launch_arguments import launch_problem
+from selfcal_ros.nodes.launch_hooks import end_on_refusal, look_at_arguments
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -50,19 +49,6 @@ ARGUMENTS = {
 }
 
 
-def check(context):
-    """Start nothing where an argument is wrong."""
-    problem = launch_problem({name: LaunchConfiguration(name).perform(context)
-                              for name in ARGUMENTS})
-    if problem:
-        raise RuntimeError(problem)
-
-
-def ended(event, _):
-    """End everything where a node has refused its input or its parameters."""
-    return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
-
-
 def generate_launch_description():
     """Start the tracker, and the player where a bag is given."""
     value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
@@ -73,18 +59,18 @@ def generate_launch_description():
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
-        OpaqueFunction(function=check),
+        look_at_arguments(ARGUMENTS),
         SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
         Node(package='selfcal_ros', executable='rorapid_tracker', output='screen',
              namespace=value['namespace'],
              remappings=[*topics, ('camera_info', value['camera_info'])],
-             respawn=value['respawn'], respawn_delay=2.0, on_exit=ended,
+             respawn=value['respawn'], respawn_delay=2.0, on_exit=end_on_refusal,
              parameters=[value['params_file'],
                          {name: text[name] for name in text if name != 'bag'},
                          {'use_sim_time': ParameterValue(value['use_sim_time'],
                                                          value_type=bool)}]),
         Node(package='selfcal_ros', executable='bag_player', output='screen',
-             namespace=value['namespace'], remappings=topics, on_exit=ended,
+             namespace=value['namespace'], remappings=topics, on_exit=end_on_refusal,
              condition=IfCondition(NotEqualsSubstitution(value['bag'], '')),
              parameters=[value['params_file'],
                          {'bag': text['bag'],

@@ -24,7 +24,8 @@ from selfcal_ros.version import __version__
 if TYPE_CHECKING:
     from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
-    from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated
+    from selfcal_ros.calibration.reconstruction import Measured
+    from selfcal_ros.calibration.result import Calibration, NotCalibrated
     from selfcal_ros.calibration.structure.angular_measurement import ray_angles
     from selfcal_ros.calibration.structure.structure_measurement import (length_ratio,
                                                                          structure_angle)
@@ -41,7 +42,7 @@ _HOMES = {
     'Camera': 'geometry.camera',
     'CameraFacts': 'geometry.camera',
     'KnownObject': 'values.known_object',
-    'Measured': 'calibration.result',
+    'Measured': 'calibration.reconstruction',
     'NotCalibrated': 'calibration.result',
     'Tracks': 'values.tracks',
     'calibrate': 'calibration.calibrate',

@@ -24,7 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.result import Calibration, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.planar_pairs import decompose_planar
 from selfcal_ros.report.observations import ObservationTable

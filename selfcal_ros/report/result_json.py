@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.result import (Calibration, FocalCourse, NotCalibrated,
-                                            StructureSample)
+from selfcal_ros.calibration.reconstruction import StructureSample
+from selfcal_ros.calibration.result import Calibration, FocalCourse, NotCalibrated
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding

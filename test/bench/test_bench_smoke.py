@@ -23,7 +23,7 @@ from bench.tables import Report
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.result import Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.synthetic.scenes import planar_poses, sequence_si, si_camera
 from selfcal_ros.synthetic.special_scenes import circular_motion, drive, general_motion
 

@@ -20,7 +20,8 @@ import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
-from selfcal_ros.calibration.result import HINT, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import HINT
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.hard_scenes import hand, one_curve, scene, vehicle
 

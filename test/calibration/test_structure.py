@@ -20,7 +20,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.calibration.result import Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.structure.metric_structure import (distance_error, metric_structure,
                                                                 pattern_error, plane_angle,
                                                                 to_affine, to_metric)

@@ -61,11 +61,11 @@ def test_cameras_do_not_share_a_file():
 @pytest.mark.parametrize('name', ['agv', 'track'])
 def test_launch_files_look_before_they_start(name):
     text = (ROOT / 'launch' / f'{name}.launch.py').read_text(encoding='utf-8')
-    first = text.index('OpaqueFunction(function=check)')
+    first = text.index('look_at_arguments(ARGUMENTS)')
     body = text.index('return LaunchDescription(')
     starts = [text.find(word, body) for word in ('        node(', '        Node(')]
     assert body < first < min(start for start in starts if start > 0)
-    for argument in ("'respawn': ", "'use_sim_time': ", 'on_exit=ended'):
+    for argument in ("'respawn': ", "'use_sim_time': ", 'on_exit=end_on_refusal'):
         assert argument in text
 
 

@@ -15,7 +15,8 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import Calibration, FixedPoints, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.synthetic.scenes import sequence_si

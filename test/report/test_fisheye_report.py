@@ -15,7 +15,8 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import Calibration, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix

@@ -17,7 +17,8 @@ import json
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.result import Calibration, FixedPoints, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints, NotCalibrated
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate

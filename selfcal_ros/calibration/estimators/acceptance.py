@@ -35,7 +35,8 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
                                                    without_held)
-from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,

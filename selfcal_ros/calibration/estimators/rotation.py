@@ -44,7 +44,8 @@ from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, se
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
-from selfcal_ros.calibration.result import Calibration, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS

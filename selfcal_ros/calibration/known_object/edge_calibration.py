@@ -34,7 +34,8 @@ from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
-from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     jackknife_excess,
                                                                     segment_findings)

@@ -36,7 +36,8 @@ from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, 
                                                                linear_view, LinearView,
                                                                start_state, supposed_cameras)
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
-from selfcal_ros.calibration.result import Calibration, NotCalibrated, Reconstruction
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS

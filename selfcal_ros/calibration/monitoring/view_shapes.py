@@ -25,6 +25,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 
 #: Sizes that are tried: displacements at the upper and lower border of the image, pixels.
@@ -65,13 +66,10 @@ def shape_of_views(fit: RobustFit, rows: int, dependence: float,
         max(dependence, 1.0))
     values, vectors = np.linalg.eigh(joint.information)
     values, turned = np.maximum(values, 0), vectors.T @ joint.score
-    square = SIZES_PX[:, None]**2
-    gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
-                         - np.log1p(square * values), axis=1)
-    best = int(np.argmax(gains))
-    if gains[best] < GAIN:
+    size_px, gain = most_probable_size(values, turned, SIZES_PX)
+    if gain < GAIN:
         return None
-    variance = square[best] / (1 + square[best] * values)
+    variance = size_px**2 / (1 + size_px**2 * values)
     lens = joint.lens @ vectors
     step: np.ndarray = -lens @ (variance * turned)
     root: np.ndarray = lens * np.sqrt(variance)

@@ -24,7 +24,8 @@ from dataclasses import asdict
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
-from selfcal_ros.calibration.result import Calibration, Measured, NotCalibrated, StructureSample
+from selfcal_ros.calibration.reconstruction import Measured, StructureSample
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera

@@ -27,8 +27,8 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.result import (Calibration, Measured, NotCalibrated,
-                                            StructurePrecision, StructureSample)
+from selfcal_ros.calibration.reconstruction import Measured, StructurePrecision, StructureSample
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.projective import tangent_basis
 

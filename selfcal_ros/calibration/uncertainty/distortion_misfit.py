@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
+from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
 
@@ -168,13 +169,10 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     values, vectors = np.linalg.eigh((own + own.T) / 2)
     values = np.maximum(values, 0)
     turned = vectors.T @ pull
-    square = SIZES_PX[:, None]**2
-    gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
-                         - np.log1p(square * values), axis=1)
-    best = int(np.argmax(gains))
-    if gains[best] < MIN_GAIN:
+    size_px, gain = most_probable_size(values, turned, SIZES_PX)
+    if gain < MIN_GAIN:
         return None
-    posterior = square[best] / (1 + square[best] * values)
+    posterior = size_px**2 / (1 + size_px**2 * values)
     coefficients = -vectors @ (posterior * turned)
 
     step = np.zeros(len(system.matrix))
@@ -200,6 +198,6 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     system.residual = system.residual + change
     ratio, added = region_excess(inner, system.influence(rows), bundle.xy, size)
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
-    return DistortionMisfit(float(SIZES_PX[best]), rms_px, ratio, found,
+    return DistortionMisfit(size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
                             linearisation.residual + change / np.maximum(root, 1e-300))

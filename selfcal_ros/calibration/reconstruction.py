@@ -1,0 +1,122 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The path of the camera and the points of the scene, and what is measured in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.optimise import Elimination
+
+
+@dataclass(frozen=True)
+class Measured:
+    """
+    A value and its standard deviation, in the same unit.
+
+    Examples
+    --------
+    >>> from selfcal_ros import Measured
+    >>> Measured(value=2.0, sigma=0.01)
+    Measured(value=2.0, sigma=0.01)
+
+    """
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class StructurePrecision:
+    """
+    What the sigma of a length or an angle follows from.
+
+    Attributes
+    ----------
+    camera : Camera
+        Of the adjustment.
+    points : ndarray, shape (P, 4)
+        Where it put the points, unit homogeneous coordinates.
+    lens : tuple of str
+        Unknowns of the lens that were estimated.
+    covariance : ndarray, shape (k, k)
+        Of the independent unknowns of lens and path, for independent noise; those of `lens` come
+        first.
+    elimination : Elimination
+        By what the points follow these unknowns.
+    noise_factor : float
+        Variance of the noise over that which `elimination` supposes.
+
+    """
+
+    camera: Camera
+    points: np.ndarray
+    lens: tuple[str, ...]
+    covariance: np.ndarray
+    elimination: Elimination
+    noise_factor: float
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """
+    Camera path and structure, up to scale, in a world frame whose z axis is the rotation axis.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+    cam_from_world : ndarray, shape (V, 3, 4)
+        [R | t] of each frame.
+    tracks : ndarray of int, shape (P,)
+    points : ndarray, shape (P, 4)
+        Homogeneous world points; the last entry may be zero (at infinity).
+    precision : StructurePrecision, optional
+        Of the points, in the same order; lengths and angles of the structure get their sigmas
+        from it.
+
+    """
+
+    frames: np.ndarray
+    cam_from_world: np.ndarray
+    tracks: np.ndarray
+    points: np.ndarray
+    precision: StructurePrecision | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class StructureSample:
+    """
+    Two typical measurements in the structure, and how good they are.
+
+    Attributes
+    ----------
+    length_ratio : Measured
+        Length of the segment `first` over that of `second`.
+    first, second : (int, int)
+        Tracks of the points that each segment connects.
+    angle_deg : Measured
+        Angle at the middle one of three points.
+    corner : (int, int, int)
+        Their tracks.
+
+    """
+
+    length_ratio: Measured
+    first: tuple[int, int]
+    second: tuple[int, int]
+    angle_deg: Measured
+    corner: tuple[int, int, int]

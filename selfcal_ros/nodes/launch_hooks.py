@@ -1,0 +1,38 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What our launch files do before and after their nodes. Needs `launch`, as nothing else here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from launch.actions import OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+
+from selfcal_ros.nodes.launch_arguments import launch_problem
+
+
+def look_at_arguments(names: Iterable[str]) -> OpaqueFunction:
+    """Return the action after which nothing starts where one of these arguments is wrong."""
+    def check(context):
+        problem = launch_problem({name: LaunchConfiguration(name).perform(context)
+                                  for name in names})
+        if problem:
+            raise RuntimeError(problem)
+    return OpaqueFunction(function=check)
+
+
+def end_on_refusal(event, _) -> list[Shutdown]:
+    """End everything where a node has refused its input or its parameters (status 2)."""
+    return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
