@@ -11,20 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What our launch files do before and after their nodes. Needs `launch`, as nothing else here."""
+"""
+What our launch files do before and after their nodes.
+
+`launch` is imported where it is called: nodes run without it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from launch.actions import OpaqueFunction, Shutdown
-from launch.substitutions import LaunchConfiguration
-
 from selfcal_ros.nodes.launch_arguments import launch_problem
 
 
-def look_at_arguments(names: Iterable[str]) -> OpaqueFunction:
+def look_at_arguments(names: Iterable[str]):
     """Return the action after which nothing starts where one of these arguments is wrong."""
+    from launch.actions import OpaqueFunction
+    from launch.substitutions import LaunchConfiguration
+
     def check(context):
         problem = launch_problem({name: LaunchConfiguration(name).perform(context)
                                   for name in names})
@@ -33,6 +37,7 @@ def look_at_arguments(names: Iterable[str]) -> OpaqueFunction:
     return OpaqueFunction(function=check)
 
 
-def end_on_refusal(event, _) -> list[Shutdown]:
+def end_on_refusal(event, _) -> list:
     """End everything where a node has refused its input or its parameters (status 2)."""
+    from launch.actions import Shutdown
     return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
