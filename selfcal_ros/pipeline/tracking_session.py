@@ -29,6 +29,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
+from selfcal_ros.values.known_object import FARTHEST
 
 #: Smaller images than this hold no object that could be followed.
 MINIMUM_SIDE_PX = 16
@@ -278,7 +279,7 @@ def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     InputError
-        If a number is not finite or the matrix is no rotation.
+        If a number is not finite, the object is out of reach or the matrix is no rotation.
 
     """
     rotation = np.asarray(rotation, float)
@@ -286,6 +287,9 @@ def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:
     if rotation.shape != (3, 3) or translation.shape != (3,) or not (
             np.isfinite(rotation).all() and np.isfinite(translation).all()):
         raise InputError('The start pose must be finite numbers: three metres and a rotation.')
+    if np.abs(translation).max() >= FARTHEST:
+        raise InputError(f'The start pose is {np.abs(translation).max():.3g} m away; check its '
+                         'unit (metres) and its order (translation first).')
     U, _, V = np.linalg.svd(rotation)
     nearest = U @ V
     if np.abs(nearest - rotation).max() > ROTATION_TOLERANCE or np.linalg.det(nearest) < 0:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.values.whole_numbers import whole_numbers
 
 #: Coordinates from here on are as good as infinite.
 FARTHEST = 1e12
@@ -65,7 +66,7 @@ class KnownObject:
 
     def __post_init__(self) -> None:
         """Check the points and sort them by identity."""
-        identity = np.asarray(self.identity).ravel().astype(np.int64)
+        identity = whole_numbers(self.identity, 'identities of a known object')
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) != len(identity):
             raise InputError('A known object needs identities (P,) and points (P, 3) of one '

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.values.whole_numbers import whole_numbers
 
 #: No image is wider; a position beyond it is no pixel.
 LARGEST_PX = 1e6
@@ -52,24 +53,6 @@ def of_longest(view: np.ndarray, point: np.ndarray, per_view: int) -> np.ndarray
     chosen = np.zeros(int(point.max(initial=-1)) + 1, dtype=bool)
     chosen[point[order[rank < per_view]]] = True
     return chosen[point]
-
-
-def _whole(numbers: ArrayLike, what: str) -> np.ndarray:
-    """Return whole numbers (N,), int64; 0.5 and NaN would become others without a word."""
-    try:
-        given = np.asarray(numbers).ravel()
-        with np.errstate(invalid='ignore'):
-            kept = given.astype(np.int64) if given.dtype.kind in 'iuf' else None
-    except (TypeError, ValueError):
-        kept = None
-    if kept is not None and given.size == 0:
-        return kept
-    with np.errstate(invalid='ignore'):
-        same = kept is not None and (kept == given) & (np.abs(given) < 2.0**62)
-    if kept is None or not np.all(same):
-        odd = '' if kept is None else f', not {given[np.argmin(same)]}'
-        raise InputError(f'The {what} of tracks must be whole numbers{odd}.')
-    return kept
 
 
 def _size(size) -> tuple[int, int]:
@@ -139,7 +122,8 @@ class Tracks:
 
     def __post_init__(self) -> None:
         """Check the rows and sort them by track, then frame."""
-        frame, track = _whole(self.frame, 'frames'), _whole(self.track, 'tracks')
+        frame = whole_numbers(self.frame, 'frames of tracks')
+        track = whole_numbers(self.track, 'numbers of tracks')
         try:
             xy = np.asarray(self.xy, dtype=float)
         except (TypeError, ValueError):

@@ -137,6 +137,8 @@ def test_a_clock_that_stands_still_is_no_clock(session, recording):
     (np.eye(3), [0, 0, np.nan], 'finite'),
     (np.eye(3), [0, 0, -1], 'behind the camera'),
     (np.eye(3), [5, 0, 1], 'outside the image'),
+    (np.eye(3), [0, 0, 1e308], 'is 1e\\+308 m away'),
+    (np.eye(3), [0, 0, 1e12], 'away; check its unit'),
     (2 * np.eye(3), [0, 0, 1], 'no rotation'),
     (-np.eye(3), [0, 0, 1], 'no rotation'),
     (np.eye(2), [0, 0, 1], 'finite numbers')])

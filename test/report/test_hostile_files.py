@@ -27,6 +27,7 @@ from selfcal_ros.rorapid.acquisition.picked_vertices import read_picked
 from selfcal_ros.rorapid.estimation.initial_pose import read_pose_file
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.values.image_headers import check_image
+from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -175,6 +176,8 @@ def test_frame_and_track_numbers_are_whole(frame):
     for one, other in ((frame, [0, 1]), ([0, 1], frame)):
         with pytest.raises(InputError, match='whole numbers'):
             Tracks(one, other, np.zeros((2, 2)))
+    with pytest.raises(InputError, match='identities of a known object must be whole numbers'):
+        KnownObject(frame, np.zeros((2, 3)))
     assert Tracks([0.0, 1.0], [0, 1], np.zeros((2, 2))).frame.dtype == np.int64
 
 
