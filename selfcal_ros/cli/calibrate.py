@@ -20,6 +20,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.colours import coloured
+from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'lengths are tried)')
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for tracks.csv')
+    add_excerpt_arguments(parser)
     add_fact_arguments(parser)
     add_many_arguments(parser)
     output = parser.add_argument_group('output')
@@ -106,7 +108,8 @@ def run(args: argparse.Namespace) -> int:
         views=args.views,
         known_object=args.object, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
-        image_size=tuple(args.image_size) if args.image_size else None, mask=args.mask)
+        image_size=tuple(args.image_size) if args.image_size else None, mask=args.mask,
+        excerpt=excerpt_from(args))
     if args.mask is not None:
         from selfcal_ros.features.mask import read_mask
         # before the long work, and once for many recordings
@@ -170,15 +173,19 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     outputs.check(path, args.mask, args.model, args.camera, args.object)
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
         if args.track:
-            result, reading = _from_edges(args, path, settings.facts, progress)
+            result, reading = _from_edges(args, path, settings, progress)
         else:
             result, reading = calibrate_input(path, settings, progress)
     known = args.track or settings.known_object
+
+    def open_frames():
+        return open_source(path, args.topic, colour=True, excerpt=settings.excerpt)
+
     why = (motion_text(result, args.motion),) if result and not known else ()
     notes = (*why, *reading.notes)
     text = result_text(result, notes=notes)
     written = outputs.write(result, text, reading.description, reading.tracks,
-                            lambda: open_source(path, args.topic, colour=True), notes)
+                            open_frames, notes)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
@@ -187,21 +194,21 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     # a camera that only rotates has neither path nor structure to show
     if args.view and result and result.motion != 'rotation':
         from selfcal_ros.report.viewer import view
-        view(result, reading.tracks, lambda: open_source(path, args.topic, colour=True),
+        view(result, reading.tracks, open_frames,
              None if args.view == VIEWER else args.view)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
 
 
-def _from_edges(args, path, facts, progress):
+def _from_edges(args, path, settings, progress):
     """Calibrate from the edges of a tracked object; returns the result and the reading."""
     from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.rorapid.model import read_model
     start = read_known_camera(args.camera) if args.camera else None
-    return calibrate_tracked_object(path, read_model(args.model), facts, init=args.init,
+    return calibrate_tracked_object(path, read_model(args.model), settings.facts, init=args.init,
                                     clicks=args.clicks, start=start, topic=args.topic,
                                     max_keyframes=args.max_keyframes, seed=args.seed,
-                                    progress=progress)
+                                    progress=progress, excerpt=settings.excerpt)
 
 
 def _check_track(args) -> None:

@@ -23,6 +23,7 @@ import argparse
 from pathlib import Path
 import re
 
+from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -53,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bag.add_argument('--frame-id', default='camera_optical_frame',
                      help='for images that do not name their frame (default '
                           'camera_optical_frame)')
+    add_excerpt_arguments(parser)
     file = parser.add_argument_group('camera files')
     file.add_argument('--to', choices=KINDS,
                       help='kind to write (default: by the name of OUTPUT; .xml is OpenCV, .txt '
@@ -70,9 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Convert; returns the exit status."""
     from selfcal_ros.report.camera_files.formats import is_camera_file
+    excerpt = excerpt_from(args)
     if args.to or args.camera or args.fisheye or is_camera_file(args.input):
+        if not excerpt.is_whole:
+            raise ArgumentError('--start, --duration and --every are for images; leave them out.')
         return _convert_camera(args)
-    return _convert_images(args)
+    return _convert_images(args, excerpt)
 
 
 def _convert_camera(args: argparse.Namespace) -> int:
@@ -124,22 +129,22 @@ def kind_of_name(path: Path) -> str:
                         f'({", ".join(KINDS)}).')
 
 
-def _convert_images(args: argparse.Namespace) -> int:
+def _convert_images(args: argparse.Namespace, excerpt) -> int:
     """Turn images into a bag."""
     from selfcal_ros.pipeline.bag_writer import write_image_bag
     from selfcal_ros.pipeline.sources import open_source
     if args.output.suffix and args.output.suffix not in ('.mcap', '.db3'):
         raise InputError(f'{args.output} is no name for a bag folder; leave {args.output.suffix} '
                          'away.')
-    with open_source(args.input, args.input_topic, colour=True) as source, \
+    with open_source(args.input, args.input_topic, colour=True, excerpt=excerpt) as source, \
             ProgressBar(not (args.quiet or args.verbose)) as progress:
         if source.kind == 'tracks':
             raise InputError(f'{args.input} holds tracks, not images; a bag needs images.')
 
         def counted():
-            for frame in source:
+            for done, frame in enumerate(source, start=1):
                 yield frame
-                progress('writing', frame.index + 1, source.count)
+                progress('writing', done, source.count)
 
         count = write_image_bag(args.output, counted(), args.topic or DEFAULT_TOPIC, args.storage,
                                 args.compressed, args.frame_id)

@@ -127,7 +127,8 @@ class Outputs:
         if open_frames is not None:
             with open_frames() as frames:
                 if frames.kind != 'tracks':
-                    colours = point_colours(tracks, structure.tracks, frames)
+                    colours = point_colours(tracks, structure.tracks,
+                                            frames.only(tracks.frames))
         return write_ply(self.ply, structure.points, colours, [
             f'{result.software}: {source}', 'unit: median step between successive views',
             'axes: x forward, y left, z up as the first view has it'])

@@ -20,6 +20,7 @@ from contextlib import ExitStack
 from pathlib import Path
 import sys
 
+from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
                              'or a video')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
+    add_excerpt_arguments(parser)
     add_object_arguments(parser)
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
                         help='calibration of the camera, as `selfcal calibrate` writes it, or '
@@ -84,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
+    excerpt = excerpt_from(args)
     check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.init))
     if args.overlay:
         check_video_path(args.overlay)
@@ -93,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
         run, table = track_recording(args.input, model, camera, start, options,
                                      topic=args.topic, overlay=args.overlay, seed=args.seed,
-                                     progress=progress)
+                                     progress=progress, excerpt=excerpt)
     written = [table.write(args.output)] + ([args.overlay] if args.overlay else [])
     if not args.quiet:
         print(run.text())
@@ -104,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def track_recording(path, model, camera, start, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=()):
+                    progress=None, listeners=(), excerpt=None):
     """
     Track through a recording, and write the overlay where one is wished for.
 
@@ -115,13 +118,14 @@ def track_recording(path, model, camera, start, options=None, *, topic=None, ove
         Not written yet.
 
     """
-    from selfcal_ros.pipeline.sources import open_source
+    from selfcal_ros.pipeline.sources import Excerpt, open_source
     from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_sequence
     from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
     from selfcal_ros.report.poses_csv import PosesTable
     table = PosesTable()
     with ExitStack() as stack:
-        source = stack.enter_context(open_source(path, topic, colour=overlay is not None))
+        source = stack.enter_context(open_source(
+            path, topic, colour=overlay is not None, excerpt=excerpt or Excerpt()))
         listeners = [table.add, *listeners]
         if overlay:
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))

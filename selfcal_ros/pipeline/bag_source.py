@@ -25,6 +25,7 @@ from msg_adapters.stamps import stamp_ns
 
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.pipeline.bag_limits import BagLimit, bound_rosbags, check_metadata
+from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
@@ -80,6 +81,8 @@ class BagSource(FrameSource):
         Refuse images of another size.
     colour : bool
         Give the frames in colour, too.
+    excerpt : Excerpt
+        The part that is used.
 
     Raises
     ------
@@ -90,19 +93,23 @@ class BagSource(FrameSource):
 
     kind = 'bag'
 
-    def __init__(self, path, topic=None, image_size=None, colour=False):
+    def __init__(self, path, topic=None, image_size=None, colour=False,
+                 excerpt: Excerpt = Excerpt()):
         """Open the bag and choose the topic."""
-        super().__init__(path, image_size, colour)
-        self._reader = None
+        super().__init__(path, image_size, colour, excerpt)
+        self._reader: Any = None
         _check_files(self.path)
         with _readable(self.path):
             self._reader, self._deserialize = _opened(self.path)
         try:
             self._connections = self._choose(topic)
             self.topic = self._connections[0].topic
-            self.count = sum(connection.msgcount for connection in self._connections)
+            self.count = self._announced = sum(
+                connection.msgcount for connection in self._connections)
             self.description = (f'{_format_name(self.path)} {self.path.name}, topic '
                                 f'{self.topic}, {self.count} images')
+            if not excerpt.is_whole and self._reader.duration > 0:
+                self._cut(1e9 * max(self._announced - 1, 1) / self._reader.duration)
             self._peek()
         except BaseException:
             self.close()
@@ -158,21 +165,25 @@ class BagSource(FrameSource):
             for connection, log_ns, data in self._reader.messages(self._connections):
                 seen += 1
                 yield log_ns, self._deserialize(data, connection.msgtype)
-        if self.count is not None and seen < self.count:
-            raise InputError(f'{self.path} announces {self.count} images on {self.topic} but '
+        if seen < self._announced:
+            raise InputError(f'{self.path} announces {self._announced} images on {self.topic} but '
                              f'holds only {seen}; it is truncated.')
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the images in the order of recording."""
         decoder = ImageDecoder()
         for index, (log_ns, msg) in enumerate(self._messages()):
             name = f'frame {index}'
+            stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)
+            if not reading.uses(index, stamp):
+                if reading.is_over(index):
+                    return
+                continue
             try:
                 image = decoder.grey(msg)
                 bgr = decoder.colour(msg) if self._colour else None
             except InputError as error:
                 raise InputError(f'{self.path}, {self.topic}, {name}: {error}') from error
-            stamp = stamp_ns(msg.header.stamp) if self.clock != 'log' else int(log_ns)
             yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
 
     def close(self) -> None:

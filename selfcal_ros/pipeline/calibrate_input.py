@@ -28,6 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 
 _LOGGER = logging.getLogger(__name__)
@@ -55,6 +56,8 @@ class CalibrationSettings:
         Width and height in pixels, for tracks from a table.
     mask : str, optional
         Image file that is white where the images may be used.
+    excerpt : Excerpt
+        The part of the recording that is used.
 
     """
 
@@ -68,6 +71,7 @@ class CalibrationSettings:
     max_keyframes: int | None = None
     image_size: tuple[int, int] | None = None
     mask: str | None = None
+    excerpt: Excerpt = field(default_factory=Excerpt)
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -96,7 +100,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     """
     shared: dict[str, Any] = {
         'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
-        'image_size': settings.image_size, 'progress': progress}
+        'image_size': settings.image_size, 'progress': progress, 'excerpt': settings.excerpt}
     named = settings.translation_frames or settings.motion == 'repeated'
     if named and Path(path).suffix.lower() == '.csv' and settings.max_keyframes is None:
         # frames that are named, or are objects, are all used

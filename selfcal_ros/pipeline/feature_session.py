@@ -24,7 +24,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
-from selfcal_ros.pipeline.sources import FrameSource, open_source
+from selfcal_ros.pipeline.sources import Excerpt, FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _keyframes(tracks: Tracks, most: int) -> np.ndarray:
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
                 progress: Callable | None = None,
-                mask: ImageMask | None = None) -> ExtractedTracks:
+                mask: ImageMask | None = None, excerpt: Excerpt = Excerpt()) -> ExtractedTracks:
     """
     Read an input of any kind that `open_source` knows, and find point tracks in it.
 
@@ -143,6 +143,8 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         Called as progress(text, done, total); total is None where it is not known.
     mask : ImageMask, optional
         Where the images may be used.
+    excerpt : Excerpt
+        The part of the recording that is used.
 
     Returns
     -------
@@ -154,7 +156,7 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         If the input cannot be used; the sentence says what to do.
 
     """
-    with open_source(path, topic, image_size) as source:
+    with open_source(path, topic, image_size, excerpt=excerpt) as source:
         if source.kind == 'tracks':
             return tracks_of_table(source, mask, max_keyframes)
         # OpenCV loads here, not where the command line starts

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import itertools
 import os
 import re
 
@@ -24,6 +25,7 @@ import cv2
 from msg_adapters.image import ImageDecoder
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.values.foreign_files import read_limited
 from selfcal_ros.values.image_headers import MAX_FILE_BYTES
@@ -55,6 +57,8 @@ class ImageFolderSource(FrameSource):
         Refuse images of another size.
     colour : bool
         Give the frames in colour, too.
+    excerpt : Excerpt
+        The part that is used.
 
     Raises
     ------
@@ -66,9 +70,9 @@ class ImageFolderSource(FrameSource):
     kind = 'images'
     clock = 'nominal'
 
-    def __init__(self, path, image_size=None, colour=False):
+    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
         """List the folder."""
-        super().__init__(path, image_size, colour)
+        super().__init__(path, image_size, colour, excerpt)
         try:
             entries = [e for e in self.path.iterdir() if not e.name.startswith('.')]
         except OSError as error:
@@ -79,6 +83,7 @@ class ImageFolderSource(FrameSource):
             raise InputError(self._nothing_here(entries))
         self.count = len(self._files)
         self.description = f'image folder {self.path.name}, {self.count} images'
+        self._cut(NOMINAL_RATE_HZ)
         self._see_first()
 
     def _nothing_here(self, entries) -> str:
@@ -93,10 +98,15 @@ class ImageFolderSource(FrameSource):
         return (f'The folder {self.path} holds no images ({", ".join(IMAGE_SUFFIXES)}) and no '
                 f'rosbag2 recording, but {len(entries)} other entries, such as {names}.')
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the images in natural order."""
         decoder = ImageDecoder()
         for index, file in enumerate(self._files):
+            stamp = index * 1_000_000_000 // NOMINAL_RATE_HZ
+            if not reading.uses(index, stamp):
+                if reading.is_over(index):
+                    return
+                continue
             try:
                 data = read_limited(file, MAX_FILE_BYTES, 'The image')
                 image = decoder.file_grey(data)
@@ -104,7 +114,6 @@ class ImageFolderSource(FrameSource):
             except InputError as error:
                 text = str(error)
                 raise InputError(text if str(file) in text else f'{file}: {text}') from error
-            stamp = index * 1_000_000_000 // NOMINAL_RATE_HZ
             yield self._checked(Frame(index, stamp, image, '', file.name, bgr))
 
 
@@ -124,9 +133,9 @@ class VideoSource(FrameSource):
     kind = 'video'
     clock = 'video'
 
-    def __init__(self, path, image_size=None, colour=False):
+    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
         """Open the video and decode its first frame."""
-        super().__init__(path, image_size, colour)
+        super().__init__(path, image_size, colour, excerpt)
         capture = self._open()
         try:
             size = [capture.get(one) for one in (cv2.CAP_PROP_FRAME_WIDTH,
@@ -144,6 +153,7 @@ class VideoSource(FrameSource):
         self.clock = 'video' if self._rate_hz == rate else 'nominal'
         about = f'about {self.count} frames' if self.count else 'length unknown'
         self.description = f'video {self.path.name}, {about} at {self._rate_hz:.4g} Hz'
+        self._cut(self._rate_hz)
         if not self._see_first():
             raise InputError(f'{self.path} opens as a video, but no frame can be decoded; it is '
                              'damaged or uses a codec that this OpenCV lacks.')
@@ -166,24 +176,28 @@ class VideoSource(FrameSource):
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         return capture
 
-    def __iter__(self) -> Iterator[Frame]:
+    def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the frames."""
         capture = self._open()
         try:
-            index = 0
-            while True:
+            for index in itertools.count():
+                stamp = round(index * 1e9 / self._rate_hz)
                 try:
-                    there, bgr = capture.read()
+                    if not capture.grab():
+                        return
+                    if not reading.uses(index, stamp):
+                        if reading.is_over(index):
+                            return
+                        continue
+                    there, bgr = capture.retrieve()
                 except cv2.error as error:
                     raise InputError(f'{self.path}: frame {index} cannot be decoded '
                                      f'({error.err}).') from None
                 if not there:
                     return
                 image = bgr if bgr.ndim == 2 else cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
-                stamp = round(index * 1e9 / self._rate_hz)
                 yield self._checked(Frame(index, stamp, image, '', f'frame {index}',
                                           bgr if self._colour else None))
-                index += 1
         finally:
             capture.release()
 
@@ -228,6 +242,10 @@ class TracksSource(FrameSource):
                             f'{self.count} frames')
 
     def __iter__(self) -> Iterator[Frame]:
+        """Refuse: there are no images."""
+        return self._read(Reading(self.excerpt))
+
+    def _read(self, reading: Reading) -> Iterator[Frame]:
         """Refuse: there are no images."""
         raise InputError(f'{self.path} holds tracks, not images.')
 

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -24,6 +24,7 @@ from typing import Self
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Frame:
     Attributes
     ----------
     index : int
-        Count of the image in its source, from 0.
+        Count of the image in its recording, from 0; an excerpt leaves some out.
     stamp_ns : int
         Acquisition time in nanoseconds; see `FrameSource.clock`.
     image : ndarray of uint8, shape (H, W)
@@ -60,7 +61,8 @@ class FrameSource(ABC):
     """
     Frames, one at a time; a context manager, and iterable more than once.
 
-    Every iteration starts at the first frame, and holds one frame in memory. Errors of the input
+    Every iteration starts at the first frame, and holds one frame in memory. What an excerpt
+    leaves out is not decoded. Errors of the input
     are InputErrors, raised on opening or at the frame that is wrong.
 
     Attributes
@@ -76,7 +78,9 @@ class FrameSource(ABC):
     image_size : (int, int) or None
         Width and height in pixels.
     count : int or None
-        Number of frames. An estimate for videos.
+        Number of frames. An estimate for videos and for excerpts.
+    excerpt : Excerpt
+        The part of the recording that is used.
     clock : {'header', 'log', 'video', 'nominal', 'none'}
         Where the stamps come from: the header of the message, the recorder's log (where headers
         are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
@@ -86,10 +90,11 @@ class FrameSource(ABC):
     kind = ''
     clock = 'none'
 
-    def __init__(self, path, image_size=None, colour=False):
+    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
         """Keep what all sources have."""
         self.path = Path(path)
         self._colour = colour
+        self.excerpt = excerpt
         self.description = ''
         self.topic = ''
         self.frame_id = ''
@@ -116,9 +121,30 @@ class FrameSource(ABC):
         """Be true, whatever the number of frames."""
         return True
 
-    @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
         """Iterate over the frames from the first."""
+        reading = Reading(self.excerpt)
+        yield from self._read(reading)
+        if not reading.used:
+            raise self._beyond_the_end(reading.past_s)
+
+    def only(self, indices: Iterable[int]) -> Iterator[Frame]:
+        """
+        Iterate over some of the frames; the others are not decoded.
+
+        Parameters
+        ----------
+        indices : iterable of int
+            `Frame.index` of the frames, in any order; those that there are not are passed over.
+
+        """
+        wanted = {int(index) for index in indices}
+        if wanted:
+            yield from self._read(Reading(self.excerpt, wanted))
+
+    @abstractmethod
+    def _read(self, reading: Reading) -> Iterator[Frame]:
+        """Iterate over the recording, and decode what the reading uses."""
 
     def tracks(self):
         """
@@ -135,9 +161,23 @@ class FrameSource(ABC):
     def close(self) -> None:
         """Release what is open; may be called twice."""
 
+    def _beyond_the_end(self, lasts_s: float) -> InputError:
+        return InputError(f'{self.path} lasts {lasts_s:.1f} s, so there is no image '
+                          f'{self.excerpt.start_s:g} s after the first; begin earlier.')
+
+    def _cut(self, rate_hz: float) -> None:
+        """Count the frames of the excerpt; InputError where it surely begins beyond the end."""
+        if self.count is None or self.excerpt.is_whole or rate_hz <= 0:
+            return
+        lasts_s = (self.count - 1) / rate_hz
+        if self.excerpt.start_s > lasts_s + 1.0:
+            raise self._beyond_the_end(lasts_s)
+        self.count = self.excerpt.among(self.count, rate_hz)
+        self.description += f', {self.excerpt}'
+
     def _see_first(self) -> bool:
-        """Learn the image size from the first frame; False if there is none."""
-        first = next(iter(self), None)
+        """Learn the image size from the first frame of the recording; False if there is none."""
+        first = next(self._read(Reading(Excerpt())), None)
         if first is not None:
             self.image_size = first.image.shape[1], first.image.shape[0]
         return first is not None

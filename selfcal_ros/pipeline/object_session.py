@@ -23,7 +23,7 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.feature_session import ExtractedTracks, tracks_of_table
-from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.sources import Excerpt, open_source
 from selfcal_ros.values.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -40,13 +40,14 @@ def read_object_views(path, target: Target, topic: str | None = None,
                       max_keyframes: int | None = None,
                       image_size: tuple[int, int] | None = None,
                       progress: Callable | None = None,
-                      mask: ImageMask | None = None) -> ExtractedTracks:
+                      mask: ImageMask | None = None,
+                      excerpt: Excerpt = Excerpt()) -> ExtractedTracks:
     """
     Find a known object in an input of any kind that `open_source` knows.
 
     Parameters
     ----------
-    path, topic, image_size, progress
+    path, topic, image_size, progress, excerpt
         See `selfcal_ros.pipeline.feature_session.read_tracks`. Tracks are taken as they are;
         their track numbers are those of the object's points.
     target : Chessboard, Charuco, TsaiGrid or PointList
@@ -67,7 +68,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
 
     """
     most = MAX_VIEWS if max_keyframes is None else max_keyframes
-    with open_source(path, topic, image_size) as source:
+    with open_source(path, topic, image_size, excerpt=excerpt) as source:
         if source.kind == 'tracks':
             return tracks_of_table(source, mask)
         if target.find is None:

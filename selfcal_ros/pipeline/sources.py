@@ -25,18 +25,19 @@ from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, BagSource, is_bag_folder
+from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.file_sources import (IMAGE_SUFFIXES, ImageFolderSource, TracksSource,
                                                VIDEO_SUFFIXES, VideoSource)
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 
-__all__ = ['Frame', 'FrameSource', 'open_source']
+__all__ = ['Excerpt', 'Frame', 'FrameSource', 'open_source']
 
 _EXPECTED = ('expected a rosbag2 folder, an .mcap, .db3 or .bag file, an image folder, a video '
              f'({", ".join(VIDEO_SUFFIXES)}), or a .csv file of tracks')
 
 
 def open_source(path, topic: str | None = None, image_size: tuple[int, int] | None = None,
-                colour: bool = False) -> FrameSource:
+                colour: bool = False, excerpt: Excerpt = Excerpt()) -> FrameSource:
     """
     Open a source of frames or tracks.
 
@@ -51,6 +52,8 @@ def open_source(path, topic: str | None = None, image_size: tuple[int, int] | No
         Width and height in pixels: needed for tracks, checked for images.
     colour : bool
         Give the frames in colour as well as in grey.
+    excerpt : Excerpt
+        The part of the recording that is used; of a table of tracks, all of it.
 
     Returns
     -------
@@ -83,12 +86,15 @@ def open_source(path, topic: str | None = None, image_size: tuple[int, int] | No
     if topic and not is_bag:
         raise InputError(f'{path} is no bag, so it has no topic {topic}; leave the topic out.')
     if is_bag:
-        return BagSource(path, topic, image_size, colour)
+        return BagSource(path, topic, image_size, colour, excerpt)
     if folder:
-        return ImageFolderSource(path, image_size, colour)
+        return ImageFolderSource(path, image_size, colour, excerpt)
     if suffix in VIDEO_SUFFIXES:
-        return VideoSource(path, image_size, colour)
+        return VideoSource(path, image_size, colour, excerpt)
     if suffix == '.csv':
+        if not excerpt.is_whole:
+            raise InputError(f'{path} is a table of tracks, and a start, a duration and every '
+                             'how many are for images; leave them out.')
         return TracksSource(path, image_size)
     if suffix in IMAGE_SUFFIXES:
         raise InputError(f'{path} is a single image; give the folder that holds the images.')

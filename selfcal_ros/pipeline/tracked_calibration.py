@@ -37,7 +37,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.edge_measurement import (CONIC_POINTS, edge_misfit, LINE_POINTS,
                                                    measure_edges, PosedImage)
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
-from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.pipeline.sources import Excerpt, open_source
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
@@ -78,7 +78,7 @@ class _Passage:
 def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | None, clicks=None,
                              start: Camera | None = None, topic: str | None = None,
                              max_keyframes: int | None = None, seed: int = 0,
-                             progress: Callable | None = None,
+                             progress: Callable | None = None, excerpt: Excerpt = Excerpt(),
                              ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
     """
     Calibrate a camera from a recording in which an object of known shape can be followed.
@@ -100,6 +100,8 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
     seed : int
     progress : callable, optional
         Called as progress(text, done, total).
+    excerpt : Excerpt
+        The part of the recording that is used.
 
     Returns
     -------
@@ -114,10 +116,11 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
 
     """
     most = MAX_VIEWS if max_keyframes is None else max_keyframes
-    with open_source(path, topic) as source:
+    with open_source(path, topic, excerpt=excerpt) as source:
         if source.kind == 'tracks':
             raise InputError(f'{path} holds tracks, not images; the tracker needs images.')
         size = source.image_size
+        assert size is not None, 'images have been seen'
         if start is not None and start.width and (start.width, start.height) != size:
             raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
                              f'is for {start.width}x{start.height} pixels.')

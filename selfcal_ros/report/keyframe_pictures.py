@@ -124,15 +124,11 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
 
 
 def _until(source, used: set, wanted: set, images: dict):
-    """Yield the frames that were used, put aside those wanted, and stop after the last."""
-    last = max(used)
-    for frame in source:
+    """Yield the frames that were used, and put aside those wanted."""
+    for frame in source.only(used):
         if frame.index in wanted:
             images[frame.index] = frame.image if frame.bgr is None else frame.bgr
-        if frame.index in used:
-            yield frame
-        if frame.index >= last:
-            return
+        yield frame
 
 
 def _all_used(tracks: Tracks) -> ObservationTable:

@@ -107,7 +107,6 @@ def _images(poses: dict, open_frames: Callable | None):
     if open_frames is not None:
         with open_frames() as frames:
             if frames.kind != 'tracks':
-                yield from ((frame.index, frame.image) for frame in frames
-                            if frame.index in poses)
+                yield from ((frame.index, frame.image) for frame in frames.only(poses))
                 return
     yield from ((number, None) for number in sorted(poses))
