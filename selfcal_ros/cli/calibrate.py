@@ -168,7 +168,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     from selfcal_ros.pipeline.calibrate_input import calibrate_input
     from selfcal_ros.pipeline.sources import open_source
     outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
-                      report=args.report, ply=args.ply, camera_name=args.camera_name)
+                      report=args.report, ply=args.ply, camera_name=args.camera_name,
+                      command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object)
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
@@ -185,7 +186,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     notes = (*why, *reading.notes)
     text = result_text(result, notes=notes)
     written = outputs.write(result, text, reading.description, reading.tracks,
-                            open_frames, notes)
+                            open_frames, (*why, *reading.findings))
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from importlib.util import find_spec
 import json
 import os
@@ -57,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
     folder = args.output_dir
     folder.mkdir(parents=True, exist_ok=True)
     camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
-    outputs = Outputs(camera_yaml, result_json, folder / 'report.html')
+    outputs = Outputs(camera_yaml, result_json, folder / 'report.html',
+                      command=getattr(args, 'command_line', ()), inputs=(bag,))
     outputs.check(bag)
     for path in (camera_yaml, result_json):
         # of an earlier run
@@ -77,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         elif result:
             # the nodes have written the rest
             written = [path for path in (camera_yaml, result_json) if path.exists()]
-            outputs = Outputs(report=outputs.report)
+            outputs = replace(outputs, camera_yaml=None, result_json=None)
     direct, tracks = _from_bag(bag)
     if result:
         print(f'\n{result_text(result, truth=read_truth(bag))}\n\n{_agreement(result, direct)}')

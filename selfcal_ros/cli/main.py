@@ -85,6 +85,7 @@ def _run(argv: list[str]) -> int:
     try:
         parser = build_parser(verb)
         args = parser.parse_args(argv)
+        args.command_line = ('selfcal', *argv)    # for the report
         if args.version:
             from selfcal_ros import __version__
             print(f'selfcal_ros {__version__}', flush=True)

@@ -22,10 +22,12 @@ from pathlib import Path
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.files import check_outputs
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
+from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.result_json import result_to_json
 from selfcal_ros.values.tracks import Tracks
 
@@ -40,6 +42,10 @@ class Outputs:
     camera_yaml, result_json, report, ply : Path or None
     camera_name : str
         Name inside the camera file.
+    command : tuple of str
+        Words of the command line, for the report.
+    inputs : tuple of path
+        What is read, for the report.
 
     """
 
@@ -48,6 +54,8 @@ class Outputs:
     report: Path | None = None
     ply: Path | None = None
     camera_name: str = 'camera'
+    command: tuple[str, ...] = ()
+    inputs: tuple[str | Path, ...] = ()
 
     def check(self, *inputs: str | Path | None) -> None:
         """
@@ -70,7 +78,8 @@ class Outputs:
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
-              open_frames: Callable | None = None, notes: tuple[str, ...] = ()) -> list[Path]:
+              open_frames: Callable | None = None,
+              notes: tuple[Finding | str, ...] = ()) -> list[Path]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -86,8 +95,8 @@ class Outputs:
         open_frames : callable, optional
             Opens the images again (as a context manager), for the report's pictures and the
             colours of the structure.
-        notes : tuple of str
-            Further sentences for the report.
+        notes : tuple of Finding or str
+            Further ones for the report.
 
         Returns
         -------
@@ -115,7 +124,8 @@ class Outputs:
         if self.report:
             written.append(write_page(self.report, result, text, source, tracks=tracks,
                                       camera_name=self.camera_name, notes=notes,
-                                      open_frames=open_frames))
+                                      open_frames=open_frames,
+                                      made=Provenance.of_this_run(self.command, self.inputs)))
         # a camera that only rotates sees no depth
         if self.ply and result and result.motion != 'rotation':
             written.append(self._write_structure(result, source, tracks, open_frames))

@@ -79,7 +79,8 @@ def fixed_points_figure(result: Calibration,
                     'from Re − Im to Re + Im: its ends are directions of the plane at right '
                     'angles, which is how the focal length shows.')
     return Drawing('fixed-points', 'Fixed points of the motion',
-                   caption + (f' {note}.' if note else ''), (whole.figure, zoom.figure))
+                   caption + (f' {note}.' if note else ''), (whole.figure, zoom.figure),
+                   'geometry')
 
 
 def _distances(result: Calibration, fixed: FixedPoints, pairs: PairGeometry) -> str:

@@ -53,4 +53,4 @@ def focal_figure(result: Calibration) -> Drawing | None:
     share = 100 * (course.fx.max() / course.fx.min() - 1)
     caption = (f'The focal length varied by {share:.2g} %. Each image has its own camera: all '
                'else is the same, and the distortion goes with the magnification.')
-    return Drawing('focal', 'The focal length', caption, (axes.figure,))
+    return Drawing('focal', 'The focal length', caption, (axes.figure,), 'certainty')

@@ -188,7 +188,7 @@ def lens_figure(result: Calibration, seen: ObservationTable | None) -> Drawing |
                 axes.axvline(curve.reached_deg, color=ORANGE, linewidth=1,
                              label='observations end')
             axes.legend(loc='best', handlelength=1.4)
-    return Drawing('lens', 'The lens', _caption(curve), (left.figure, right.figure))
+    return Drawing('lens', 'The lens', _caption(curve), (left.figure, right.figure), 'certainty')
 
 
 def _caption(curve: LensCurve) -> str:

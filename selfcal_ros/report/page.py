@@ -31,19 +31,21 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
+from selfcal_ros.report.provenance import Provenance
+from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
 from selfcal_ros.report.summary import distortion, grade, matrix, px_text, quality
 from selfcal_ros.values.tracks import Tracks
 
 
 def write_page(path, result: Calibration | NotCalibrated, text: str, source: str = '',
                figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
-               camera_name: str = 'camera', notes: tuple[str, ...] = (),
-               open_frames: Callable | None = None) -> Path:
+               camera_name: str = 'camera', notes: tuple[Finding | str, ...] = (),
+               open_frames: Callable | None = None, made: Provenance | None = None) -> Path:
     """
     Write the page; it appears whole or not at all.
 
@@ -61,10 +63,12 @@ def write_page(path, result: Calibration | NotCalibrated, text: str, source: str
         Those that were calibrated from; residuals, coverage and the scene need them.
     camera_name : str
         Name inside the camera file.
-    notes : tuple of str
-        Further sentences, beside those of the result.
+    notes : tuple of Finding or str
+        Further ones, beside those of the result.
     open_frames : callable, optional
         Opens the images again (as a context manager), to show some of them with their tracks.
+    made : Provenance, optional
+        When, by which command and from what; without it the page does not say.
 
     Raises
     ------
@@ -74,21 +78,25 @@ def write_page(path, result: Calibration | NotCalibrated, text: str, source: str
     """
     return atomic_write(path, page_html(result, text, source, figures, tracks=tracks,
                                         camera_name=camera_name, notes=notes,
-                                        open_frames=open_frames))
+                                        open_frames=open_frames, made=made))
 
 
 def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
               figures: tuple[str, ...] = (), *, tracks: Tracks | None = None,
-              camera_name: str = 'camera', notes: tuple[str, ...] = (),
-              open_frames: Callable | None = None) -> str:
+              camera_name: str = 'camera', notes: tuple[Finding | str, ...] = (),
+              open_frames: Callable | None = None, made: Provenance | None = None) -> str:
     """Return the page as text; see `write_page` for the parameters."""
     # of a hint everything is shown but the camera file
     shown = result if result else result.hint or result
     pictures, scene = _images_and_scene(shown, tracks, open_frames)
     script = _script() if scene else None
-    return _environment().get_template('page.html.j2').render(
+    drawings = _drawings(shown, tracks)
+    said = ranked_notes(shown, notes)
+    page = _environment().get_template('page.html.j2').render(
         calibrated=bool(shown), result=result, text=text, source=source, grade=grade(result),
-        drawings=_drawings(shown, tracks), figures=[Markup(figure) for figure in figures],
+        drawings=drawings, of=lambda section: [name for name, drawing in drawings.items()
+                                               if drawing['section'] == section],
+        figures=[Markup(figure) for figure in figures],
         camera_name=camera_name, pictures=pictures, scene=scene, script=script,
         policy=_policy(script),
         verdict=_unbroken(verdict(result)) if result else result.reason,
@@ -97,10 +105,12 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         distortion=distortion(shown) if shown else [],
         rows=parameter_rows(shown) if shown else [],
         facts=facts_lines(result.facts),
-        notes=list(dict.fromkeys([*(shown.notes if shown else ()),
-                                  *_what_rests_on_facts(shown), *_what_it_means(shown),
-                                  *notes])),
+        notes=said[:MOST_SHOWN], folded=said[MOST_SHOWN:],
+        made=made.rows(tracks) if made else [],
         numbers=_numbers(shown), yaml=_yaml(result, camera_name))
+    # whatever comes from outside is escaped, so this mark is the template's own
+    head, _, foot = page.rpartition('<!--size-->')
+    return f'{head}{len(page.encode()) / 1e6:.1f} MB{foot}'
 
 
 def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | None]:
@@ -135,6 +145,7 @@ def _drawn(drawings) -> dict:
     from selfcal_ros.report.inline_svg import inline_svg
     return {drawing.name: {
         'name': drawing.name, 'title': drawing.title, 'caption': drawing.caption,
+        'section': drawing.section,
         'panels': [inline_svg(svg, f'{drawing.name}-{k}', drawing.title)
                    for k, svg in enumerate(drawing.svgs(words=True))]
     } for drawing in drawings}
@@ -190,14 +201,3 @@ def _yaml(result: Calibration | NotCalibrated, name: str) -> str:
         return camera_yaml(result.camera, name)
     except ArgumentError:
         return ''
-
-
-def _what_rests_on_facts(result) -> tuple:
-    known = result.identifiability if result else None
-    return known.sentences() if known else ()
-
-
-def _what_it_means(result) -> tuple:
-    """Say what the covariance means for angles and lengths that are measured."""
-    return (measurement_sentences(result.camera, result.covariance, result.measured) if result
-            else ())

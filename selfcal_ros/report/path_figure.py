@@ -83,7 +83,7 @@ def path_figure(result: Calibration) -> Drawing | None:
         bar.set_label('view')
     return Drawing('path', 'Camera path and structure', 'Seen along the rotation axis; the unit '
                    'is the root mean square distance between successive views, because images '
-                   'alone tell no scale.', (axes.figure,))
+                   'alone tell no scale.', (axes.figure,), 'still')
 
 
 def _finite_points(points: np.ndarray) -> np.ndarray:

@@ -202,4 +202,4 @@ def coverage_figure(xy: np.ndarray, size: tuple[int, int]) -> Drawing | None:
     caption = ('There are observations all over the image.' if empty < 0.005 else
                f'{100 * empty:.0f} % of the image has no observation; distortion is extrapolated '
                'there.')
-    return Drawing('coverage', 'Coverage of the image', caption, (axes.figure,))
+    return Drawing('coverage', 'Coverage of the image', caption, (axes.figure,), 'seen')

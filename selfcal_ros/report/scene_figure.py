@@ -71,7 +71,7 @@ def scene_figure(scene: Scene) -> Drawing:
         axes.set_axis_off()
     what = 'the path and the structure' if scene.path else 'the views of the object'
     return Drawing('still', 'The scene', f'In perspective: {what}, from behind and above.',
-                   (axes.figure,))
+                   (axes.figure,), 'still')
 
 
 def _eye(middle: np.ndarray, size: float, ahead: np.ndarray):

@@ -75,7 +75,7 @@ def sigma_figure(result: Calibration) -> Drawing | None:
     return Drawing('sigmas', 'Uncertainty of the parameters', 'What one sigma of each parameter '
                    'alone moves in the corner of the image; parameters that are strongly '
                    'correlated move together and hide part of this.',
-                   (left.figure, right.figure))
+                   (left.figure, right.figure), 'certainty')
 
 
 def _corner_effect(result: Calibration) -> np.ndarray:
@@ -137,4 +137,4 @@ def projection_figure(result: Calibration) -> Drawing | None:
         axes.set_title('σ of a projected point, worst direction')
     return Drawing('projection', 'Uncertainty of projection', f'All parameters together, after '
                    f'the best small rotation: at most {top:.2g} px, '
-                   f'{float(np.ma.median(sigma)):.2g} px in the median.', (axes.figure,))
+                   f'{float(np.ma.median(sigma)):.2g} px in the median.', (axes.figure,), 'seen')

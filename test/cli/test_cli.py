@@ -128,10 +128,12 @@ def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, mo
     assert selfcal('calibrate', driven[0], *SIZE, '--report', 'r.html', '--camera-name',
                    'front_left', '--quiet') == 0
     page = Path('r.html').read_text(encoding='utf-8')
-    notes = page[page.index('>Notes</h'):]
-    assert 'Eleven of twelve images were used.' in notes[:notes.index('</section>')]
+    notes = page[page.index('id="notes"'):page.index('<section')]
+    assert 'Eleven of twelve images were used.' in notes
     assert 'Motion: planar, found from the images' in notes
     assert 'camera_name: front_left' in page
+    made = page[page.index('id="made"'):]
+    assert f'selfcal calibrate {driven[0]}' in made and '--camera-name front_left' in made
 
 
 def test_shared_files_are_found_and_a_missing_one_is_a_sentence():

@@ -13,12 +13,16 @@
 # limitations under the License.
 """A calibration whose every part is known: sequence SI, seen by a lens with distortion."""
 
+from datetime import datetime, timezone
+
 import numpy as np
 import pytest
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.report.page import page_html
+from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.synthetic.scenes import sequence_si
 
 NOISE_PX = 0.1
@@ -54,3 +58,14 @@ def calibration(sequence):
         fixed_points=FixedPoints(sequence.horizon, sequence.vanishing_point,
                                  sequence.circular_point),
         findings=(Finding('note', text='A note with <b>markup</b>.'),), software='selfcal_ros 0.0')
+
+
+@pytest.fixture(scope='session')
+def html(calibration, sequence):
+    """Return a page that has everything but images."""
+    made = Provenance(datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc),
+                      ('selfcal', 'calibrate', 'my drive.mcap'), ('my drive.mcap',),
+                      {'selfcal_ros': '0.0', 'NumPy': '9.9'})
+    notes = (*(Finding('errors_within_track', ratio=1.0 + 0.1 * k) for k in range(8)),
+             'How tracks came about.', Finding('image_size_not_stated'))
+    return page_html(calibration, 'text', tracks=sequence.tracks, made=made, notes=notes)

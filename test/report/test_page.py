@@ -87,12 +87,6 @@ def test_a_calibration(tmp_path, calibration, sequence):
     assert [p.name for p in tmp_path.iterdir()] == ['report.html']
 
 
-@pytest.fixture(scope='module')
-def html(calibration, sequence):
-    """Return a page that has everything but images."""
-    return page_html(calibration, 'text', tracks=sequence.tracks)
-
-
 def test_the_page_needs_no_network_and_runs_its_own_script_alone(html):
     page = Reader(html)
     assert not {'link', 'iframe', 'object', 'base', 'form'} & set(page.tags)

@@ -331,6 +331,18 @@ def test_the_scene_turns_and_zooms(browser, report):
     assert page.complaints == []
 
 
+def test_an_image_fills_the_window_until_one_goes_back(browser, report):
+    page = browser.open(report, 1280)
+    width = '(e => e.getBoundingClientRect().width)(document.querySelector("figure[id^=image]"))'
+    before = page.evaluate(width)
+    page.evaluate('document.querySelector("figure[id^=image] .enlarge").click()')
+    page.frames(3)
+    assert before < 700 and page.evaluate(width) >= 1270
+    page.evaluate('document.querySelector("figure:target .close").click()')
+    page.frames(3)
+    assert page.evaluate(width) == before and page.complaints == []
+
+
 SHOWN = '[...document.querySelectorAll("{}")].map(e => getComputedStyle(e).display != "none")'
 
 
