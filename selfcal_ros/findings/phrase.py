@@ -49,10 +49,9 @@ class _Words(Formatter):
 
     Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
     number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
-    help), `frames`, `motion` (a key of `MOTIONS`), `sigmas` (what would be reached), `measured` (a
-    value with its sigma), `changes` (several, by name),
-    `preferred` (values in place of those stated), `clause` (another finding, without its
-    full stop).
+    help), `frames`, `names` (of files, say), `motion` (a key of `MOTIONS`), `sigmas` (what would
+    be reached), `measured` (a value with its sigma), `changes` (several, by name), `preferred`
+    (values in place of those stated), `clause` (another finding, without its full stop).
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -71,6 +70,12 @@ def _frames(frames: Sequence[int]) -> str:
     named = ', '.join(str(frame) for frame in frames[:5])
     return f'{"frame" if len(frames) == 1 else "frames"} {named}' + (
         ' and others' if len(frames) > 5 else '')
+
+
+def _names(names: Sequence[str]) -> str:
+    """Name up to six things as they are called."""
+    more = len(names) - 6
+    return ', '.join(names[:6]) + (f' and {more} more' if more > 0 else '')
 
 
 def _digits(sigma: float) -> int:
@@ -120,6 +125,7 @@ _ENDINGS: dict[str, Callable[[Any], str]] = {
     'axes': lambda axes: ' and about '.join(f'the {axis} axis' for axis in axes),
     'or_state': lambda helps: f', or state the {" or the ".join(helps)}' if helps else '',
     'frames': _frames,
+    'names': _names,
     'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
                                       for name, value in sigma.items()),
     'measured': _measured,

@@ -251,6 +251,12 @@ REMARKS: dict[str, Phrase] = {
         'The object was found anew in {views} of {images} images.',
         'In the others it was not found, or had not moved.',
         'Nothing.'),
+    'object_not_found': Phrase(
+        'It was not found in {count} image{count:plural}: {names:names}.',
+        'The object is cut off, blurred, overexposed, too small or too oblique there, or is not '
+        'in the image. The result file names all of these images.',
+        'Look at these images. Where the object shows whole, more light and a steadier hand '
+        'help.'),
     'image_size_not_stated': Phrase(
         'The size of the images is not stated, so the smallest that holds all points is taken: '
         'state it with --image-size.',

@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 MAX_VIEWS = 80
 #: In a video a view counts as new when the points have moved by this share of the diagonal.
 NEW_VIEW_FRACTION = 0.01
+#: In a video so many images are searched thoroughly at least, where a quick look shows no object.
+THOROUGH_LOOKS = 120
+#: Names of images without the object that the result keeps at most.
+MAX_NAMES = 500
 
 
 def read_object_views(path, target: Target, topic: str | None = None,
@@ -76,12 +80,15 @@ def read_object_views(path, target: Target, topic: str | None = None,
                              'found; give a table of tracks (frame,track,x,y), where track is '
                              'the number of the point.')
         moving = source.kind != 'images'
-        views, stamps, looked, last = [], {}, 0, None
+        apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
+        views, stamps, missed, looked, last = [], {}, [], 0, None
         for frame in source:
+            identity, xy = _found(target, frame.image, looked % apart == 0, mask)
             looked += 1
-            identity, xy = _found(target, frame.image, not moving, mask)
             if progress:
                 progress('Looking for the object', looked, source.count)
+            if not len(identity):
+                missed.append((frame.name or f'frame {frame.index}', frame.stamp_ns))
             step = NEW_VIEW_FRACTION * float(np.hypot(*frame.image.shape))
             if not len(identity) or moving and not _moved(last, (identity, xy), step):
                 continue
@@ -94,6 +101,10 @@ def read_object_views(path, target: Target, topic: str | None = None,
                              'squares of a Tsai grid), and that it is seen whole and sharp.')
         findings: tuple[Finding, ...] = () if len(views) == looked else (
             Finding('object_seen', views=len(views), images=looked),)
+        if missed:
+            names, at = zip(*missed[:MAX_NAMES])
+            findings += (Finding('object_not_found', count=len(missed), names=list(names), **(
+                {'stamps_ns': list(at)} if source.kind == 'bag' else {})),)
         if len(views) > most:
             views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
             findings += (Finding('views_used', views=most),)

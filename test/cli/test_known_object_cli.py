@@ -73,6 +73,7 @@ def test_pictures_of_a_grid_give_the_camera(pictures, capsys):
     assert status == 0, said
     assert 'Calibrated from 2 views of a known object' in said
     assert 'found anew in 2 of 3 images' in said
+    assert 'It was not found in 1 image: 2.png.' in said
     camera, _ = read_camera_yaml('camera.yaml')
     content = json.loads(Path('r.json').read_text(encoding='utf-8'))
     assert content['motion'] == 'known-object' and content['frames']['used'] == [0, 1]
