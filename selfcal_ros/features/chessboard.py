@@ -15,9 +15,9 @@
 Chessboards, seen whole.
 
 OpenCV has two detectors. The classic one joins dark squares; it fails where motion or a lack of
-focus parts or merges them, or where the paper's rim is cut off. The sector-based one (Duda and
-Frese 2018) looks for corners; it fails on boards of many squares. Together they find more than
-either, and whichever corners scatter least are taken.
+focus parts or merges them, or where the paper's rim is cut off. The sector-based one looks for
+corners; it fails on boards of many squares. Together they find more than either, and whichever
+corners scatter least are taken.
 """
 
 from __future__ import annotations
