@@ -29,13 +29,13 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: demo demo-arm demo-track test lint docs bench clean help
 
 demo: $(VENV)/package
-	@$(BIN)/selfcal demo --output-dir out/demo
+	@$(BIN)/selfcal demo --output-dir out/demo --force
 
 demo-arm: $(VENV)/package
-	@$(BIN)/selfcal demo --recording arm --output-dir out/demo-arm
+	@$(BIN)/selfcal demo --recording arm --output-dir out/demo-arm --force
 
 demo-track: $(VENV)/package
-	@$(BIN)/selfcal demo --recording object --output-dir out/demo-track
+	@$(BIN)/selfcal demo --recording object --output-dir out/demo-track --force
 
 test: $(VENV)/package $(VENV)/test-tools
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -n 2 --dist loadfile \

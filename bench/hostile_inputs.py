@@ -21,7 +21,7 @@ function, with its real streams. Signals go to real processes.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 import re
@@ -129,6 +129,9 @@ def run_case(case: Case, good: Path, temporary: Path, rng: np.random.Generator) 
            and 'convert' not in case.arguments]
     for name in old:
         (folder / name).write_text('old\n', encoding='utf-8')
+    if old and case.arguments:
+        # without it they are refused before anything is read, which is one case and not all
+        case = replace(case, arguments=(*case.arguments, '--force'))
     before = set(_names(folder))
     # a pipe, which has room even where the disk has none
     reading, writing = os.pipe()

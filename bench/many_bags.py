@@ -128,7 +128,8 @@ def write_bags(folder: Path, count: int):
 def calibrate(inputs: list[Path], output: Path, engine: str, jobs: int):
     """Run the command; returns its wall clock, its CPU time, and what it wrote."""
     call = [sys.executable, '-m', 'selfcal_ros.cli.main', 'calibrate', *map(str, inputs),
-            '--output-dir', str(output), '--engine', engine, '--jobs', str(jobs), '--quiet']
+            '--output-dir', str(output), '--engine', engine, '--jobs', str(jobs), '--force',
+            '--quiet']
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     # one process on one core: OpenCV's threads would use the other one
     core = None if jobs > 1 else (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}))

@@ -23,6 +23,7 @@ from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
+from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -90,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
                         help='open the Rerun viewer with images, path and structure, or write '
                              'SCENE.RRD for it (extra: view)')
+    add_force_argument(output)
     add_quiet_argument(output)
 
 
@@ -171,7 +173,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
                       report=args.report, ply=args.ply, camera_name=args.camera_name,
                       command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
-    outputs.check(path, args.mask, args.model, args.camera, args.object)
+    outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
+    check_outputs((args.view,), (path,), args.force)
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)

@@ -17,10 +17,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+import sys
 
+from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
-from selfcal_ros.cli.status import EXIT_DONE
-from selfcal_ros.errors import InputError
+from selfcal_ros.cli.status import EXIT_DIFFER, EXIT_DONE
+from selfcal_ros.cli.verbosity import add_quiet_argument
+from selfcal_ros.errors import ArgumentError, InputError
 
 #: What scales with the focal length.
 _FOCAL = ('fx', 'fy', 'skew')
@@ -40,25 +43,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                             help=f'which of several cameras in {letter.upper()}')
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for OpenCV files without it')
-    add_json_argument(parser)
+    parser.add_argument('--sigmas', type=float, metavar='N',
+                        help='exit status 1 if they differ by more than N sigmas, all parameters '
+                             'together (default: the status is 0 however far they are apart)')
+    output = parser.add_argument_group('output')
+    add_json_argument(output)
+    output.add_argument('--picture', type=Path, metavar='PICTURE.PNG',
+                        help='the difference over the image, in pixels and in sigmas, as .png or '
+                             '.svg')
+    add_force_argument(output)
+    add_quiet_argument(output, 'print nothing but errors')
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare; returns the exit status."""
     from selfcal_ros.report.camera_files.formats import read_camera
     from selfcal_ros.report.comparison import compare_cameras
+    _check_options(args)
     size = tuple(args.image_size) if args.image_size else None
     a = read_camera(args.first, args.camera_a, image_size=size)
     b = read_camera(args.second, args.camera_b, image_size=size)
     covariances = [_covariance(args.first, a, args.result_a),
                    _covariance(args.second, b, args.result_b)]
+    if args.sigmas is not None and all(C is None for C in covariances):
+        raise InputError('Neither calibration tells its uncertainty, so that --sigmas cannot be '
+                         'judged; put result.json beside a camera file, or name it with '
+                         '--result-a.')
     found = compare_cameras(a.camera, b.camera, *covariances)
     rows = _rows(a.camera, b.camera, covariances)
     if args.json:
         write_json(args.json, _content(args, found, rows))
-    if not is_standard_output(args.json):
+    if args.picture:
+        _draw(args, found, a.camera)
+    beyond = args.sigmas is not None and bool(found.beyond(args.sigmas))
+    if not (args.quiet or is_standard_output(args.json)):
         print(_text(args, found, rows, covariances))
-    return EXIT_DONE
+    elif beyond:
+        print(_judged(args, found), file=sys.stderr)
+    return EXIT_DIFFER if beyond else EXIT_DONE
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """Refuse what cannot be, before the work."""
+    if args.sigmas is not None and not 0 < args.sigmas < float('inf'):
+        raise ArgumentError('--sigmas takes a number above zero, such as 3.')
+    if args.picture and args.picture.suffix.lower() not in ('.png', '.svg'):
+        raise ArgumentError(f'The picture {args.picture} must be named .png or .svg.')
+    check_outputs((args.json, args.picture),
+                  (args.first, args.second, args.result_a, args.result_b), args.force)
+
+
+def _draw(args, found, camera) -> None:
+    """Write the picture."""
+    from selfcal_ros.report.comparison_figure import comparison_figure
+    from selfcal_ros.report.files import atomic_write
+    drawing = comparison_figure(found, camera, (args.first, args.second))
+    svg = args.picture.suffix.lower() == '.svg'
+    atomic_write(args.picture, (drawing.svgs() if svg else drawing.pngs())[0])
+
+
+def _judged(args, found) -> str:
+    """Say on which side of --sigmas they are."""
+    if found.contradiction and not found.joint_sigmas > args.sigmas:
+        return 'They contradict each other in what both hold as known, which no sigmas explain.'
+    return (f'They are {found.joint_sigmas:.1f} sigmas apart, all parameters together: '
+            f'{"more" if found.beyond(args.sigmas) else "not more"} than {args.sigmas:g}.')
 
 
 def _covariance(path, stored, named: Path | None):
@@ -149,7 +198,12 @@ def _text(args, found, rows, covariances) -> str:
     unseen = float(np.mean(~np.isfinite(distance)))
     if unseen:
         lines.append(f'{100 * unseen:.0f} % of the image is seen by one of them only.')
-    return '\n'.join([*lines, found.verdict])
+    lines.append(found.verdict)
+    if args.sigmas is not None:
+        lines.append(_judged(args, found))
+    if args.picture:
+        lines.append(f'Written: {args.picture}.')
+    return '\n'.join(lines)
 
 
 def _content(args, found, rows) -> dict:
@@ -165,5 +219,8 @@ def _content(args, found, rows) -> dict:
         'rotation_deg': float(np.degrees(found.rotation_rad)),
         'chi2': found.chi2, 'degrees_of_freedom': found.freedom if tested else None,
         'p_value': found.p_value,
+        'joint_sigmas': found.joint_sigmas,
         'sigmas_at_most': float(found.sigmas[found.worst]) if tested else None,
-        'agree': found.agree, 'verdict': found.verdict}
+        'agree': found.agree, 'verdict': found.verdict,
+        **({} if args.sigmas is None else {'limit_sigmas': args.sigmas,
+                                           'beyond': found.beyond(args.sigmas)})}

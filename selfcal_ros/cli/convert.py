@@ -24,6 +24,7 @@ from pathlib import Path
 import re
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
+from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help='image size in pixels, for OpenCV files without it')
     file.add_argument('--fisheye', action='store_true',
                       help='the OpenCV file is one of cv2.fisheye, without saying so')
-    file.add_argument('--force', action='store_true', help='replace OUTPUT')
+    add_force_argument(file, 'replace OUTPUT, a camera file')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,7 +85,6 @@ def _convert_camera(args: argparse.Namespace) -> int:
     """Turn one camera file into another."""
     from selfcal_ros.report.camera_files.formats import (chosen, FORMATS, read_cameras,
                                                          write_camera)
-    from selfcal_ros.report.files import check_outputs
     size = tuple(args.image_size) if args.image_size else None
     if size and min(size) <= 0:
         raise ArgumentError('The image size must be a positive width and height.')
@@ -94,10 +94,7 @@ def _convert_camera(args: argparse.Namespace) -> int:
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
-    if args.output.exists() and not args.force:
-        raise InputError(f'{args.output} exists already; choose another name, or replace it with '
-                         '--force.')
-    check_outputs((args.output,), (args.input,))
+    check_outputs((args.output,), (args.input,), args.force)
     name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
     write_camera(args.output, kind, found.camera, name, args.topic or found.topic)
     if not args.quiet:

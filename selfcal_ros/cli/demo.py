@@ -24,9 +24,12 @@ from pathlib import Path
 import subprocess
 import sys
 
+from selfcal_ros.cli.force import add_force_argument
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
+#: What lies there is of an earlier demo.
+OWN_FOLDER = Path('selfcal_demo')
 #: Recordings of this package, and the calibrator for their kind of motion.
 RECORDINGS = {'agv': ('bags/agv_drive', 'planar_calibrator'),
               'arm': ('bags/arm_move', 'affine_calibrator')}
@@ -34,13 +37,15 @@ RECORDINGS = {'agv': ('bags/agv_drive', 'planar_calibrator'),
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal demo`."""
-    parser.add_argument('--output-dir', type=Path, default=Path('selfcal_demo'), metavar='FOLDER',
+    parser.add_argument('--output-dir', type=Path, default=OWN_FOLDER, metavar='FOLDER',
                         help='for camera.yaml, result.json and report.html (default selfcal_demo)')
     parser.add_argument('--recording', choices=[*sorted(RECORDINGS), 'object'], default='agv',
                         help='calibrate on a robot that drives, or on an arm that moves; or '
                              'track an object (default agv)')
     parser.add_argument('--bag', type=Path, help='another bag of that kind of motion')
     parser.add_argument('--rate', type=float, default=1.0, help='playback speed (default 1)')
+    add_force_argument(parser, 'replace what is in the FOLDER of --output-dir; the '
+                       "default is the demo's own")
     parser.add_argument('--no-ros', action='store_true', help='without nodes in any case')
 
 
@@ -60,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
     outputs = Outputs(camera_yaml, result_json, folder / 'report.html',
                       command=getattr(args, 'command_line', ()), inputs=(bag,))
-    outputs.check(bag)
+    outputs.check(bag, force=args.force or folder == OWN_FOLDER)
     for path in (camera_yaml, result_json):
         # of an earlier run
         path.unlink(missing_ok=True)

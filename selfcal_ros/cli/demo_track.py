@@ -23,6 +23,8 @@ from pathlib import Path
 import subprocess
 import sys
 
+from selfcal_ros.cli.demo import OWN_FOLDER
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
@@ -41,6 +43,9 @@ def run(args: argparse.Namespace) -> int:
         '.model.yaml', '.camera.yaml', '.pos'))
     folder = args.output_dir
     folder.mkdir(parents=True, exist_ok=True)
+    outputs = folder / 'poses.csv', folder / 'overlay.mp4'
+    check_outputs(outputs, (bag, model, camera_file, start_file),
+                  args.force or folder == OWN_FOLDER)
     camera, _ = read_camera_yaml(camera_file)
     truth = _truth(bag)
     rows = []
@@ -64,11 +69,11 @@ def run(args: argparse.Namespace) -> int:
     with ProgressBar() as progress:
         run, table = track_recording(bag, read_model(model), camera,
                                      read_start(str(start_file), None, camera),
-                                     overlay=folder / 'overlay.mp4', progress=progress,
+                                     overlay=outputs[1], progress=progress,
                                      listeners=[gather])
     if poses:
         rows.append(('straight from the bag', *_errors(poses, truth)))
-    written = [table.write(folder / 'poses.csv'), folder / 'overlay.mp4']
+    written = [table.write(outputs[0]), outputs[1]]
     print(f'\n{run.text()}\n')
     if truth:
         print(_table(rows))

@@ -21,6 +21,7 @@ import re
 import sys
 
 from selfcal_ros.cli.colours import coloured
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import ProgressBar
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
@@ -54,7 +55,6 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     """
     from selfcal_ros.pipeline.many_inputs import calibrate_many
     from selfcal_ros.report.camera_yaml import check_camera_name
-    from selfcal_ros.report.files import check_outputs
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
     for name in ('output', 'ply'):
         if getattr(args, name):
@@ -62,14 +62,19 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
                                 'takes the files.')
     check_camera_name(args.camera_name)
     folder = args.output_dir or Path(DEFAULT_FOLDER)
+    own = folder == Path(DEFAULT_FOLDER)
+    taken = None if args.force else _result_in(folder, summaries=not own)
+    if taken:
+        raise InputError(f'{taken} exists already; name another folder with --output-dir, or '
+                         'replace what is there with --force.')
     try:
         (folder / 'recordings').mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f'{folder} cannot be made: {error.strerror}.') from None
     page = args.report or folder / 'summary.html'
-    check_outputs((page, folder / 'summary.json',
-                   None if is_standard_output(args.json) else args.json),
-                  (*paths, args.mask))
+    inputs = (*paths, args.mask)
+    check_outputs((page, folder / 'summary.json', args.json), inputs, force=True)
+    check_outputs((args.report, args.json), inputs, args.force)
     quiet = args.quiet or is_standard_output(args.json)
     files = _RecordingFiles(folder / 'recordings')
     with ProgressBar(not (args.quiet or args.verbose)) as progress:
@@ -91,6 +96,19 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
         return EXIT_INPUT
     every = all(camera.joint is not None for camera in summary.cameras)
     return EXIT_DONE if every else EXIT_NOT_CALIBRATED
+
+
+def _result_in(folder: Path, summaries: bool) -> Path | None:
+    """
+    Return a file that a run might replace, or that would look like one of its results.
+
+    Where summaries do not count, one that tells of no calibration at all is replaced.
+    """
+    kinds = ('.yaml', '.json', '.html', '.png') if summaries else ('.yaml',)
+    recordings = folder / 'recordings'
+    return next((path for place, some in ((folder, kinds), (recordings, ('.yaml', '.json')))
+                 if place.is_dir() for path in sorted(place.iterdir()) if path.suffix in some),
+                None)
 
 
 class _RecordingFiles:

@@ -19,7 +19,9 @@ import argparse
 from pathlib import Path
 import sys
 
+from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.verbosity import add_quiet_argument
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='the model, as .cao or .yaml (default object.cao)')
     output.add_argument('--obj', type=Path, metavar='OBJECT.OBJ',
                         help='the model for programs that draw it')
-    output.add_argument('--quiet', action='store_true',
-                        help='print nothing but errors and the reason of a failure')
+    add_force_argument(output)
+    add_quiet_argument(output)
     parser.add_argument('--seed', type=int, default=0, help=argparse.SUPPRESS)
 
 
@@ -95,9 +97,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_outputs(args) -> None:
     """Refuse outputs that cannot be, before the work."""
     from selfcal_ros.errors import ArgumentError
-    from selfcal_ros.report.files import check_outputs
     if args.output.suffix.lower() not in ('.cao', '.yaml', '.yml'):
         raise ArgumentError(f'The model {args.output} must be named .cao or .yaml.')
     if args.obj and args.obj.suffix.lower() != '.obj':
         raise ArgumentError(f'The drawing {args.obj} must be named .obj.')
-    check_outputs((args.output, args.obj), (args.input, args.camera, args.vertices))
+    check_outputs((args.output, args.obj), (args.input, args.camera, args.vertices), args.force)

@@ -21,10 +21,10 @@ from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
-from selfcal_ros.report.files import check_outputs
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.ply import point_colours, write_ply
 from selfcal_ros.report.provenance import Provenance
@@ -57,7 +57,7 @@ class Outputs:
     command: tuple[str, ...] = ()
     inputs: tuple[str | Path, ...] = ()
 
-    def check(self, *inputs: str | Path | None) -> None:
+    def check(self, *inputs: str | Path | None, force: bool = True) -> None:
         """
         Make sure that everything can be written.
 
@@ -65,6 +65,8 @@ class Outputs:
         ----------
         inputs : path or None
             What is read, and must not be replaced.
+        force : bool
+            Replace files that exist already.
 
         Raises
         ------
@@ -73,8 +75,7 @@ class Outputs:
 
         """
         check_camera_name(self.camera_name)
-        check_outputs([path for path in (self.camera_yaml, self.result_json, self.report, self.ply)
-                       if path and not is_standard_output(path)], inputs)
+        check_outputs((self.camera_yaml, self.result_json, self.report, self.ply), inputs, force)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,

@@ -15,6 +15,8 @@
 
 EXIT_DONE = 0
 EXIT_NOT_CALIBRATED = 1
+#: Calibrations differ by more than was allowed for.
+EXIT_DIFFER = 1
 EXIT_INPUT = 2
 #: A fault of the program, as in sysexits.h.
 EXIT_FAULT = 70

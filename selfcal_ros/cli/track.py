@@ -21,6 +21,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
+from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='pose of the object in every image (default poses.csv)')
     output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
                         help='the images with the object drawn over them')
+    add_force_argument(output)
     add_quiet_argument(output)
 
 
@@ -79,7 +81,6 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.progress import ProgressBar
     from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
-    from selfcal_ros.report.files import check_outputs
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
     from selfcal_ros.rorapid.options import TrackerOptions
@@ -87,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
     excerpt = excerpt_from(args)
-    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.init))
+    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.init),
+                  args.force)
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)

@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaln
+from scipy.stats import chi2, norm
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
@@ -97,14 +98,46 @@ class Comparison:
         return int(np.nanargmax(self.distance_px))
 
     @property
+    def contradiction(self) -> bool:
+        """Tell whether they differ in what no free parameter can explain."""
+        # lenses of two models differ by a little that is no contradiction
+        limit = SAME_PX if self.one_model else max(
+            SAME_PX, OTHER_MODEL * float(np.nanmax(self.distance_px)))
+        return self.p_value is not None and self.untested_px >= limit
+
+    @property
     def agree(self) -> bool | None:
         """Tell whether the covariances explain the difference; None without any."""
         if self.p_value is None:
             return None
-        # lenses of two models differ by a little that is no contradiction
-        limit = SAME_PX if self.one_model else max(
-            SAME_PX, OTHER_MODEL * float(np.nanmax(self.distance_px)))
-        return bool(self.p_value >= SURE and self.untested_px < limit)
+        return bool(self.p_value >= SURE and not self.contradiction)
+
+    @property
+    def joint_sigmas(self) -> float | None:
+        """
+        Say the whole difference in sigmas: as improbable as so many of one normal number.
+
+        None without covariances.
+        """
+        if self.p_value is None or self.chi2 is None:
+            return None
+        if self.p_value > 1e-200:
+            return float(norm.isf(self.p_value / 2))
+        # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
+        # and of the normal distribution (DLMF 7.12.1)
+        half = self.freedom / 2
+        log_p = (half - 1) * np.log(self.chi2 / 2) - self.chi2 / 2 - gammaln(half)
+        x = np.sqrt(-2 * log_p)
+        return float(np.sqrt(-2 * log_p - 2 * np.log(x * np.sqrt(np.pi / 2))))
+
+    def beyond(self, sigmas: float) -> bool | None:
+        """
+        Tell whether the calibrations differ by more than so many sigmas, all parameters at once.
+
+        What both hold and contradict each other in is beyond any. None without covariances.
+        """
+        found = self.joint_sigmas
+        return None if found is None else found > sigmas or self.contradiction
 
     @property
     def verdict(self) -> str:
@@ -225,5 +258,7 @@ def _tested(found: Comparison, known: list[tuple[Camera, np.ndarray]], rank: flo
     sigmas = np.full(len(found.pixels), np.nan)
     sigmas[good] = np.divide(length[:, 0], spread, out=np.zeros(len(d)), where=spread > 0)
     return Comparison(found.pixels, found.difference_px, found.rotation_rad, statistic,
-                      float(chi2.sf(statistic, free.sum())), int(free.sum()), sigmas,
+                      # without a free parameter there is nothing that chance could explain
+                      float(chi2.sf(statistic, free.sum())) if free.any() else 1.0,
+                      int(free.sum()), sigmas,
                       float(np.linalg.norm(rest, axis=1).max(initial=0.0)), found.one_model)

@@ -158,5 +158,5 @@ def test_tracks_without_an_image_size_are_used_and_the_size_is_asked_for(driven,
     assert 'state it with --image-size' in capsys.readouterr().out
     content = json.loads(Path('result.json').read_text(encoding='utf-8'))
     assert abs(content['camera']['fx'] - camera.K[0, 0]) < 4 * content['sigma']['fx']
-    assert selfcal('calibrate', path, *SIZE) == 0
+    assert selfcal('calibrate', path, *SIZE, '--force') == 0
     assert '--image-size' not in capsys.readouterr().out

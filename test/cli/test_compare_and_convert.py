@@ -15,6 +15,7 @@
 
 import json
 from pathlib import Path
+import shutil
 
 import numpy as np
 import pytest
@@ -47,9 +48,24 @@ def test_compare_says_in_pixels_and_words_how_far_apart(capsys):
     assert 'one size' in capsys.readouterr().err
 
 
-def test_compare_finds_the_covariance_beside_a_camera_file(driven, capsys):
-    path, truth = driven
-    assert selfcal('calibrate', path, *SIZE, '--json', 'camera.json', '--quiet') == 0
+@pytest.fixture(scope='module')
+def calibrated(driven, tmp_path_factory):
+    """Calibrate once; returns a folder with the camera file and its result, and the truth."""
+    folder = tmp_path_factory.mktemp('calibrated')
+    assert selfcal('calibrate', driven[0], *SIZE, '--output', folder / 'camera.yaml', '--json',
+                   folder / 'camera.json', '--quiet') == 0
+    return folder, driven[1]
+
+
+@pytest.fixture
+def beside(calibrated):
+    """Put a result and the truth where the test runs; returns the truth."""
+    shutil.copytree(calibrated[0], '.', dirs_exist_ok=True)
+    return calibrated[1]
+
+
+def test_compare_finds_the_covariance_beside_a_camera_file(beside, capsys):
+    truth = beside
     write_camera_yaml('truth.yaml', truth, 'truth')
     assert selfcal('compare', 'camera.yaml', 'truth.yaml') == 0
     said = capsys.readouterr().out
@@ -63,6 +79,36 @@ def test_compare_finds_the_covariance_beside_a_camera_file(driven, capsys):
     assert content['parameters']['fx']['sigmas'] > 4
     assert selfcal('compare', 'zoomed.yaml', 'truth.yaml', '--result-a', 'camera.json') == 2
     assert 'is not the result that zoomed.yaml comes from' in capsys.readouterr().err
+
+
+def test_sigmas_decide_the_exit_status_and_the_picture_shows_the_difference(beside, capsys):
+    truth = beside
+    write_camera_yaml('truth.yaml', truth, 'truth')
+    zoomed = Camera(np.diag([1.02, 1.02, 1]) @ truth.K, truth.distortion, 640, 480)
+    write_camera_yaml('zoomed.yaml', zoomed, 'zoomed')
+    assert selfcal('compare', 'camera.yaml', 'truth.yaml', '--sigmas', 4) == 0
+    assert 'not more than 4.' in capsys.readouterr().out
+    assert selfcal('compare', 'camera.yaml', 'zoomed.yaml', '--sigmas', 4, '--json', 'c.json',
+                   '--picture', 'c.png') == 1
+    said = capsys.readouterr().out
+    assert ': more than 4.' in said and 'Written: c.png.' in said
+    content = json.loads(Path('c.json').read_text(encoding='utf-8'))
+    assert content['beyond'] is True and content['limit_sigmas'] == 4
+    assert selfcal('compare', 'camera.yaml', 'zoomed.yaml', '--sigmas', 4, '-q') == 1
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.startswith(
+        f'They are {content["joint_sigmas"]:.1f} sigmas apart')
+    assert selfcal('compare', 'camera.yaml', 'truth.yaml', '--sigmas', 4, '-q') == 0
+    assert capsys.readouterr() == ('', '')
+    import cv2
+    picture = cv2.imread('c.png')
+    # two panels side by side: pixels, and sigmas
+    assert picture.shape[1] > 2 * picture.shape[0]
+    # twice at the truth: neither knows its uncertainty, so that the question has no answer
+    assert selfcal('compare', 'truth.yaml', 'zoomed.yaml', '--sigmas', 3) == 2
+    assert '--result-a' in capsys.readouterr().err
+    assert selfcal('compare', 'truth.yaml', 'zoomed.yaml', '--sigmas', 0) == 2
+    assert selfcal('compare', 'truth.yaml', 'zoomed.yaml', '--picture', 'c.bmp') == 2
 
 
 def test_an_image_folder_becomes_a_bag(capsys):

@@ -42,7 +42,7 @@ def test_equal_objects_calibrate_or_are_refused(capsys):
     result = json.loads(open('result.json', encoding='utf-8').read())
     assert abs(result['camera']['fx'] - 700) < 4 * result['sigma']['fx']
     equal_objects(np.random.default_rng(1), CAMERA, turns[:2]).to_csv('objects.csv')
-    assert selfcal('calibrate', 'objects.csv', '--motion', 'repeated', *SIZE) == 1
+    assert selfcal('calibrate', 'objects.csv', '--motion', 'repeated', *SIZE, '--force') == 1
 
 
 def test_wrong_uses_are_told(tmp_path, capsys):

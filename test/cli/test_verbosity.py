@@ -27,13 +27,13 @@ def test_v_tells_on_standard_error_what_is_done(driven, capsys):
     assert selfcal('calibrate', driven[0], *SIZE) == 0
     quiet = capsys.readouterr()
     assert quiet.err == ''
-    assert selfcal('calibrate', driven[0], *SIZE, '-v') == 0
+    assert selfcal('calibrate', driven[0], *SIZE, '-v', '--force') == 0
     told = capsys.readouterr()
     assert told.out == quiet.out
     assert 'INFO selfcal_ros.pipeline' in told.err and 'observations' in told.err
     assert 'calibrated by planar motion' in told.err
     # the next call begins anew
-    assert selfcal('calibrate', driven[0], *SIZE) == 0
+    assert selfcal('calibrate', driven[0], *SIZE, '--force') == 0
     assert capsys.readouterr().err == ''
 
 

@@ -18,6 +18,7 @@ import pytest
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
 from selfcal_ros.report.comparison import compare_cameras
+from selfcal_ros.report.comparison_figure import comparison_figure
 
 #: Of a covariance of all parameters.
 COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
@@ -77,6 +78,43 @@ def test_a_change_of_five_sigmas_is_seen_and_said():
     # a camera without covariance counts as exact, so it is seen better
     alone = compare_cameras(camera(TRUTH), camera(TRUTH + 7 * root[:, 0]), root @ root.T)
     assert alone.chi2 == pytest.approx(2 * moved.chi2)
+
+
+def test_joint_sigmas_are_those_of_one_normal_number():
+    root = np.zeros((len(PARAMETER_NAMES), 1))
+    root[:2, 0] = 1.0
+    # one free direction: the joint test is that of this one alone
+    for moved in (2.0, 7.0, 35.0, 60.0):
+        found = compare_cameras(camera(TRUTH), camera(TRUTH + moved * root[:, 0]), root @ root.T)
+        assert found.joint_sigmas == pytest.approx(moved, rel=0.07)
+        assert found.joint_sigmas == pytest.approx(np.sqrt(found.chi2), rel=1e-3)
+        assert found.beyond(0.9 * moved) and not found.beyond(1.1 * moved)
+    # what no parameter explains is beyond any number of sigmas, and without sigmas nothing is
+    apart = camera(TRUTH), camera(TRUTH * [1.02, 1.02, 1, 1, 1, 1, 1, 1, 1, 1])
+    held = compare_cameras(*apart, np.zeros(COVARIANCE_SHAPE))
+    assert held.freedom == 0 and held.beyond(1e9)
+    assert compare_cameras(*apart).beyond(3) is None
+    assert not compare_cameras(apart[0], apart[0], np.zeros(COVARIANCE_SHAPE)).beyond(1)
+
+
+def test_the_picture_shows_where_and_which_way():
+    a = camera(TRUTH)
+    b = camera(TRUTH * [1.02, 1.02, 1, 1, 1, 1, 1, 1, 1, 1])
+    found = compare_cameras(a, b)
+    drawing = comparison_figure(found, a, ('a$_.yaml', 'b.yaml'))
+    axes, bar = drawing.panels[0].axes
+    heat = axes.collections[0].get_array()
+    assert float(heat.max()) == pytest.approx(np.nanmax(found.distance_px))
+    arrows, = (each for each in axes.collections if hasattr(each, 'U'))
+    at = arrows.get_offsets() - [320, 240]
+    # a longer focal length pushes the border outwards, or, after the rotation, all points
+    outer = np.hypot(*at.T) > 200
+    assert (np.einsum('ni,ni->n', at, np.column_stack([arrows.U, arrows.V]))[outer] > 0).all()
+    assert drawing.pngs()[0].startswith(b'\x89PNG')
+    assert len(comparison_figure(compare_cameras(a, b, np.diag([1.0] * 10)), a).panels[0].axes
+               ) == 4
+    # nothing to see is no failure
+    assert comparison_figure(compare_cameras(a, a), a).svgs()
 
 
 def test_facts_that_contradict_each_other_are_no_agreement():

@@ -1,0 +1,94 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Nothing that exists is replaced without --force, whatever the verb; and it is said at once."""
+
+from pathlib import Path
+
+import pytest
+from selfcal_ros import Camera
+from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.pipeline import calibrate_input, tracking_run
+from selfcal_ros.report.camera_yaml import write_camera_yaml
+from test_support.command_line import selfcal, SIZE
+
+MINE = 'mine: is what a driver serves\n'
+
+
+def refused(capsys, *arguments):
+    """Return the sentence of a refusal."""
+    assert selfcal(*arguments) == 2
+    heard = capsys.readouterr()
+    assert heard.out == '' and heard.err.count('\n') == 1 and '--force' in heard.err
+    return heard.err
+
+
+def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, monkeypatch):
+    Path('camera.yaml').write_text(MINE, encoding='utf-8')
+    with monkeypatch.context() as patch:
+        patch.setattr(calibrate_input, 'calibrate_input', None)
+        assert 'camera.yaml exists already' in refused(capsys, 'calibrate', driven[0], *SIZE)
+        Path('r.html').touch()
+        assert 'camera.yaml and r.html exist already' in refused(
+            capsys, 'calibrate', driven[0], *SIZE, '--report', 'r.html')
+    assert Path('camera.yaml').read_text(encoding='utf-8') == MINE
+    # devices and standard output have nothing to lose
+    check_outputs(('-', '/dev/null', None), (driven[0],), False)
+    assert selfcal('calibrate', driven[0], *SIZE, '--force', '-q') == 0
+    assert 'image_width: 640' in Path('camera.yaml').read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize('arguments', [
+    ['calibrate', 'in.csv', '--json', 'mine', '--output', 'new.yaml'],
+    ['calibrate', 'in.csv', '--report', 'mine', '--output', 'new.yaml'],
+    ['calibrate', 'in.csv', '--ply', 'mine', '--output', 'new.yaml'],
+    ['calibrate', 'in.csv', 'in.csv', '--json', 'mine'],
+    ['calibrate', 'in.csv', 'in.csv', '--output-dir', 'earlier'],
+    ['track', 'in', '--model', 'm.cao', '--camera', 'c.yaml', '--init', 'p', '--output', 'mine'],
+    ['model', 'in', '--camera', 'c.yaml', '--output', 'mine.cao'],
+    ['compare', 'c.yaml', 'c.yaml', '--json', 'mine'],
+    ['compare', 'c.yaml', 'c.yaml', '--picture', 'mine.png'],
+    ['convert', 'c.yaml', 'mine', '--to', 'opencv'],
+    ['demo', '--no-ros', '--output-dir', 'earlier'],
+    ['demo', '--no-ros', '--recording', 'object', '--output-dir', 'earlier']])
+def test_every_verb_keeps_what_exists(arguments, capsys, monkeypatch):
+    write_camera_yaml('c.yaml', Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [], 640, 480),
+                      'c')
+    Path('in.csv').write_text('frame,track,x,y\n0,0,1,1\n', encoding='utf-8')
+    Path('earlier/recordings').mkdir(parents=True)
+    mine = [Path(name) for name in ('mine', 'mine.cao', 'mine.png', 'earlier/camera.yaml',
+                                    'earlier/poses.csv', 'earlier/recordings/d0.yaml')]
+    for path in mine:
+        path.write_text(MINE, encoding='utf-8')
+    monkeypatch.setattr(tracking_run, 'track_sequence', None)
+    assert 'exists already' in refused(capsys, *arguments)
+    assert all(path.read_text(encoding='utf-8') == MINE for path in mine)
+
+
+def test_the_demo_replaces_its_own_folder(capsys, monkeypatch):
+    monkeypatch.setattr('selfcal_ros.cli.demo._from_bag', _stop)
+    Path('selfcal_demo').mkdir()
+    Path('selfcal_demo/camera.yaml').touch()
+    for more in ([], ['--output-dir', 'selfcal_demo', '--force']):
+        with pytest.raises(EOFError):
+            _demo(*more)
+
+
+def _stop(_):
+    raise EOFError
+
+
+def _demo(*more):
+    from selfcal_ros.cli.demo import run
+    from selfcal_ros.cli.main import build_parser
+    run(build_parser('demo').parse_args(['demo', '--no-ros', *more]))
