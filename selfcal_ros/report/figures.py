@@ -23,14 +23,20 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
 from selfcal_ros.report.focal_figure import focal_figure
 from selfcal_ros.report.lens_curve import lens_figure
+from selfcal_ros.report.object_views import object_views_figure
 from selfcal_ros.report.observations import observations
+from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.path_figure import path_figure
+from selfcal_ros.report.pose_course import pose_figure
+from selfcal_ros.report.radial_residuals import radial_figure
+from selfcal_ros.report.ranges import ranges_table
 from selfcal_ros.report.residual_figures import coverage_figure, residual_figure
 from selfcal_ros.report.style import Drawing
 from selfcal_ros.report.uncertainty_figures import projection_figure, sigma_figure
+from selfcal_ros.report.worst import images_figure, worst_tables
 from selfcal_ros.values.tracks import Tracks
 
-__all__ = ['draw_figures', 'Drawing']
+__all__ = ['draw_figures', 'Drawing', 'draw_tables']
 
 
 def draw_figures(result: Calibration | NotCalibrated,
@@ -58,6 +64,18 @@ def draw_figures(result: Calibration | NotCalibrated,
         seen = observations(result, tracks) if tracks is not None else None
         drawings = [fixed_points_figure(result, seen), projection_figure(result),
                     focal_figure(result), lens_figure(result, seen), sigma_figure(result),
-                    residual_figure(result, seen), path_figure(result),
+                    residual_figure(result, seen), radial_figure(result, seen),
+                    images_figure(result, seen), path_figure(result), pose_figure(result, tracks),
+                    object_views_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]
+
+
+def draw_tables(result: Calibration | NotCalibrated,
+                tracks: Tracks | None = None) -> list[PageTable]:
+    """Return what is better read than seen; see `draw_figures` for the parameters."""
+    if not result:
+        return []
+    ranges = ranges_table(result)
+    seen = None if tracks is None else observations(result, tracks)
+    return [*([] if ranges is None else [ranges]), *worst_tables(result, seen)]

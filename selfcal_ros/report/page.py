@@ -90,12 +90,13 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     shown = result if result else result.hint or result
     pictures, scene = _images_and_scene(shown, tracks, open_frames)
     script = _script() if scene else None
-    drawings = _drawings(shown, tracks)
+    drawings, tables = _drawings(shown, tracks)
     said = ranked_notes(shown, notes)
     page = _environment().get_template('page.html.j2').render(
         calibrated=bool(shown), result=result, text=text, source=source, grade=grade(result),
         drawings=drawings, of=lambda section: [name for name, drawing in drawings.items()
                                                if drawing['section'] == section],
+        tables=lambda section: [table for table in tables if table.section == section],
         figures=[Markup(figure) for figure in figures],
         camera_name=camera_name, pictures=pictures, scene=scene, script=script,
         policy=_policy(script),
@@ -134,11 +135,11 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | N
                    'still': _drawn([scene_figure(scene)])['still']}
 
 
-def _drawings(result, tracks) -> dict:
-    """Return the figures as elements of a page, by name."""
+def _drawings(result, tracks) -> tuple[dict, list]:
+    """Return the figures as elements of a page, by name, and the tables."""
     # Matplotlib takes a while to load, and most runs write no page
-    from selfcal_ros.report.figures import draw_figures
-    return _drawn(draw_figures(result, tracks))
+    from selfcal_ros.report.figures import draw_figures, draw_tables
+    return _drawn(draw_figures(result, tracks)), draw_tables(result, tracks)
 
 
 def _drawn(drawings) -> dict:

@@ -83,7 +83,7 @@ def test_a_calibration(tmp_path, calibration, sequence):
                   'skew = 0', 'distortion = radial2', 'camera_info/front.yaml',
                   'camera_name: front', 'selfcal_ros 0.0'):
         assert words in text, words
-    assert page.tags.count('figure') == 7 and page.tags.count('img') == 0
+    assert page.tags.count('figure') == 10 and page.tags.count('img') == 0
     assert [p.name for p in tmp_path.iterdir()] == ['report.html']
 
 

@@ -97,15 +97,10 @@ def metric_structure(calibration: Calibration, tracks: Tracks,
     if shape is None:
         raise ArgumentError('This calibration has no structure; calibrate from a camera that '
                             'moves.')
-    poses = np.asarray(shape.cam_from_world, float)
     points = np.asarray(shape.points, float)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         points = points[:, :3] / points[:, 3:]
-    world, scale = _world(poses, calibration.motion in ('planar', 'circular'))
-    # X_new = scale * (R X + t) for world = [R | t]
-    rotations = poses[:, :, :3] @ world[:, :3].T
-    translations = scale * (poses[:, :, 3] - rotations @ world[:, 3])
-    poses = np.concatenate([rotations, translations[:, :, None]], axis=2)
+    poses, world, scale = _upright(calibration)
     points = scale * (points @ world[:, :3].T + world[:, 3])
     covariance, nearest = _point_covariances(calibration, tracks, poses, points)
     finite = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(points).all(axis=1)
@@ -114,6 +109,21 @@ def metric_structure(calibration: Calibration, tracks: Tracks,
     keep = keep[spread < relative_sigma * nearest[keep]]
     return Structure(shape.frames, poses, shape.tracks[keep], points[keep], covariance[keep],
                      len(points) - len(keep))
+
+
+def metric_path(calibration: Calibration) -> np.ndarray:
+    """Return [R | t] of the views in the frame and scale of the heading, shape (V, 3, 4)."""
+    return _upright(calibration)[0]
+
+
+def _upright(calibration: Calibration) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the poses in the frame of the heading, that frame as [R | t], and its scale."""
+    poses = np.asarray(calibration.reconstructed.cam_from_world, float)
+    world, scale = _world(poses, calibration.motion in ('planar', 'circular'))
+    # X_new = scale * (R X + t) for world = [R | t]
+    rotations = poses[:, :, :3] @ world[:, :3].T
+    translations = scale * (poses[:, :, 3] - rotations @ world[:, 3])
+    return np.concatenate([rotations, translations[:, :, None]], axis=2), world, scale
 
 
 def _centres(poses: np.ndarray) -> np.ndarray:

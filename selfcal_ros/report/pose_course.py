@@ -1,0 +1,149 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Position and angles over time: whether the camera went as its driver remembers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.metric_structure import metric_path
+from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, new_panel, ORANGE, styled
+from selfcal_ros.values.tracks import Tracks
+
+#: Body axes (REP 103: x forward, y left, z up) from optical ones (x right, y down, z forward).
+_BODY_FROM_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+#: More views than this are drawn without dots.
+_MOST_DOTS = 80
+
+
+@dataclass(frozen=True)
+class PoseCourse:
+    """
+    Poses of the camera over time, in the body frame of the first view.
+
+    Attributes
+    ----------
+    time : ndarray, shape (V,)
+        Seconds since the first view, or image numbers.
+    in_seconds : bool
+    position : ndarray, shape (V, 3)
+        x forward, y left, z up; the median step between views is 1.
+    angles_deg : ndarray, shape (V, 3)
+        Roll, pitch and yaw of the camera's body axes (REP 103), without jumps of a turn.
+
+    """
+
+    time: np.ndarray
+    in_seconds: bool
+    position: np.ndarray
+    angles_deg: np.ndarray
+
+
+def roll_pitch_yaw(rotations: np.ndarray) -> np.ndarray:
+    """
+    Return the angles of rotations about fixed x, y and z, in this order (REP 103), radians.
+
+    Parameters
+    ----------
+    rotations : ndarray, shape (V, 3, 3)
+        World from body.
+
+    Returns
+    -------
+    ndarray, shape (V, 3)
+
+    """
+    return np.stack([np.arctan2(rotations[:, 2, 1], rotations[:, 2, 2]),
+                     -np.arcsin(np.clip(rotations[:, 2, 0], -1, 1)),
+                     np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])], axis=1)
+
+
+def pose_course(result: Calibration, tracks: Tracks | None = None) -> PoseCourse | None:
+    """
+    Follow the camera.
+
+    Parameters
+    ----------
+    result : Calibration
+    tracks : Tracks, optional
+        Their stamps give the time.
+
+    Returns
+    -------
+    PoseCourse or None
+        None where the views do not follow each other.
+
+    """
+    shape = result.reconstruction
+    if result.motion == 'known-object' or shape is None or len(shape.frames) < 3 \
+            or not np.isfinite(shape.cam_from_world).all():
+        return None
+    order = np.argsort(shape.frames, kind='stable')
+    poses = metric_path(result)[order]
+    frames = np.asarray(shape.frames)[order]
+    world_from_cam = np.swapaxes(poses[:, :, :3], 1, 2)
+    position = -np.einsum('vij,vj->vi', world_from_cam, poses[:, :, 3])
+    angles = np.unwrap(roll_pitch_yaw(world_from_cam @ _BODY_FROM_OPTICAL.T), axis=0)
+    stamps = {} if tracks is None else tracks.stamps_ns or {}
+    known = [stamps[int(frame)] for frame in frames if int(frame) in stamps]
+    time = np.asarray(frames, float)
+    in_seconds = len(known) == len(frames) and len(set(known)) > 1
+    if in_seconds:
+        time = np.array([stamp - known[0] for stamp in known]) / 1e9
+    return PoseCourse(time, in_seconds, position, np.degrees(angles))
+
+
+def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | None:
+    """
+    Draw position and angles over time.
+
+    Parameters
+    ----------
+    result : Calibration
+    tracks : Tracks, optional
+
+    Returns
+    -------
+    Drawing or None
+        None where the views do not follow each other; a camera that only turns has no position.
+
+    """
+    course = pose_course(result, tracks)
+    if course is None:
+        return None
+    parts = [(course.angles_deg, ('roll', 'pitch', 'yaw'), 'angle / degrees', 'Angles')]
+    if result.motion != 'rotation':
+        parts.insert(0, (course.position, ('x, forward', 'y, left', 'z, up'), 'position / steps',
+                         'Position'))
+    dots = '.' if len(course.time) <= _MOST_DOTS else ''
+    panels = []
+    with styled():
+        for values, names, label, title in parts:
+            axes = new_panel(2.9)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            for column, name, colour in zip(values.T, names, (BLUE, ORANGE, GREEN)):
+                axes.plot(course.time, column, f'{dots}-', color=colour, linewidth=1, label=name)
+            axes.set_xlabel('time / s' if course.in_seconds else 'image')
+            axes.set_ylabel(label)
+            axes.set_title(title)
+            axes.spines[['top', 'right']].set_visible(False)
+            axes.legend(loc='best', handlelength=1.4)
+            panels.append(axes.figure)
+    return Drawing('course', 'Position and angles over time', 'In the frame of the first view; '
+                   'the median step between views is 1. Yaw is positive to the left, pitch '
+                   'downwards, roll to the right (REP 103). A course with jumps, or one that the '
+                   'robot did not take, is a wrong calibration.', tuple(panels), 'scene')
