@@ -252,7 +252,8 @@ def _faults(case, folder, old, before, status, text, memory_mb) -> tuple[str, ..
 
 
 def _one_sentence(text: str) -> bool:
-    lines = text.strip().splitlines()
+    # how far it came is told beside
+    lines = [line for line in text.strip().splitlines() if not re.match(r'\[ *[\d.]+ s\] ', line)]
     return len(lines) == 1 and lines[0].rstrip().endswith(('.', '`', '?'))
 
 

@@ -165,7 +165,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     """Calibrate one recording; returns the exit status."""
     from selfcal_ros.cli.motion_text import motion_text
     from selfcal_ros.cli.outputs import Outputs
-    from selfcal_ros.cli.progress import ProgressBar
+    from selfcal_ros.cli.progress import Progress
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.pipeline.calibrate_input import calibrate_input
     from selfcal_ros.pipeline.sources import open_source
@@ -175,21 +175,22 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
     check_outputs((args.view,), (path,), args.force)
-    with ProgressBar(not (args.quiet or args.verbose)) as progress:
+    with Progress.of(args) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)
         else:
             result, reading = calibrate_input(path, settings, progress)
-    known = args.track or settings.known_object
+        known = args.track or settings.known_object
 
-    def open_frames():
-        return open_source(path, args.topic, colour=True, excerpt=settings.excerpt)
+        def open_frames():
+            return open_source(path, args.topic, colour=True, excerpt=settings.excerpt)
 
-    why = (motion_text(result, args.motion),) if result and not known else ()
-    notes = (*why, *reading.notes)
-    text = result_text(result, notes=notes)
-    written = outputs.write(result, text, reading.description, reading.tracks,
-                            open_frames, (*why, *reading.findings))
+        why = (motion_text(result, args.motion),) if result and not known else ()
+        notes = (*why, *reading.notes)
+        text = result_text(result, notes=notes)
+        progress('writing')
+        written = outputs.write(result, text, reading.description, reading.tracks,
+                                open_frames, (*why, *reading.findings))
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')

@@ -25,7 +25,7 @@ import re
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import add_force_argument, check_outputs
-from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.errors import ArgumentError, InputError
@@ -134,7 +134,7 @@ def _convert_images(args: argparse.Namespace, excerpt) -> int:
         raise InputError(f'{args.output} is no name for a bag folder; leave {args.output.suffix} '
                          'away.')
     with open_source(args.input, args.input_topic, colour=True, excerpt=excerpt) as source, \
-            ProgressBar(not (args.quiet or args.verbose)) as progress:
+            Progress.of(args) as progress:
         if source.kind == 'tracks':
             raise InputError(f'{args.input} holds tracks, not images; a bag needs images.')
 

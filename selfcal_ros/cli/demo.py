@@ -25,7 +25,7 @@ import subprocess
 import sys
 
 from selfcal_ros.cli.force import add_force_argument
-from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: What lies there is of an earlier demo.
@@ -135,7 +135,7 @@ def _from_bag(bag: Path):
     """Calibrate without nodes; returns the result and the tracks."""
     from selfcal_ros import calibrate, CameraFacts
     from selfcal_ros.pipeline.feature_session import read_tracks
-    with ProgressBar() as progress:
+    with Progress() as progress:
         reading = read_tracks(bag, progress=progress)
     return (calibrate(reading.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0)),
             reading.tracks)

@@ -25,7 +25,7 @@ import sys
 
 from selfcal_ros.cli.demo import OWN_FOLDER
 from selfcal_ros.cli.force import check_outputs
-from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 RECORDING = 'bags/tracked_object'
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         if tracked:
             poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
 
-    with ProgressBar() as progress:
+    with Progress() as progress:
         run, table = track_recording(bag, read_model(model), camera,
                                      read_start(str(start_file), None, camera),
                                      overlay=outputs[1], progress=progress,

@@ -23,7 +23,7 @@ import sys
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
-from selfcal_ros.cli.progress import ProgressBar
+from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
 from selfcal_ros.errors import ArgumentError, InputError
 
@@ -77,7 +77,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     check_outputs((args.report, args.json), inputs, args.force)
     quiet = args.quiet or is_standard_output(args.json)
     files = _RecordingFiles(folder / 'recordings')
-    with ProgressBar(not (args.quiet or args.verbose)) as progress:
+    with Progress.of(args) as progress:
         summary = calibrate_many(paths, settings, each=files.write, progress=progress,
                                  engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
     content = summary_to_dict(summary)

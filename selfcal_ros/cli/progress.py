@@ -11,49 +11,131 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A progress bar on a terminal, nothing anywhere else."""
+"""How far the work has come: a bar on a terminal, lines in a log."""
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable
 import sys
-from typing import TYPE_CHECKING
+import time
+from typing import Any, TextIO
 
-if TYPE_CHECKING:
-    from tqdm import tqdm
+#: Nothing is said of work that takes no longer, seconds.
+PATIENCE_S = 10.0
+#: Time between two lines, seconds.
+PERIOD_S = 10.0
 
 
-class ProgressBar:
+class Progress:
     """
-    Shows how far long work has come; a context manager.
+    Shows how far long work has come, stage by stage; a context manager.
+
+    A bar with the time that is left stands on a terminal. Elsewhere, as in a log, lines appear
+    once the work takes long: when a stage begins and ends, and every some seconds between.
 
     Parameters
     ----------
     wanted : bool
-        Shown only if this is true and standard error is a terminal.
+        False: nothing is shown.
+    stages : bool
+        Lines for every stage with the time that it took, on a terminal as well.
+    stream : text stream, optional
+        By default standard error.
+    clock : callable
+        Returns seconds.
 
     """
 
-    def __init__(self, wanted: bool = True):
-        self._shown = wanted and sys.stderr.isatty()
-        self._bar: tqdm | None = None
+    def __init__(self, wanted: bool = True, stages: bool = False, stream: TextIO | None = None,
+                 clock: Callable[[], float] = time.monotonic):
+        self._stream = sys.stderr if stream is None else stream
+        self._bar = _Bar(self._stream) if wanted and not stages and self._stream.isatty() else None
+        self._lines = wanted and self._bar is None
+        self._stages, self._clock = stages, clock
         self._text = ''
+        self._told = False
+        self._start = self._began = self._last = clock()
 
-    def __enter__(self):
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> Progress:
+        """Return what -q and -v ask for."""
+        return cls(not getattr(args, 'quiet', False), bool(getattr(args, 'verbose', 0)))
+
+    def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         if self._bar is not None:
             self._bar.close()
+        self._end_stage(self._clock())
 
-    def __call__(self, text: str, done: float, total: float | None = None) -> None:
-        """Show that so much of a total is done."""
-        if not self._shown:
+    def __call__(self, text: str, done: float = 0, total: float | None = None) -> None:
+        """Tell that so much of a stage is done; `total` is None where it is not known."""
+        if self._bar is not None:
+            self._bar.show(text, done, total)
+        if not self._lines:
             return
+        now = self._clock()
+        if text != self._text:
+            self._end_stage(now)
+            self._text, self._began, self._told = text, now, False
+            if self._stages or now - self._start >= PATIENCE_S:
+                self._say(now, f'{text} ...')
+        elif done and now - self._start >= PATIENCE_S and now - self._last >= PERIOD_S:
+            self._say(now, f'{text}: {_share(done, total)}{self._left(now, done, total)}')
+
+    def _end_stage(self, now: float) -> None:
+        if self._told:
+            self._say(now, f'{self._text}: done in {_duration(now - self._began)}')
+        self._told = False
+
+    def _left(self, now: float, done: float, total: float | None) -> str:
+        """Say how long the stage will take from here, if it goes on as it went."""
+        if not total or done >= total:
+            return ''
+        return f', about {_duration((now - self._began) * (total - done) / done)} left'
+
+    def _say(self, now: float, text: str) -> None:
+        self._last, self._told = now, True
+        print(f'[{now - self._start:6.1f} s] {text}', file=self._stream, flush=True)
+
+
+def _share(done: float, total: float | None) -> str:
+    """Say how much is done; a total of 1.0 is a share."""
+    if not total:
+        return f'{done:.0f}'
+    percent = f'{100 * done / total:.0f} %'
+    return percent if isinstance(total, float) else f'{done:.0f} of {total:.0f} ({percent})'
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f'{seconds:.1f} s' if seconds < 10 else f'{seconds:.0f} s'
+    return f'{seconds / 60:.0f} min' if seconds < 6000 else f'{seconds / 3600:.1f} h'
+
+
+class _Bar:
+    """A bar of tqdm, a new one for every stage."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+        self._bar: Any = None
+        self._text = ''
+
+    def show(self, text: str, done: float, total: float | None) -> None:
         if self._bar is None or text != self._text:
             from tqdm import tqdm
-            if self._bar is not None:
-                self._bar.close()
+            self.close()
             self._text = text
-            self._bar = tqdm(desc=text, total=total, leave=False, file=sys.stderr,
-                             dynamic_ncols=True)
+            kind = ('{desc} [{elapsed}]' if not total and not done else
+                    '{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]'
+                    if isinstance(total, float) else None)
+            self._bar = tqdm(desc=text, total=total, leave=False, file=self._stream,
+                             dynamic_ncols=True, bar_format=kind)
         self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

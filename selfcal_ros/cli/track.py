@@ -78,7 +78,7 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
 
 def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
-    from selfcal_ros.cli.progress import ProgressBar
+    from selfcal_ros.cli.progress import Progress
     from selfcal_ros.pipeline.tracking_run import read_start
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.overlay_video import check_video_path
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     camera = read_known_camera(args.camera)
     model = read_model(args.model)
     start = read_start(args.init, args.clicks, camera)
-    with ProgressBar(not (args.quiet or args.verbose)) as progress:
+    with Progress.of(args) as progress:
         run, table = track_recording(args.input, model, camera, start, options,
                                      topic=args.topic, overlay=args.overlay, seed=args.seed,
                                      progress=progress, excerpt=excerpt)

@@ -115,6 +115,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         from selfcal_ros.pipeline.object_session import read_object_views
         target = parse_target(settings.known_object)
         reading = read_object_views(path, target, **shared)
+        _tell(progress)
         return _timed(lambda: calibrate_known_object(
             reading.tracks, target.known, facts=settings.facts), reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
@@ -123,9 +124,16 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
     reading = read_tracks(path, mode=settings.mode, **shared)
+    _tell(progress)
     return _timed(lambda: calibrate(
         reading.tracks, motion=settings.motion, facts=settings.facts,
         translation_frames=settings.translation_frames, views=settings.views), reading), reading
+
+
+def _tell(progress: Callable | None) -> None:
+    """Tell that the estimate begins, which cannot know how far it is."""
+    if progress:
+        progress('estimating', 0, None)
 
 
 def _timed(estimate: Callable[[], Calibration | NotCalibrated],

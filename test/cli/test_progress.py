@@ -1,0 +1,84 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How far the work has come: lines in a log, a bar on a terminal, nothing with -q."""
+
+import io
+import re
+
+import pytest
+from selfcal_ros.cli import progress as module
+from selfcal_ros.cli.progress import Progress
+from test_support.command_line import selfcal, SIZE
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def work(monkeypatch):
+    """Return what an hour of work leaves in a stream; a stage a minute, a step a second."""
+    def run(stream, seconds, **how):
+        monkeypatch.setattr(module, 'PATIENCE_S', 10.0)
+        now = [0.0]
+        with Progress(stream=stream, clock=lambda: now[0], **how) as progress:
+            for second in range(seconds):
+                now[0] = float(second)
+                progress('tracking', second + 1, 4 * seconds)
+            progress('estimating')
+            now[0] += 7
+        return stream.getvalue()
+    return run
+
+
+def test_a_log_has_lines_with_stages_their_times_and_what_is_left(work):
+    said = work(io.StringIO(), 60)
+    assert '\r' not in said and '\x1b' not in said
+    lines = said.splitlines()
+    assert all(re.match(r'\[ *\d+\.\d s\] \S', line) for line in lines)
+    # a line every ten seconds, after the first ten; the stages at their ends
+    stages = [line[11:].split()[0].strip(':') for line in lines]
+    assert stages == ['tracking'] * 6 + ['estimating'] * 2
+    assert lines[0] == '[  10.0 s] tracking: 11 of 240 (5 %), about 3 min left'
+    assert lines[4] == '[  50.0 s] tracking: 51 of 240 (21 %), about 3 min left'
+    assert lines[5] == '[  59.0 s] tracking: done in 59 s'
+    assert lines[-1].endswith('estimating: done in 7.0 s')
+
+
+def test_short_work_is_silent_unless_v_asks_for_its_stages(work):
+    assert work(io.StringIO(), 3) == ''
+    said = work(io.StringIO(), 3, stages=True)
+    assert 'tracking: done in 2.0 s' in said and 'estimating: done in 7.0 s' in said
+    assert 'estimating: done' in work(Terminal(), 3, stages=True)
+    assert work(io.StringIO(), 3000, wanted=False) == work(Terminal(), 30, wanted=False) == ''
+
+
+def test_a_terminal_has_a_bar_with_the_time_that_is_left(work):
+    said = work(Terminal(), 30)
+    assert '\r' in said and re.search(r'tracking: .*\|.*\[\d\d:\d\d<', said)
+    assert 'estimating' in said and said.endswith(' \r')
+
+
+def test_the_command_tells_its_stages_where_there_is_no_terminal(driven, capsys, monkeypatch):
+    monkeypatch.setattr(module, 'PATIENCE_S', 0.0)
+    assert selfcal('calibrate', driven[0], *SIZE) == 0
+    heard = capsys.readouterr()
+    told = [re.sub(r'^\[.*?\] ', '', line) for line in heard.err.splitlines()]
+    assert [re.sub(r'[\d.]+ \w+$', 'T', line) for line in told] == [
+        'estimating ...', 'estimating: done in T', 'writing ...', 'writing: done in T']
+    assert selfcal('calibrate', driven[0], *SIZE, '-q', '--force') == 0
+    assert capsys.readouterr() == ('', '')
