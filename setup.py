@@ -28,6 +28,7 @@ EXECUTABLES = {
     'rorapid_tracker': 'selfcal_ros.nodes.rorapid_tracker:main',
     'bag_player': 'selfcal_ros.nodes.bag_player:main',
     'camera_info_publisher': 'selfcal_ros.nodes.camera_info_publisher:main',
+    'calibration_page': 'selfcal_ros.nodes.calibration_page:main',
     'all_nodes': 'selfcal_ros.nodes.composition:main',
     'selfcal': 'selfcal_ros.cli.main:main',
 }
@@ -94,6 +95,10 @@ setup(
         'view': [
             'rerun-sdk>=0.23',
         ],
+        # the live page: calibration_page, selfcal watch
+        'watch': [
+            'tornado>=6.2',
+        ],
         # make docs
         'docs': [
             'mkdocs>=1.6',
@@ -106,6 +111,7 @@ setup(
             'mypy>=1.11',
             'distributed>=2023.1',
             'mkdocs>=1.6',
+            'tornado>=6.2',
         ],
     },
     zip_safe=True,

@@ -16,7 +16,7 @@ Calibrate the camera of a robot while it drives; from a live camera, or from a b
 
 ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw camera_name:=front
 ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw composed:=true rviz:=true
-ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag
+ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag watch:=true
 """
 
 from launch import LaunchDescription
@@ -48,6 +48,8 @@ ARGUMENTS = {
     'respawn': ('false', 'start a node again that has crashed'),
     'use_sim_time': ('false', 'take the time from /clock, as of a bag or a simulation'),
     'rviz': ('false', 'show tracks, path and structure in RViz'),
+    'watch': ('false', 'serve a live page of the calibration; its address is logged'),
+    'watch_port': ('8765', 'of the live page; 0: any that is free'),
     'params_file': (PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config',
                                           'agv.yaml']), 'parameters of the nodes'),
 }
@@ -90,6 +92,8 @@ def generate_launch_description():
         node('feature_tracker', [sim_time], images, apart),
         node('all_nodes', [calibrator, sim_time], images + infos, IfCondition(value['composed']),
              ['feature_tracker', value['calibrator']]),
+        node('calibration_page', [{'port': ParameterValue(value['watch_port'], value_type=int)}],
+             condition=IfCondition(value['watch'])),
         # at the end of the bag it is done
         node('bag_player', [player], images, IfCondition(played), respawn=False),
         Node(package='rviz2', executable='rviz2', condition=IfCondition(value['rviz']),

@@ -35,6 +35,7 @@ VERBS = {
     'convert': 'turn images into a bag, or a camera file into that of another program',
     'track': 'follow a known object through a recording',
     'model': 'make a wireframe model of an object from two images',
+    'watch': 'show the running nodes on a live page',
     'completion': 'print the words for the TAB key of a shell',
     'demo': 'replay the recorded drive of this package and calibrate it',
 }

@@ -33,7 +33,7 @@ from selfcal_ros.nodes.entry_point import run_nodes
 
 #: What can be composed: the modules whose make_node() returns the node.
 COMPOSABLE = ('feature_tracker', 'planar_calibrator', 'affine_calibrator', 'rorapid_tracker',
-              'camera_info_publisher', 'bag_player')
+              'camera_info_publisher', 'calibration_page', 'bag_player')
 DEFAULT = ('feature_tracker', 'planar_calibrator')
 
 

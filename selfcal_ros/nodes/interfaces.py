@@ -130,4 +130,12 @@ INTERFACES = {
         Endpoint('service', '~/set_camera_info', 'sensor_msgs/SetCameraInfo',
                  'take another calibration, at once, and write it to the file'),
     ),
+    'calibration_page': (
+        Endpoint('in', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
+                 'what calibrator and tracker say of themselves'),
+        Endpoint('in', 'tracks', 'sensor_msgs/PointCloud2',
+                 'from when a calibrator has spoken: coverage and turns'),
+        Endpoint('in', 'feature_tracker/overlay', 'sensor_msgs/Image',
+                 'only while a browser shows the page'),
+    ),
 }

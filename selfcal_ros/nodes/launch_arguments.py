@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 import os
 
 CALIBRATORS = ('planar_calibrator', 'affine_calibrator')
@@ -47,6 +48,9 @@ def launch_problem(values: Mapping[str, str]) -> str:
     if values.get('rviz', '').lower() in ('true', '1') and not is_installed('rviz2'):
         return ('rviz:=true needs the package rviz2, which is not installed '
                 '(sudo apt install ros-jazzy-rviz2).')
+    if values.get('watch', '').lower() in ('true', '1') and find_spec('tornado') is None:
+        return ("watch:=true needs Tornado: pip install 'selfcal_ros[watch]' (or sudo apt install "
+                'python3-tornado).')
     return ''
 
 

@@ -220,3 +220,20 @@ class CameraInfoPublisherParameters:
         'of interest, or the images of a driver without one',
         one_of=('driver', 'image', 'compressed'))
     silence_s: float = _silence_s('nothing has')
+
+
+@dataclass(frozen=True)
+class CalibrationPageParameters:
+    """Parameters of calibration_page."""
+
+    calibrator: str = parameter('', 'name of the calibrator to watch, such as '
+                                '/left/planar_calibrator; empty: the first that speaks, those '
+                                'of the own namespace before others')
+    host: str = parameter('127.0.0.1', 'address to serve on; of any but this machine, the page '
+                          'asks for the token that is in the printed address')
+    port: int = parameter(8765, 'of the address; where it is taken, the next that is free; 0: '
+                          'any that is free', 0, 65535)
+    image_rate: float = parameter(10.0, 'images a second, at most, that a browser gets', 0.1,
+                                  60.0, live=True)
+    image_width: int = parameter(960, 'wider images are made smaller, pixels', 64, 8192,
+                                 live=True)

@@ -29,6 +29,7 @@ import sys
 
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerParameters,
+                                          CalibrationPageParameters,
                                           CameraInfoPublisherParameters,
                                           FeatureTrackerParameters, PlanarCalibratorParameters,
                                           RorapidTrackerParameters)
@@ -42,6 +43,7 @@ PARAMETERS = {
     'rorapid_tracker': RorapidTrackerParameters,
     'bag_player': BagPlayerParameters,
     'camera_info_publisher': CameraInfoPublisherParameters,
+    'calibration_page': CalibrationPageParameters,
 }
 _BLOCK = re.compile(r'(<!-- (parameters|interface):(\w+) -->\n).*?(?=<!-- /\2:\3 -->)', re.S)
 

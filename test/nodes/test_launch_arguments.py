@@ -40,6 +40,9 @@ def test_a_launch_looks_at_its_arguments_first(monkeypatch, tmp_path):
     assert 'rviz2, which is not installed' in launch_problem({**fine, 'rviz': 'true'})
     monkeypatch.setattr(launch_arguments, 'is_installed', lambda package: True)
     assert launch_problem({**fine, 'rviz': 'true'}) == ''
+    monkeypatch.setattr(launch_arguments, 'find_spec', lambda package: None)
+    assert "pip install 'selfcal_ros[watch]'" in launch_problem({**fine, 'watch': 'true'})
+    assert launch_problem(fine) == ''
 
 
 def test_a_package_that_is_not_there_is_not_installed(monkeypatch, tmp_path):

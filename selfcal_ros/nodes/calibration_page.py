@@ -1,0 +1,35 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""calibration_page: shows in a browser how a calibration comes about; see `page_node`."""
+
+from __future__ import annotations
+
+import sys
+
+from selfcal_ros.nodes.entry_point import run_node
+
+
+def make_node():
+    """Return the node; its imports take a second, hence not before they are wanted."""
+    from selfcal_ros.nodes.page_node import CalibrationPage
+    return CalibrationPage()
+
+
+def main(args=None) -> int:
+    """Run the node; returns the exit status."""
+    return run_node(make_node, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,191 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The live page in a real browser, with a tracker and a calibrator at work."""
+
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.stamps import header_message
+from msg_adapters.tracks import tracks_message
+import numpy as np
+import pytest
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.page_node import CalibrationPage
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.synthetic.special_scenes import drive
+from sensor_msgs.msg import Image, PointCloud2
+from test_support import image_stream
+from test_support.chromium import started_browser
+from test_support.node_interfaces import has, written
+
+#: Images of a wall are drawn, and the tracks of a drive with a known camera are calibrated.
+OPTIONS = ('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=12', '-p', 'idle_s:=0.3',
+           '-p', 'distortion:=none', '-p', 'port:=0', '-p', 'camera_name:=front',
+           '-r', 'feature_tracker:tracks:=wall')
+IMAGE = 'document.getElementById("image")'
+#: Colours among the pixels of the image that is shown: those of tracks.
+COLOURED = """(image => {
+    const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+    [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+    pen.drawImage(image, 0, 0);
+    const rgb = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+    let coloured = 0;
+    for (let k = 0; k < rgb.length; k += 4)
+        coloured += Math.max(rgb[k], rgb[k + 1], rgb[k + 2])
+                    - Math.min(rgb[k], rgb[k + 1], rgb[k + 2]) > 40;
+    return coloured / (rgb.length / 4);
+})(document.getElementById("image"))"""
+
+
+@pytest.fixture(scope='module')
+def browser():
+    """Start the browser once."""
+    yield from started_browser()
+
+
+class Stage:
+    """Nodes, and what a person does with their page."""
+
+    def __init__(self, graph, browser):
+        self.graph = graph
+        for node in (FeatureTracker(),
+                     Calibrator('planar_calibrator', PlanarCalibratorParameters)):
+            graph.add(node)
+        self.node = graph.add(CalibrationPage())
+        self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 30)
+        self.camera = graph.probe.create_publisher(Image, 'image', 5)
+        self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
+        self.browser = browser
+        self.page = None
+
+    def images_wanted(self):
+        return self.camera.get_subscription_count() > 0
+
+    def send(self, frames):
+        """Publish the tracks of views."""
+        tracks, camera, types = self.sequence.tracks, self.sequence.camera, rclpy_types()
+        for frame in frames:
+            mask = tracks.frame == frame
+            self.tracks.publish(tracks_message(
+                tracks.track[mask], tracks.xy[mask], (camera.width, camera.height),
+                header_message(10 ** 18 + int(frame) * 10 ** 8, 'cam', types), types))
+            self.graph.spin_for(0.02)
+
+    def text(self, where):
+        return self.page.evaluate(f'document.querySelector({where!r}).innerText')
+
+    def wait(self, condition, what, timeout_s=60.0, meanwhile=lambda: None):
+        """Let the nodes work until the page is as it should be."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, (what, self.text('body'))
+            meanwhile()
+            self.graph.spin_for(0.1)
+
+    def press(self, name):
+        """Press a button; returns what the page says then."""
+        self.page.evaluate(f'document.getElementById("answer").textContent = "", '
+                           f'document.getElementById("{name}").click()')
+        self.wait(lambda: self.text('#answer') not in ('', '…'), name)
+        return self.text('#answer')
+
+    def parameter(self, name):
+        """Return value and sigma of a parameter as they are shown; None where they are not."""
+        for row in self.text('#parameters').splitlines():
+            cells = row.replace('±', ' ').split()
+            if cells[:1] == [name] and len(cells) == 3:
+                return float(cells[1]), float(cells[2])
+        return None
+
+
+@pytest.fixture
+def stage(graph, browser):
+    return Stage(graph(*OPTIONS), browser)
+
+
+def test_the_page_shows_images_and_numbers_as_they_come_and_its_buttons_work(stage, tmp_path):
+    graph = stage.graph
+    graph.wait_for(lambda: stage.tracks.get_subscription_count() == 2, what='calibrator and page')
+    assert has(stage.node) == {end for end in written('calibration_page')
+                               if '/overlay' not in end[1]}
+    assert not stage.images_wanted(), 'nobody looks'
+    page = stage.page = stage.browser.open(stage.node.server.url, 1280)
+    # the image, with its tracks in colour
+    stage.wait(stage.images_wanted, 'subscription')
+    frames = iter(range(10 ** 6))
+    stage.wait(lambda: page.evaluate(f'{IMAGE}.naturalWidth') == 320, 'image',
+               meanwhile=lambda: stage.camera.publish(image_stream.image(next(frames) % 100)))
+    stage.wait(lambda: page.evaluate(COLOURED) > 0.005, 'tracks',
+               meanwhile=lambda: stage.camera.publish(image_stream.image(next(frames) % 100)))
+    # no calibration yet
+    assert 'no calibration yet' in stage.press('save')
+    # numbers
+    stage.send(range(12))
+    stage.wait(lambda: stage.parameter('fx'), 'first calibration')
+    first, first_sigma = stage.parameter('fx')
+    stage.send(range(12, 20))
+    stage.wait(lambda: stage.parameter('fx')[1] < first_sigma, 'sigma falls')
+    value, sigma = stage.parameter('fx')
+    assert abs(value - stage.sequence.camera.K[0, 0]) < 5 * sigma
+    assert '20 views kept' in stage.text('.facts') and 'front' in stage.text('.facts')
+    heights = page.evaluate('[...document.querySelector("#chart polyline.focal").points]'
+                            '.map(p => p.y)')
+    assert heights[-1] > heights[0], 'the chart falls, y being down'
+    assert page.evaluate('Math.max(...[...document.querySelectorAll("#map rect")].map('
+                         'r => +r.getAttribute("fill-opacity")))') > 0
+    assert stage.text('#do') and stage.text('#why')
+    # buttons
+    said = stage.press('calibrate')
+    assert 'views' in said or 'nothing new' in said or 'under way' in said
+    path = tmp_path / 'ros_home' / 'camera_info' / 'front.yaml'
+    assert str(path) in stage.press('save') and path.is_file()
+    page.evaluate('document.getElementById("reset").click()')
+    assert stage.text('#reset') == 'Forget everything?'
+    assert stage.press('reset') == 'starting anew'
+    stage.wait(lambda: stage.text('#state') == 'Not calibrated', 'reset')
+    assert stage.parameter('fx') is None and stage.text('#share').startswith('0 %')
+    # markup in a message is text
+    evil = '<b id="evil">x</b>'
+    statuses = graph.probe.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    stage.wait(lambda: evil in stage.text('#text'), 'text',
+               meanwhile=lambda: statuses.publish(DiagnosticArray(status=[DiagnosticStatus(
+                   name='planar_calibrator: calibration', message=evil,
+                   values=[KeyValue(key='resets', value='1')])])))
+    assert page.evaluate('document.getElementById("evil")') is None
+    # it fits a telephone, and does nothing that it must not
+    for width, scheme in ((400, 'dark'), (320, 'light')):
+        page.send('Emulation.setDeviceMetricsOverride', width=width, height=800,
+                  deviceScaleFactor=1, mobile=True)
+        page.media('screen', scheme)
+        assert page.evaluate('document.documentElement.scrollWidth') <= width
+    assert page.complaints == []
+    origin = stage.node.server.url
+    assert all(url.startswith((origin, 'blob:', 'data:', origin.replace('http', 'ws')))
+               for url in page.requests)
+    # whoever goes takes the load away
+    page.send('Page.close')
+    graph.wait_for(lambda: not stage.images_wanted(), what='end of the subscription')
+
+
+def test_the_first_calibrator_of_the_own_namespace_is_watched(graph):
+    graph = graph('-p', 'port:=0', '-r', 'calibration_page:__ns:=/right')
+    page = graph.add(CalibrationPage())
+    for name in ('left/planar_calibrator', 'right/affine_calibrator', 'planar_calibrator'):
+        page._consider(name)
+    assert page._calibrator == 'right/affine_calibrator'
+    topics = {one.topic_name for one in page.subscriptions}
+    assert '/right/tracks' in topics and '/left/tracks' not in topics
+    assert page._beside('feature_tracker/overlay') == 'feature_tracker/overlay'
