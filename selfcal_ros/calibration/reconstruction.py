@@ -72,6 +72,38 @@ class StructurePrecision:
 
 
 @dataclass(frozen=True)
+class PosePrecision:
+    """
+    What the covariance of every pose follows from, to first order.
+
+    A small change of a pose is that of the camera's centre, then a small turn of the camera about
+    the axes of the world: x, y, z, rotX, rotY, rotZ of REP 103. The world and its unit are those
+    of `selfcal_ros.calibration.structure.camera_path`.
+
+    Attributes
+    ----------
+    camera : Camera
+        Of the adjustment.
+    lens : tuple of str
+        Unknowns of the lens that were estimated.
+    by_unknowns : ndarray, shape (V, 6, k)
+        Changes of the poses by the independent unknowns of the adjustment; those of `lens` come
+        first.
+    covariance : ndarray, shape (k, k)
+        Of these unknowns, for independent noise.
+    own : ndarray, shape (V, 6, 6), optional
+        Covariance of the poses while these unknowns are held, where poses are none of them.
+
+    """
+
+    camera: Camera
+    lens: tuple[str, ...]
+    by_unknowns: np.ndarray
+    covariance: np.ndarray
+    own: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """
     Camera path and structure, up to scale, in a world frame whose z axis is the rotation axis.
@@ -87,6 +119,8 @@ class Reconstruction:
     precision : StructurePrecision, optional
         Of the points, in the same order; lengths and angles of the structure get their sigmas
         from it.
+    pose_precision : PosePrecision, optional
+        Of the poses; see `selfcal_ros.calibration.structure.camera_path`.
 
     """
 
@@ -95,6 +129,7 @@ class Reconstruction:
     tracks: np.ndarray
     points: np.ndarray
     precision: StructurePrecision | None = field(default=None, repr=False, compare=False)
+    pose_precision: PosePrecision | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.many import add_many_arguments, run_many
+from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -85,9 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json_argument(output)
     output.add_argument('--report', type=Path, metavar='REPORT.HTML',
                         help='everything, for a person')
-    output.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
-                        help='the points of the scene with their colours; the median step between '
-                             'views is 1')
+    add_scene_arguments(output)
     output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
                         help='open the Rerun viewer with images, path and structure, or write '
                              'SCENE.RRD for it (extra: view)')
@@ -146,9 +145,6 @@ def _check_options(args: argparse.Namespace) -> None:
         raise ArgumentError('--motion known-object needs --object, for example '
                             'chessboard:9x6:0.025 (inner corners, metres), or --track with the '
                             '--model of an object.')
-    if known and args.ply:
-        raise ArgumentError('--ply writes the structure of an unknown scene; leave it out, the '
-                            'object is known.')
     if args.view:
         if known:
             raise ArgumentError('--view shows the structure of an unknown scene; leave it out, '
@@ -170,7 +166,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     from selfcal_ros.pipeline.calibrate_input import calibrate_input
     from selfcal_ros.pipeline.sources import open_source
     outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
-                      report=args.report, ply=args.ply, camera_name=args.camera_name,
+                      report=args.report, scene=SceneOutputs.of(args),
+                      camera_name=args.camera_name,
                       command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
@@ -189,13 +186,16 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         notes = (*why, *reading.notes)
         text = result_text(result, notes=notes)
         progress('writing')
-        written = outputs.write(result, text, reading.description, reading.tracks,
-                                open_frames, (*why, *reading.findings))
+        written, left_out = outputs.write(result, text, reading.description, reading.tracks,
+                                          open_frames, (*why, *reading.findings),
+                                          reading.stamps_ns)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
+    for sentence in left_out:
+        print(sentence, file=sys.stderr)
     # a camera that only rotates has neither path nor structure to show
     if args.view and result and result.motion != 'rotation':
         from selfcal_ros.report.viewer import view

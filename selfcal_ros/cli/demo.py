@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     if not result:
         print(f'\n{text}')
     written += outputs.write(direct, text, str(bag), tracks,
-                             lambda: open_source(bag, colour=True))
+                             lambda: open_source(bag, colour=True))[0]
     print(f'\nWritten: {", ".join(map(str, written))}.')
     return EXIT_DONE if result or direct else EXIT_NOT_CALIBRATED
 

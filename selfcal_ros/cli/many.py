@@ -56,7 +56,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     from selfcal_ros.pipeline.many_inputs import calibrate_many
     from selfcal_ros.report.camera_yaml import check_camera_name
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
-    for name in ('output', 'ply'):
+    for name in ('output', 'ply', 'poses', 'colmap', 'transforms'):
         if getattr(args, name):
             raise ArgumentError(f'--{name} is for a single recording; with many, --output-dir '
                                 'takes the files.')

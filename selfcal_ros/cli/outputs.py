@@ -15,18 +15,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
+from selfcal_ros.cli.scene_outputs import SceneOutputs
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.page import write_page
-from selfcal_ros.report.ply import point_colours, write_ply
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.result_json import result_to_json
 from selfcal_ros.values.tracks import Tracks
@@ -39,7 +38,9 @@ class Outputs:
 
     Parameters
     ----------
-    camera_yaml, result_json, report, ply : Path or None
+    camera_yaml, result_json, report : Path or None
+    scene : SceneOutputs
+        Path and structure.
     camera_name : str
         Name inside the camera file.
     command : tuple of str
@@ -52,7 +53,7 @@ class Outputs:
     camera_yaml: Path | None = None
     result_json: Path | None = None
     report: Path | None = None
-    ply: Path | None = None
+    scene: SceneOutputs = SceneOutputs()
     camera_name: str = 'camera'
     command: tuple[str, ...] = ()
     inputs: tuple[str | Path, ...] = ()
@@ -75,12 +76,14 @@ class Outputs:
 
         """
         check_camera_name(self.camera_name)
-        check_outputs((self.camera_yaml, self.result_json, self.report, self.ply), inputs, force)
+        check_outputs((self.camera_yaml, self.result_json, self.report, *self.scene.files), inputs,
+                      force)
+        self.scene.check(force)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
-              open_frames: Callable | None = None,
-              notes: tuple[Finding | str, ...] = ()) -> list[Path]:
+              open_frames: Callable | None = None, notes: tuple[Finding | str, ...] = (),
+              stamps_ns: Mapping[int, int] | None = None) -> tuple[list[Path], list[str]]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -98,11 +101,15 @@ class Outputs:
             colours of the structure.
         notes : tuple of Finding or str
             Further ones for the report.
+        stamps_ns : mapping of int to int, optional
+            When the images were taken, where they tell.
 
         Returns
         -------
         list of Path
             The files written.
+        list of str
+            Why others were not, a sentence each.
 
         """
         written = []
@@ -127,22 +134,9 @@ class Outputs:
                                       camera_name=self.camera_name, notes=notes,
                                       open_frames=open_frames,
                                       made=Provenance.of_this_run(self.command, self.inputs)))
-        # a camera that only rotates sees no depth
-        if self.ply and result and result.motion != 'rotation':
-            written.append(self._write_structure(result, source, tracks, open_frames))
-        return written
-
-    def _write_structure(self, result, source, tracks, open_frames) -> Path:
-        structure = metric_structure(result, tracks)
-        colours = None
-        if open_frames is not None:
-            with open_frames() as frames:
-                if frames.kind != 'tracks':
-                    colours = point_colours(tracks, structure.tracks,
-                                            frames.only(tracks.frames))
-        return write_ply(self.ply, structure.points, colours, [
-            f'{result.software}: {source}', 'unit: median step between successive views',
-            'axes: x forward, y left, z up as the first view has it'])
+        more, left_out = (self.scene.write(result, source, tracks, open_frames, stamps_ns)
+                          if result and tracks is not None else ([], []))
+        return written + more, left_out
 
 
 def _shutter_comments(result: Calibration) -> list[str]:

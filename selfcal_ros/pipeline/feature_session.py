@@ -60,6 +60,11 @@ class ExtractedTracks:
     clock: str = 'none'
 
     @property
+    def stamps_ns(self) -> dict[int, int] | None:
+        """When each image was taken; None where the input has no clock of its own."""
+        return self.tracks.stamps_ns if self.clock in ('header', 'log', 'video') else None
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """The findings in words, one sentence each."""
         return sentences(self.findings)

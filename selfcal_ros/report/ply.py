@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Points as a coloured PLY, which every viewer of point clouds reads."""
+"""Points and cameras as a coloured PLY, which every viewer of point clouds reads."""
 
 from __future__ import annotations
 
@@ -21,16 +21,53 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
-_KINDS = {'f4': 'float', 'u1': 'uchar'}
+_KINDS = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}
+#: Cameras are drawn so deep, in steps between views, and in this colour (red, green, blue).
+FRUSTUM_DEPTH, FRUSTUM_COLOUR = 0.3, (230, 60, 30)
+#: Corners of a frustum after its tip, and what its edges connect.
+_CORNERS = 4
+_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
+#: Of a vertex that is a camera's.
+NO_TRACK = -1
+
+
+def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """
+    Draw cameras as pyramids: the centre, and the corners of the image in front of it.
+
+    Parameters
+    ----------
+    camera : Camera
+    rotation : ndarray, shape (V, 3, 3)
+        World from camera.
+    centre : ndarray, shape (V, 3)
+
+    Returns
+    -------
+    ndarray, shape (V, 5, 3)
+        The tip; then top left, top right, bottom right and bottom left of the image, as a pinhole
+        sees it.
+
+    """
+    K = camera.K
+    right, low = camera.width - 0.5, camera.height - 0.5
+    corners = np.array([(-0.5, -0.5), (right, -0.5), (right, low), (-0.5, low)])
+    local = np.zeros((1 + _CORNERS, 3))
+    local[1:, :2] = (corners - K[:2, 2]) / np.diag(K)[:2]
+    local[1:, 2] = 1
+    placed: np.ndarray = FRUSTUM_DEPTH * local @ np.swapaxes(rotation, 1, 2) + centre[:, None]
+    return placed
 
 
 def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
-              comments: Iterable[str] = ()) -> Path:
+              comments: Iterable[str] = (), *, tracks: np.ndarray | None = None,
+              sigma: np.ndarray | None = None, frusta: np.ndarray | None = None) -> Path:
     """
-    Write points as binary little-endian PLY, whole or not at all.
+    Write points, and cameras if there are any, as binary little-endian PLY, whole or not at all.
 
     Parameters
     ----------
@@ -40,6 +77,13 @@ def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
         Red, green, blue.
     comments : iterable of str
         For the header: the frame, the scale.
+    tracks : ndarray of int, shape (P,), optional
+        What each point is called; left out where one does not fit into 32 bits.
+    sigma : ndarray, shape (P,), optional
+        Largest standard deviation of each point.
+    frusta : ndarray, shape (V, 5, 3), optional
+        Of `camera_frusta`. Their corners follow the points as vertices, with `NO_TRACK` and no
+        sigma, and edges connect them.
 
     Returns
     -------
@@ -56,23 +100,37 @@ def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ArgumentError(f'Points must be (P, 3), not {points.shape}.')
-    columns = [(name, 'f4', points[:, axis]) for axis, name in enumerate('xyz')]
+    count, views = len(points), 0 if frusta is None else len(frusta)
+    drawn = np.zeros((0, 3)) if frusta is None else np.reshape(frusta, (-1, 3))
+    columns = [(name, 'f4', points[:, axis], drawn[:, axis]) for axis, name in enumerate('xyz')]
     if colours is not None:
         colours = np.asarray(colours)
         if colours.shape != points.shape or colours.dtype != np.uint8:
             raise ArgumentError(f'Colours must be uint8 of shape {points.shape}, not '
                                 f'{colours.dtype} of {colours.shape}.')
-        columns += [(name, 'u1', colours[:, k]) for k, name in enumerate(('red', 'green', 'blue'))]
-    records = np.zeros(len(points), [(name, '<' + kind) for name, kind, _ in columns])
-    for name, _, values in columns:
-        records[name] = values
+        columns += [(name, 'u1', colours[:, k], FRUSTUM_COLOUR[k])
+                    for k, name in enumerate(('red', 'green', 'blue'))]
+    if tracks is not None and np.abs(tracks).max(initial=0) < 2**31:
+        columns.append(('track', 'i4', tracks, NO_TRACK))
+    if sigma is not None:
+        columns.append(('sigma', 'f4', sigma, 0.0))
+    records = np.zeros(count + len(drawn), [(name, '<' + kind) for name, kind, *_ in columns])
+    for name, _, values, of_cameras in columns:
+        records[name][:count], records[name][count:] = values, of_cameras
     header = ['ply', 'format binary_little_endian 1.0']
     # a line break in a comment would end it
     header += ['comment ' + ' '.join(comment.encode('ascii', 'replace').decode().split())
                for comment in comments]
-    header += [f'element vertex {len(points)}',
-               *(f'property {_KINDS[kind]} {name}' for name, kind, _ in columns), 'end_header\n']
-    return atomic_write(path, '\n'.join(header).encode('ascii') + records.tobytes())
+    header += [f'element vertex {len(records)}',
+               *(f'property {_KINDS[kind]} {name}' for name, kind, *_ in columns)]
+    body = records.tobytes()
+    if views:
+        first = count + (1 + _CORNERS) * np.arange(views)
+        edges = first[:, None, None] + _EDGES
+        header += [f'element edge {views * len(_EDGES)}', 'property int vertex1',
+                   'property int vertex2']
+        body += edges.astype('<i4').tobytes()
+    return atomic_write(path, '\n'.join([*header, 'end_header\n']).encode('ascii') + body)
 
 
 def point_colours(tracks: Tracks, wanted: np.ndarray, frames: Iterable) -> np.ndarray:

@@ -37,6 +37,8 @@ from selfcal_ros.calibration.observability import (held_facts, parameter_status,
                                                    without_held)
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT
+from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
+from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
 from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
@@ -265,7 +267,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=outliers,
         reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),
-                                      fit.observations.track, state.points, precision),
+                                      fit.observations.track, state.points, precision,
+                                      pose_precision(fit, path.motion in IN_A_PLANE)),
         fixed_points=_fixed_points(state.path, camera.K) if problem.motion.keeps_plane else None,
         findings=path.findings + findings + shutter_findings(shutter),
         residuals=residuals, identifiability=known,

@@ -46,6 +46,7 @@ from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MA
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
@@ -307,7 +308,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
         outlier_count=total - len(observed.view),
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
-                                      state.points),
+                                      state.points, pose_precision=pose_precision(fit, False)),
         residuals=residuals, population=priors.population, focal=course,
         findings=course_findings(course) + of_facts)
 

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, start_lens, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
+from selfcal_ros.calibration.known_object.object_pose_precision import pose_precision
 from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, fisheye_state,
                                                                linear_view, LinearView,
                                                                start_state, supposed_cameras)
@@ -187,7 +188,8 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
         noise_sigma_px=bundle.sigma_px, observation_count=len(used.view),
         outlier_count=rejected,
-        reconstruction=Reconstruction(used.frames, poses, target.identity, points),
+        reconstruction=Reconstruction(used.frames, poses, target.identity, points,
+                                      pose_precision=pose_precision(bundle, state, extent)),
         findings=findings + dependence.findings(track='errors_at_object_points'),
         residuals=residuals)
 

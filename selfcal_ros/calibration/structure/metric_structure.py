@@ -35,6 +35,8 @@ from selfcal_ros.values.tracks import Tracks
 OUTLIER_SIGMAS = 4.0
 #: A point is kept when it is known to this share of its distance from the nearest view.
 RELATIVE_SIGMA = 0.05
+#: Motions that know the vertical of a plane.
+IN_A_PLANE = ('planar', 'circular')
 #: Body axes (x forward, y left, z up) in an optical frame (x right, y down, z forward).
 _OPTICAL_FROM_BODY = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
@@ -119,7 +121,7 @@ def metric_path(calibration: Calibration) -> np.ndarray:
 def _upright(calibration: Calibration) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the poses in the frame of the heading, that frame as [R | t], and its scale."""
     poses = np.asarray(calibration.reconstructed.cam_from_world, float)
-    world, scale = _world(poses, calibration.motion in ('planar', 'circular'))
+    world, scale = world_and_scale(poses, calibration.motion in IN_A_PLANE)
     # X_new = scale * (R X + t) for world = [R | t]
     rotations = poses[:, :, :3] @ world[:, :3].T
     translations = scale * (poses[:, :, 3] - rotations @ world[:, 3])
@@ -131,25 +133,49 @@ def _centres(poses: np.ndarray) -> np.ndarray:
     return -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
 
 
-def _world(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]:
-    """Return [R | t] from the given world to that of the heading, and the scale."""
-    first = poses[0, :, :3]
-    axes = _OPTICAL_FROM_BODY.T @ first
+def world_and_scale(poses: np.ndarray, planar: bool) -> tuple[np.ndarray, float]:
+    """
+    Place the world of the heading.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (V, 3, 4)
+        [R | t] in a given world.
+    planar : bool
+        Its z axis is that of the motion.
+
+    Returns
+    -------
+    world : ndarray, shape (3, 4)
+        [R | t] from the given world to that of the heading, before the scale.
+    scale : float
+
+    """
+    axes = _OPTICAL_FROM_BODY.T @ poses[0, :, :3]
     if planar:
         # the images' y points down: so does the axis, where it goes with them
         up = np.array([0, 0, -np.sign(poses[:, 1, 2].sum()) or 1.0])
-        forward = first[2] - up * (up @ first[2])
+        forward = poses[0, 2, :3] - up * (up @ poses[0, 2, :3])
         if np.linalg.norm(forward) < 1e-6:
             # straight down (or up): the top of the image is ahead
-            forward = -first[1] + up * (up @ first[1])
+            forward = -poses[0, 1, :3] + up * (up @ poses[0, 1, :3])
         forward /= np.linalg.norm(forward)
         axes = np.array([forward, np.cross(up, forward), up])
     centres = _centres(poses)
+    steps = [np.linalg.norm(centres[k + 1] - centres[k]) for k in middle_steps(centres)]
+    return (np.column_stack([axes, -axes @ centres[0]]),
+            float(1 / np.mean(steps)) if steps else 1.0)
+
+
+def middle_steps(centres: np.ndarray) -> list[int]:
+    """Return the steps between successive views whose mean is the unit: one or two, or none."""
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    step = float(np.median(steps)) if len(steps) else 0.0
-    # more than half of the views may stand still
-    step = step or float(steps.max(initial=0.0)) or 1.0
-    return np.column_stack([axes, -axes @ centres[0]]), 1 / step
+    order = np.argsort(steps, kind='stable')
+    middle = order[(len(steps) - 1) // 2:len(steps) // 2 + 1]
+    if not steps[middle].any():
+        # more than half of the views may stand still
+        middle = order[-1:]
+    return [int(k) for k in middle if steps[k] > 0]
 
 
 def _point_covariances(calibration, tracks, poses, points):

@@ -339,12 +339,12 @@ def regression(covariance: np.ndarray, shared: np.ndarray) -> np.ndarray:
     ----------
     covariance : ndarray, shape (k, k)
         Of parameters in any units; zero rows for those that are held.
-    shared : ndarray, shape (k,)
+    shared : ndarray, shape (k, ...)
         Covariance of that something with each.
 
     Returns
     -------
-    ndarray, shape (k,)
+    ndarray, shape (k, ...)
         Zero for what is held.
 
     """
@@ -352,7 +352,8 @@ def regression(covariance: np.ndarray, shared: np.ndarray) -> np.ndarray:
     free = scale > 0
     # in sigmas: a variance of 1e-10 beside one of 1e4 is no rounding
     scaled = covariance[np.ix_(free, free)] / np.outer(scale[free], scale[free])
-    result = np.zeros(len(scale))
-    result[free] = (np.linalg.pinv(scaled, _ROUNDING, hermitian=True)
-                    @ (shared[free] / scale[free])) / scale[free]
+    result = np.zeros_like(shared, dtype=float)
+    inverse = np.linalg.pinv(scaled, _ROUNDING, hermitian=True) / np.outer(scale[free],
+                                                                           scale[free])
+    result[free] = inverse @ shared[free]
     return result

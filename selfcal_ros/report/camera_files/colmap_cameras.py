@@ -174,6 +174,20 @@ def _entry(camera: Camera) -> tuple[str, list[float]]:
     return model, [float(value) for value in (K[0, 0], K[1, 1], *centre, *d)]
 
 
+def colmap_line(camera: Camera) -> str:
+    """
+    Return a line of cameras.txt without the number of the camera.
+
+    Raises
+    ------
+    ArgumentError
+        If the camera has skew.
+
+    """
+    model, values = _entry(camera)
+    return f'{model} {camera.width} {camera.height} {" ".join(map(repr, values))}'
+
+
 def colmap_text(camera: Camera, name: str = '', topic: str = '') -> str:
     """
     Write cameras.txt with one camera, number 1.
@@ -184,10 +198,9 @@ def colmap_text(camera: Camera, name: str = '', topic: str = '') -> str:
         If the camera has skew.
 
     """
-    model, values = _entry(camera)
     return ('# Camera list with one line of data per camera:\n'
             '#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n# Number of cameras: 1\n'
-            f'1 {model} {camera.width} {camera.height} {" ".join(map(repr, values))}\n')
+            f'1 {colmap_line(camera)}\n')
 
 
 def colmap_binary(camera: Camera, name: str = '', topic: str = '') -> bytes:
