@@ -78,7 +78,7 @@ class Outputs:
         check_camera_name(self.camera_name)
         check_outputs((self.camera_yaml, self.result_json, self.report, *self.scene.files), inputs,
                       force)
-        self.scene.check(force)
+        self.scene.check(inputs[0] if inputs else None, force)
 
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from selfcal_ros.cli.facts import FREE
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 
 #: Outputs that need depth, by option.
 OF_STRUCTURE = ('ply', 'colmap', 'transforms')
@@ -88,15 +88,48 @@ class SceneOutputs:
 
     @property
     def files(self) -> list[Path]:
-        """The single files, beside which others may be written."""
+        """The files that are known beforehand; those of a folder that there is."""
         beside = [self.transforms.parent / SPARSE_POINTS] if self.transforms else []
+        if self.colmap and self.colmap.is_dir():
+            from selfcal_ros.report.scene_files.colmap_model import FILES
+            beside += [self.colmap / name for name in FILES]
         return [*filter(None, (self.ply, self.poses, self.transforms)), *beside]
 
-    def check(self) -> None:
-        """Make sure that a folder can be written to; files are checked with all others."""
+    @property
+    def _image_folders(self) -> list[Path]:
+        """Where images of a bag or a video go."""
+        from selfcal_ros.report.scene_files.keyframe_files import FOLDER
+        places = (self.colmap, self.transforms and self.transforms.parent)
+        return sorted({place.resolve() / FOLDER for place in places if place})
+
+    def check(self, source: str | Path | None, force: bool) -> None:
+        """
+        Make sure that folders can be written to; files are checked with all others.
+
+        Parameters
+        ----------
+        source : path or None
+            What is calibrated from.
+        force : bool
+            Replace images that exist already.
+
+        Raises
+        ------
+        InputError, ArgumentError
+            If they cannot, or hold what would be replaced.
+
+        """
         if self.colmap:
             from selfcal_ros.report.scene_files.colmap_model import check_colmap_folder
             check_colmap_folder(self.colmap)
+        if force or _is_photographs(source):
+            return
+        from selfcal_ros.report.scene_files.keyframe_files import PATTERN
+        for folder in self._image_folders:
+            taken = next(folder.glob(PATTERN), None)
+            if taken is not None:
+                raise InputError(f'{folder} holds images already, such as {taken.name}; choose '
+                                 'another folder, or replace them with --force.')
 
     def write(self, result, source: str, tracks, open_frames: Callable | None,
               stamps_ns: Mapping[int, int] | None) -> tuple[list[Path], list[str]]:
@@ -143,50 +176,56 @@ class SceneOutputs:
     def _write_structure(self, asked, result, about, tracks, open_frames, stamps_ns):
         """Gather the scene once, and write it in every way that is asked for."""
         from selfcal_ros.report.scene_files.exported_scene import exported_scene
-        from selfcal_ros.report.scene_files.keyframe_files import (FOLDER, frame_name,
-                                                                   KeyframeFiles, read_keyframes)
+        from selfcal_ros.report.scene_files.keyframe_files import (frame_name, KeyframeFiles,
+                                                                   read_keyframes)
         scene = exported_scene(result, tracks)
-        places = {place.resolve() / FOLDER for place in (
-            self.colmap, self.transforms and self.transforms.parent) if place}
         if open_frames is None:
             images = KeyframeFiles(tuple(map(frame_name, scene.path.frames.tolist())), None, None)
         else:
             with open_frames() as frames:
                 images = read_keyframes(frames, scene.path.frames, tracks, scene.tracks,
-                                        sorted(places))
-        writers = {'ply': self._write_ply, 'colmap': self._write_colmap,
-                   'transforms': self._write_transforms}
+                                        self._image_folders)
         written, left_out = [], []
         for name in asked:
             try:
-                written += writers[name](scene, images, about, stamps_ns)
+                written += _WRITERS[name](getattr(self, name), scene, images, about, stamps_ns)
             except ArgumentError as error:
                 left_out.append(f'--{name} was not written: {error}')
         return written, left_out
 
-    def _write_ply(self, scene, images, about, _) -> list[Path]:
-        from selfcal_ros.report.ply import camera_frusta, write_ply
-        frusta = camera_frusta(scene.camera, scene.path.rotation, scene.path.centre)
-        count, views = len(scene.points), len(frusta)
-        return [write_ply(self.ply, scene.points, images.colours, [
-            *_comments(scene, about), f'the first {count} vertices are points; then come {views} '
-            'cameras of 5 vertices, the centre first (track -1)',
-            'sigma: largest standard deviation of the point'],
-            tracks=scene.tracks, sigma=scene.sigma, frusta=frusta)]
 
-    def _write_colmap(self, scene, images, about, _) -> list[Path]:
-        from selfcal_ros.report.scene_files.colmap_model import write_colmap
-        write_colmap(self.colmap, scene, images.names, images.colours, _comments(scene, about))
-        return [self.colmap]
+def _is_photographs(source: str | Path | None) -> bool:
+    """Tell a folder of images, which are files already and stay where they are."""
+    from selfcal_ros.pipeline.bag_source import is_bag_folder
+    return source is not None and Path(source).is_dir() and not is_bag_folder(Path(source))
 
-    def _write_transforms(self, scene, images, about, stamps_ns) -> list[Path]:
-        from selfcal_ros.report.ply import write_ply
-        from selfcal_ros.report.scene_files.transforms_json import write_transforms
-        place = self.transforms.parent
-        written = [write_transforms(self.transforms, scene, images.relative_to(place), stamps_ns,
-                                    SPARSE_POINTS, about)]
-        return [*written, write_ply(place / SPARSE_POINTS, scene.points, images.colours,
-                                    _comments(scene, about))]
+
+def _write_ply(path: Path, scene, images, about: str, _) -> list[Path]:
+    from selfcal_ros.report.ply import camera_frusta, write_ply
+    frusta = camera_frusta(scene.camera, scene.path.rotation, scene.path.centre)
+    return [write_ply(path, scene.points, images.colours, [
+        *_comments(scene, about), f'the first {len(scene.points)} vertices are points; then come '
+        f'{len(frusta)} cameras of 5 vertices, the centre first (track -1)',
+        'sigma: largest standard deviation of the point'],
+        tracks=scene.tracks, sigma=scene.sigma, frusta=frusta)]
+
+
+def _write_colmap(folder: Path, scene, images, about: str, _) -> list[Path]:
+    from selfcal_ros.report.scene_files.colmap_model import write_colmap
+    write_colmap(folder, scene, images.names, images.colours, _comments(scene, about))
+    return [folder]
+
+
+def _write_transforms(path: Path, scene, images, about: str, stamps_ns) -> list[Path]:
+    from selfcal_ros.report.ply import write_ply
+    from selfcal_ros.report.scene_files.transforms_json import write_transforms
+    return [write_transforms(path, scene, images.relative_to(path.parent), stamps_ns,
+                             SPARSE_POINTS, about),
+            write_ply(path.parent / SPARSE_POINTS, scene.points, images.colours,
+                      _comments(scene, about))]
+
+
+_WRITERS = {'ply': _write_ply, 'colmap': _write_colmap, 'transforms': _write_transforms}
 
 
 def _comments(scene, about: str) -> list[str]:

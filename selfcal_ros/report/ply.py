@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,8 @@ def write_ply(path, points: np.ndarray, colours: np.ndarray | None = None,
         raise ArgumentError(f'Points must be (P, 3), not {points.shape}.')
     count, views = len(points), 0 if frusta is None else len(frusta)
     drawn = np.zeros((0, 3)) if frusta is None else np.reshape(frusta, (-1, 3))
-    columns = [(name, 'f4', points[:, axis], drawn[:, axis]) for axis, name in enumerate('xyz')]
+    columns: list[tuple[str, str, Any, Any]] = [
+        (name, 'f4', points[:, axis], drawn[:, axis]) for axis, name in enumerate('xyz')]
     if colours is not None:
         colours = np.asarray(colours)
         if colours.shape != points.shape or colours.dtype != np.uint8:

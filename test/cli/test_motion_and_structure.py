@@ -13,30 +13,55 @@
 # limitations under the License.
 """`selfcal calibrate`: which motion, and why; the structure as PLY."""
 
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from selfcal_ros.cli import main as command
 from selfcal_ros.cli.motion_text import axis_spread
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import general_motion, pure_rotation
+from test_support.command_line import selfcal
 
 BAG = Path(__file__).resolve().parents[2] / 'bags' / 'arm_move'
 SIZE = ['--image-size', '640', '480', '--distortion', 'none']
 
 
 def vertices(path):
-    """Read position and colour of each vertex."""
+    """Read the vertices, those of the points and those of cameras, and the edges."""
     header, _, body = Path(path).read_bytes().partition(b'end_header\n')
+    counts = [int(line.split()[2]) for line in header.split(b'\n') if line.startswith(b'element')]
     colours = [(name, 'u1') for name in ('red', 'green', 'blue')] if b'red' in header else []
-    return np.frombuffer(body, [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), *colours])
+    found = np.frombuffer(body, [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), *colours,
+                                 ('track', '<i4'), ('sigma', '<f4')], counts[0])
+    edges = np.frombuffer(body[found.nbytes:], '<i4').reshape(counts[1], 2)
+    return found[found['track'] >= 0], found[found['track'] < 0], edges
+
+
+def off_the_truth(rows, truth):
+    """Return the errors of places and turns (rad) of `stamp t q`, after the best similarity."""
+    stamps = (1e9 * rows[:, 0]).round(-3)
+    views = [int(np.argmin(np.abs(np.array(truth['stamps_ns']) - stamp))) for stamp in stamps]
+    true = np.array(truth['cam_from_world'])[views]
+    R = np.swapaxes(true[:, :, :3], 1, 2)
+    places = -np.einsum('vij,vj->vi', R, true[:, :, 3])
+    turned = Rotation.from_quat(rows[:, 4:]).as_matrix()
+    a, b = (X - X.mean(axis=0) for X in (places, rows[:, 1:4]))
+    u, s, v = np.linalg.svd(b.T @ a)
+    W = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    scale = s.sum() / np.sum(a**2)
+    return (np.linalg.norm(b - scale * a @ W.T, axis=1),
+            Rotation.from_matrix(np.swapaxes(turned, 1, 2) @ W @ R).magnitude())
 
 
 def test_the_moves_of_an_arm_are_told_from_a_drive_and_their_scene_is_written(capsys):
-    assert command.main(['calibrate', str(BAG), '--ply', 'scene.ply']) == 0
+    assert command.main(['calibrate', str(BAG), '--ply', 'scene.ply', '--poses', 'path.tum',
+                         '--colmap', 'model', '--transforms', 'transforms.json']) == 0
     said = capsys.readouterr().out
     assert 'Motion: general, found from the images: the views turn by up to 20' in said
     assert 'no planar motion explains the images' in said
@@ -44,22 +69,56 @@ def test_the_moves_of_an_arm_are_told_from_a_drive_and_their_scene_is_written(ca
     assert abs(camera.K[0, 0] - 520) < 0.001 * 520
     assert np.abs(camera.K[:2, 2] - (328, 235)).max() < 1
     assert np.abs(camera.distortion[:2] - (-0.12, 0.05)).max() < 0.005
-    points = vertices('scene.ply')
+    points, cameras, edges = vertices('scene.ply')
     assert len(points) > 800 and (points['x'] > 0).all()
     # grey images, and texture in them
     assert (points['red'] == points['blue']).all() and np.ptp(points['red']) > 50
-    assert 'scene.ply' in said
+    assert 'Written: camera.yaml, path.tum, scene.ply, model, transforms.json, sparse_' in said
+    # the path, of which a step is 1, against the truth
+    rows = np.loadtxt('path.tum')
+    assert len(rows) == len(cameras) / 5 == len(edges) / 8 and np.ptp(rows[:, 1:4]) > 2
+    places, turns = off_the_truth(rows, json.loads(
+        BAG.with_suffix('.truth.json').read_text(encoding='utf-8')))
+    assert places.max() < 0.02 and turns.max() < 1e-3
+    assert np.allclose(cameras['x'][::5], rows[:, 1], atol=1e-4)
+    # every image that is named is there
+    names = [line.split()[9] for line in Path('model/images.txt').read_text(
+        encoding='utf-8').splitlines() if line.endswith('.png')]
+    frames = json.loads(Path('transforms.json').read_text(encoding='utf-8'))['frames']
+    assert len(names) == len(frames) == len(rows)
+    for name, frame in zip(names, frames):
+        assert frame['file_path'] == f'images/{name}'
+        assert Path('model', 'images', name).read_bytes() == Path('images', name).read_bytes()
+    assert cv2.imread('images/frame_000000.png').shape == (480, 640, 3)
+    assert Path('sparse_pc.ply').read_bytes().count(b'element vertex') == 1
+    # and none of it is replaced without a word
+    for what, words in ((['--colmap', 'model'], 'model/images.txt exist already'),
+                        (['--transforms', 'other.json'], 'sparse_pc.ply exists already'),
+                        (['--colmap', 'other'], None), (['--poses', 'path.tum'], 'path.tum')):
+        Path('other').mkdir(exist_ok=True)
+        (Path('other') / 'images').mkdir(exist_ok=True)
+        (Path('other') / 'images' / 'frame_000007.png').touch()
+        assert selfcal('calibrate', BAG, '--output', 'again.yaml', *what) == 2
+        assert (words or 'holds images already') in capsys.readouterr().err
 
 
 def test_a_stated_motion_is_said_to_be_stated(capsys):
     scene = general_motion(np.random.default_rng(2))
     scene.tracks.to_csv('tracks.csv')
     status = command.main(['calibrate', 'tracks.csv', '--motion', 'general', '--ply', 's.ply',
-                           *SIZE])
+                           '--poses', 'path.csv', '--colmap', 'model', *SIZE])
     said = capsys.readouterr().out
     assert status == 0, said
     assert 'Motion: general, as stated' in said
-    assert vertices('s.ply').dtype.names == ('x', 'y', 'z')
+    assert vertices('s.ply')[0].dtype.names == ('x', 'y', 'z', 'track', 'sigma')
+    # a table has no clock and no images
+    lines = [line.split(',') for line in Path('path.csv').read_text(encoding='utf-8').splitlines()
+             if not line.startswith('#')]
+    assert lines[0][:3] == ['frame', 'stamp_ns', 'tx'] and lines[2][:2] == ['1', '']
+    covariance = np.array(lines[2][9:], float).reshape(6, 6)
+    assert (np.linalg.eigvalsh(covariance) > 0).all() and covariance[0, 0] < 0.1**2
+    assert sorted(entry.name for entry in Path('model').iterdir()) == [
+        'cameras.txt', 'images.txt', 'points3D.txt']
 
 
 def test_translated_views_that_are_not_there_are_missed(capsys):
@@ -78,8 +137,35 @@ def test_a_camera_that_only_rotates_is_refused_as_planar_and_leaves_no_structure
 
 def test_a_camera_that_only_rotates_is_calibrated_as_such(capsys):
     pure_rotation(np.random.default_rng(2), views=5).tracks.to_csv('tracks.csv')
-    assert command.main(['calibrate', 'tracks.csv', *SIZE]) == 0
-    assert 'rotation' in capsys.readouterr().out
+    assert command.main(['calibrate', 'tracks.csv', '--ply', 's.ply', '--colmap', 'model',
+                         '--poses', 'path.txt', *SIZE]) == 0
+    heard = capsys.readouterr()
+    assert 'rotation' in heard.out
+    # it turned, and that is known; it saw no depth
+    assert heard.err.count('was not written: the camera only turned') == 2
+    assert not Path('s.ply').exists() and not Path('model').exists()
+    rows = np.loadtxt('path.txt')
+    assert not rows[:, 1:4].any() and np.ptp(rows[:, 4:]) > 0.01
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--poses', 'path'], 'add --poses-format'),
+    (['--poses-format', 'euroc'], 'needs --poses'),
+    (['--poses', 'tracks.csv'], 'is the input tracks.csv'),
+    (['--poses', 'a.tum', '--ply', 'a.tum'], 'same name'),
+    (['--transforms', 't.json'], 'has none; leave it out'),
+    (['--colmap', 'tracks.csv'], 'takes the name of a folder'),
+    (['--colmap', 'no/model'], 'does not exist'),
+    (['--colmap', 'm', '--skew', 'free'], 'no place for skew'),
+    (['--colmap', 'm', '--motion', 'rotation'], 'a camera that only rotates sees none'),
+    (['--colmap', 'm', '--motion', 'repeated'], 'are in one'),
+])
+def test_what_cannot_come_out_is_said_before_the_work(capsys, arguments, words):
+    Path('tracks.csv').write_text('frame,track,x,y\n0,0,1,1\n', encoding='utf-8')
+    assert selfcal('calibrate', 'tracks.csv', *arguments) == 2
+    heard = capsys.readouterr()
+    assert words in heard.err and heard.err.count('\n') == 1 and not heard.out
+    assert [entry.name for entry in Path().iterdir()] == ['tracks.csv']
 
 
 def test_spread_of_axes_is_that_of_the_rotations():

@@ -113,11 +113,10 @@ def _cameras(scene: ExportedScene) -> str:
 
 def _images(scene: ExportedScene, names: Sequence[str]) -> str:
     """Return images.txt: pose and name of every view, then what it saw."""
-    odd = next((name for name in names if not name or set(name) & set('\n\r')
-                or name != name.strip()), None)
+    odd = next((name for name in names if len(name.split()) != 1 or name != name.strip()), None)
     if odd is not None:
-        raise ArgumentError(f"COLMAP's text model cannot hold the image name {odd!r:.80}; rename "
-                            'the image.')
+        raise ArgumentError(f"COLMAP's text model ends a name at a space, and the image "
+                            f'{odd!r:.80} has one; rename it.')
     poses = scene.cam_from_world
     quaternions = Rotation.from_matrix(poses[:, :, :3]).as_quat(canonical=True)
     lines = ['# Image list with two lines of data per image:',

@@ -31,6 +31,8 @@ from selfcal_ros.values.tracks import Tracks
 
 #: Beside a model, the images that come from a bag or a video.
 FOLDER = 'images'
+#: Names that `frame_name` gives.
+PATTERN = 'frame_*.png'
 
 
 @dataclass(frozen=True)
