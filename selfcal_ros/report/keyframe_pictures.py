@@ -23,18 +23,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.report.observations import observations, ObservationTable
 from selfcal_ros.report.ply import point_colours
+from selfcal_ros.report.rectified import Rectified, rectified_preview
+from selfcal_ros.report.small_jpeg import small_jpeg
+from selfcal_ros.report.worst import arrow_scale, fit_of_images
 from selfcal_ros.values.tracks import Tracks
 
-#: Pictures in a page, and the length of their longer side.
-PICTURES, LONGER_SIDE_PX = 4, 720
-JPEG_QUALITY = 78
+#: Pictures in a page: spread over the recording, and of the images that fit worst.
+PICTURES, WORST_PICTURES = 4, 2
+#: Length of their longer side, and what each may weigh.
+LONGER_SIDE_PX, MOST_BYTES = 1080, 350_000
 #: Tracks in one picture; more hide the image.
 MAX_TRACKS = 700
 #: A trail goes back over so many of the views that were used.
@@ -61,6 +64,14 @@ class Picture:
     horizon : str
         The horizon of the motion as the lens shows it; empty where it is not in the image.
     used_count, rejected_count : int
+    arrows : str
+        Residuals from the measured to the predicted position, enlarged.
+    enlarged : float
+        By so much; the same for all pictures of a page.
+    is_worst : bool
+        Whether the image is among those that fit worst.
+    rectified : Rectified, optional
+        Of one picture of a page.
 
     """
 
@@ -75,6 +86,10 @@ class Picture:
     horizon: str
     used_count: int
     rejected_count: int
+    arrows: str = ''
+    enlarged: float = 1.0
+    is_worst: bool = False
+    rectified: Rectified | None = None
 
 
 def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
@@ -106,7 +121,10 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     # the first views have little to look back on
     first, last = min(2, len(frames) - 1), len(frames) - 1
     places = np.unique(np.linspace(first, last, PICTURES).round().astype(int))
-    wanted = set(frames[places].tolist())
+    seen = observations(result, tracks) if result else _all_used(tracks)
+    worst = (fit_of_images(result, seen).worst(WORST_PICTURES)
+             if result and len(frames) > PICTURES else places[:0])
+    wanted = set(frames[np.union1d(places, worst)].tolist())
     images: dict[int, np.ndarray] = {}
     try:
         with open_frames() as source:
@@ -118,8 +136,7 @@ def pictures_and_colours(result: Calibration | NotCalibrated, tracks: Tracks,
     except (InputError, OSError):
         # the calibration is done: a report without pictures is better than none
         return [], {}
-    seen = observations(result, tracks) if result else _all_used(tracks)
-    pictures = _draw(result, seen, frames, images)
+    pictures = _draw(result, seen, frames, images, set(frames[worst].tolist()))
     return pictures, dict(zip(ids.tolist(), map(tuple, paint.tolist())))
 
 
@@ -137,8 +154,12 @@ def _all_used(tracks: Tracks) -> ObservationTable:
                             np.zeros_like(tracks.xy), np.ones(len(tracks), bool))
 
 
-def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict) -> list[Picture]:
-    pictures = []
+def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict,
+          worst: set) -> list[Picture]:
+    pictures: list[Picture] = []
+    enlarged = (arrow_scale(seen.residual[seen.used], max(result.camera.width, 1)) if result
+                else 1.0)
+    preview = None
     for index, image in sorted(images.items()):
         view = int(np.flatnonzero(frames == index)[0])
         ids, bad, now, steps, old = _recent(seen, view)
@@ -150,12 +171,25 @@ def _draw(result, seen: ObservationTable, frames: np.ndarray, images: dict) -> l
             # views of an object held anyhow: nothing moved along these lines
             steps, old = steps[:0], old[:0]
         height, width = image.shape[:2]
+        if result and preview is None:
+            preview = one = rectified_preview(result.camera_of(index), image)
+        else:
+            one = None
         pictures.append(Picture(
-            int(index), width, height, _jpeg(image), _lines(steps[shown[old] & ~bad[old]]),
+            int(index), width, height, small_jpeg(image, LONGER_SIDE_PX, MOST_BYTES),
+            _lines(steps[shown[old] & ~bad[old]]),
             _lines(steps[shown[old] & bad[old]]), _dots(now[shown & ~bad]),
             _dots(now[shown & bad]), _horizon(result, width, height) if result else '',
-            int((~bad).sum()), int(bad.sum())))
+            int((~bad).sum()), int(bad.sum()), _arrows(seen, view, enlarged) if result else '',
+            enlarged, int(index) in worst, one))
     return pictures
+
+
+def _arrows(seen: ObservationTable, view: int, enlarged: float) -> str:
+    """Return the residuals of the observations used in a view, as lines."""
+    mine = np.flatnonzero(seen.used & (seen.view == view))[:MAX_TRACKS]
+    return _lines(np.stack([seen.xy[mine], seen.xy[mine] + enlarged * seen.residual[mine]],
+                           axis=1))
 
 
 def _recent(seen, view: int):
@@ -182,14 +216,6 @@ def _recent(seen, view: int):
         owners.append(after[1][b])
         after = seen.xy[rows[a]], after[1][b]
     return ids, ~seen.used[here], seen.xy[here], np.concatenate(steps), np.concatenate(owners)
-
-
-def _jpeg(image: np.ndarray) -> bytes:
-    scale = LONGER_SIDE_PX / max(image.shape[:2])
-    if scale < 1:
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return data.tobytes() if done else b''
 
 
 def _lines(steps: np.ndarray) -> str:

@@ -114,7 +114,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     return f'{head}{len(page.encode()) / 1e6:.1f} MB{foot}'
 
 
-def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | None]:
+def _images_and_scene(result, tracks, open_frames) -> tuple[list, dict | None]:
     """Return what the template shows of images and of the scene."""
     if tracks is None:
         return [], None
@@ -124,15 +124,13 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list[dict], dict | N
     colours: dict = {}
     if open_frames is not None:
         pictures, colours = pictures_and_colours(result, tracks, open_frames)
-    shown = [{'picture': picture, 'data': base64.b64encode(picture.jpeg).decode('ascii')}
-             for picture in pictures]
     scene = scene_of(result, tracks, colours) if result else None
     if scene is None:
-        return shown, None
+        return pictures, None
     from selfcal_ros.report.scene_figure import scene_figure
-    return shown, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
-                   'points': len(scene.points), 'path': scene.path,
-                   'still': _drawn([scene_figure(scene)])['still']}
+    return pictures, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
+                      'points': len(scene.points), 'path': scene.path,
+                      'still': _drawn([scene_figure(scene)])['still']}
 
 
 def _drawings(result, tracks) -> tuple[dict, list]:
@@ -176,8 +174,11 @@ def _unbroken(sentence: str) -> str:
 
 def _environment() -> Environment:
     """Escape whatever the name of the template: a bag may name its topic <script>."""
-    return Environment(loader=PackageLoader('selfcal_ros.report', 'templates'), autoescape=True,
-                       undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(loader=PackageLoader('selfcal_ros.report', 'templates'),
+                              autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                              lstrip_blocks=True)
+    environment.filters['base64'] = lambda data: base64.b64encode(data).decode('ascii')
+    return environment
 
 
 def _numbers(result: Calibration | NotCalibrated) -> list[tuple[str, str]]:

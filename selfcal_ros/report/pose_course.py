@@ -145,5 +145,6 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
             panels.append(axes.figure)
     return Drawing('course', 'Position and angles over time', 'In the frame of the first view; '
                    'the median step between views is 1. Yaw is positive to the left, pitch '
-                   'downwards, roll to the right (REP 103). A course with jumps, or one that the '
-                   'robot did not take, is a wrong calibration.', tuple(panels), 'scene')
+                   'downwards, roll to the right (REP 103). Photographs jump; a robot that drives '
+                   'does not, and a course that it did not take is a wrong calibration.',
+                   tuple(panels), 'scene')

@@ -30,6 +30,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.report import figures
 from selfcal_ros.report.inline_svg import VARIABLES
 from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
@@ -101,14 +102,20 @@ def test_the_page_needs_no_network_and_runs_its_own_script_alone(html):
             f"script-src 'sha256-{digest}'") in page.attributes
 
 
-def test_what_rests_on_a_fact_is_among_the_notes(calibration, sequence):
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Spare the time of figures where they do not matter."""
+    monkeypatch.setattr(figures, 'draw_figures', lambda *_: [])
+
+
+def test_what_rests_on_a_fact_is_among_the_notes(calibration, sequence, without_figures):
     known = Identifiability({'fx': 1.0}, {'aspect ratio': {'fx': 1.0, 'fy': np.inf}},
                             {'fx': 2.0}, 0.03)
     html = page_html(replace(calibration, identifiability=known), '', tracks=sequence.tracks)
     assert 'Without the stated aspect ratio, the images would not determine fy.' in html
 
 
-def test_without_a_scene_there_is_no_script(calibration, sequence):
+def test_without_a_scene_there_is_no_script(calibration, sequence, without_figures):
     html = page_html(replace(calibration, motion='rotation'), '', tracks=sequence.tracks)
     assert '<script' not in html and 'script-src' not in html and '<canvas' not in html
 
@@ -126,9 +133,9 @@ def test_identifiers_of_figures_do_not_mix(html):
 
 def test_figures_take_the_colours_of_the_page(html):
     css = html[html.index('<style>'):html.index('</style>')]
-    figures = ''.join(re.findall(r'<svg class="plot".*?</svg>', html, re.DOTALL))
-    assert figures and not re.search('|'.join(VARIABLES), figures, re.IGNORECASE)
-    for name in re.findall(r'var\((--[a-z]+)\)', figures + css):
+    drawn = ''.join(re.findall(r'<svg class="plot".*?</svg>', html, re.DOTALL))
+    assert drawn and not re.search('|'.join(VARIABLES), drawn, re.IGNORECASE)
+    for name in re.findall(r'var\((--[a-z]+)\)', drawn + css):
         # in light, in dark, and in print
         assert css.count(f'{name}:') >= (1 if name == '--grade' else 3), name
 
@@ -178,19 +185,27 @@ def test_pictures_show_used_and_rejected_tracks(calibration, sequence):
     tracks = replace(sequence.tracks, xy=xy)
     result = replace(calibration, observation_count=len(tracks) - 6)
     pictures, colours = pictures_and_colours(result, tracks, Source)
-    assert [p.frame for p in pictures] == [2, 3, 4, 5]
+    # four over the recording, and the two that fit worst
+    assert {2, 3, 4, 5} <= {p.frame for p in pictures} and sum(p.is_worst for p in pictures) == 2
+    assert [bool(p.rectified) for p in pictures] == [True] + [False] * (len(pictures) - 1)
     assert len(colours) == 300 and colours[0] == (100, 100, 100)
     for picture in pictures:
         assert picture.rejected_count >= 1 and picture.used_count > 250
+        steps = np.array(re.findall(r'M(\S+) (\S+)L(\S+) (\S+?)(?=M|$)', picture.arrows), float)
+        mean = np.linalg.norm(steps[:, 2:] - steps[:, :2], axis=1).mean()
+        # of noise of 0.1 px a coordinate
+        assert len(steps) == picture.used_count
+        assert mean / picture.enlarged == pytest.approx(0.1 * np.sqrt(np.pi / 2), rel=0.15)
         place = xy[astray & (tracks.frame == picture.frame)][0]
         assert 'M{:.1f} {:.1f}h0'.format(*place) in picture.rejected
         image = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert max(image.shape) <= 720 and abs(int(image.mean()) - 40 * picture.frame) < 2
+        assert max(image.shape) <= 1080 and abs(int(image.mean()) - 40 * picture.frame) < 2
     without, nothing = pictures_and_colours(NotCalibrated('No.'), tracks, Source)
     assert [p.frame for p in without] == [2, 3, 4, 5] and nothing == {}
     assert all(p.used_count == 300 and not p.rejected and not p.horizon for p in without)
     page = page_html(NotCalibrated('No.'), '', tracks=tracks, open_frames=Source)
     assert page.count('data:image/jpeg;base64,') == 4 and 'points that were followed' in page
+    assert 'id="arrows"' not in page and 'Rectified' not in page
 
 
 def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):
@@ -199,7 +214,7 @@ def test_images_that_are_gone_do_not_cost_the_report(calibration, sequence):
     assert pictures_and_colours(calibration, sequence.tracks, gone) == ([], {})
 
 
-def test_hostile_names_are_shown_as_they_are(calibration):
+def test_hostile_names_are_shown_as_they_are(calibration, without_figures):
     hostile = (Finding('note', text=HOSTILE),)
     for result in (replace(calibration, findings=hostile, software=HOSTILE,
                            held_by={'skew': HOSTILE}),
@@ -220,7 +235,7 @@ def test_without_a_calibration(tmp_path):
     assert 'Use it' not in page.text and 'figure' not in page.tags
 
 
-def test_a_hint_and_a_coarse_calibration_are_not_green(calibration):
+def test_a_hint_and_a_coarse_calibration_are_not_green(calibration, without_figures):
     coarse = replace(calibration, covariance=calibration.covariance * 100)
     assert (grade(calibration), grade(coarse)) == ('good', 'coarse')
     refusal = NoEstimate(HINT, turned_deg=5.6, focal_px=620.0, sigma_px=30.0, hint=coarse)
@@ -230,7 +245,7 @@ def test_a_hint_and_a_coarse_calibration_are_not_green(calibration):
     assert 'Camera matrix' in page and 'Use it' not in page and '20 degrees or more' in page
 
 
-def test_own_figures_are_put_in(calibration):
+def test_own_figures_are_put_in(calibration, without_figures):
     assert '<svg id="mine"></svg>' in page_html(calibration, '', '', ('<svg id="mine"></svg>',))
 
 
