@@ -129,7 +129,7 @@ def run_case(case: Case, good: Path, temporary: Path, rng: np.random.Generator) 
            and 'convert' not in case.arguments]
     for name in old:
         (folder / name).write_text('old\n', encoding='utf-8')
-    if old and case.arguments:
+    if old and tuple(case.arguments[:1]) in (('calibrate',), ('model',)):
         # without it they are refused before anything is read, which is one case and not all
         case = replace(case, arguments=(*case.arguments, '--force'))
     before = set(_names(folder))

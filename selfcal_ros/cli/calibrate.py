@@ -171,7 +171,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
                       command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
-    check_outputs((args.view,), (path,), args.force)
+    check_outputs((), (path,), args.force, (args.view,))
     with Progress.of(args) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)

@@ -19,7 +19,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output, write_json
 from selfcal_ros.cli.status import EXIT_DIFFER, EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -51,7 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument('--picture', type=Path, metavar='PICTURE.PNG',
                         help='the difference over the image, in pixels and in sigmas, as .png or '
                              '.svg')
-    add_force_argument(output)
     add_quiet_argument(output, 'print nothing but errors')
 
 
@@ -89,8 +88,8 @@ def _check_options(args: argparse.Namespace) -> None:
         raise ArgumentError('--sigmas takes a number above zero, such as 3.')
     if args.picture and args.picture.suffix.lower() not in ('.png', '.svg'):
         raise ArgumentError(f'The picture {args.picture} must be named .png or .svg.')
-    check_outputs((args.json, args.picture),
-                  (args.first, args.second, args.result_a, args.result_b), args.force)
+    check_outputs((), (args.first, args.second, args.result_a, args.result_b), False,
+                  (args.json, args.picture))
 
 
 def _draw(args, found, camera) -> None:

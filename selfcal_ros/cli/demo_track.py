@@ -23,7 +23,6 @@ from pathlib import Path
 import subprocess
 import sys
 
-from selfcal_ros.cli.demo import OWN_FOLDER
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
@@ -44,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
     folder = args.output_dir
     folder.mkdir(parents=True, exist_ok=True)
     outputs = folder / 'poses.csv', folder / 'overlay.mp4'
-    check_outputs(outputs, (bag, model, camera_file, start_file),
-                  args.force or folder == OWN_FOLDER)
+    check_outputs((), (bag, model, camera_file, start_file), False, outputs)
     camera, _ = read_camera_yaml(camera_file)
     truth = _truth(bag)
     rows = []

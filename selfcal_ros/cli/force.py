@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
---force: no verb replaces a file that exists without it.
+--force: no verb replaces a camera file or a model that exists without it.
 
-A calibration file may be what a driver serves, and a model or a table what somebody has worked on.
-So all outputs of all verbs follow one rule, and it is looked after before the work.
+A camera file may be what a driver serves, and a model what somebody has worked on. Reports, tables
+and pictures are made anew from the same recording, and replace those of the last run.
 """
 
 from __future__ import annotations
@@ -27,23 +27,27 @@ from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
 from selfcal_ros.errors import InputError
 
 
-def add_force_argument(parser, what: str = 'replace output files that exist already') -> None:
+def add_force_argument(parser, what: str = 'replace the camera file if it exists') -> None:
     """Add the option --force to a verb, or to a group of its arguments."""
     parser.add_argument('--force', action='store_true', help=what)
 
 
-def check_outputs(outputs: Iterable[str | os.PathLike | None],
-                  inputs: Iterable[str | os.PathLike | None], force: bool) -> None:
+def check_outputs(precious: Iterable[str | os.PathLike | None],
+                  inputs: Iterable[str | os.PathLike | None], force: bool,
+                  derived: Iterable[str | os.PathLike | None] = ()) -> None:
     """
     Make sure before the work that outputs can be written, and replace nothing without a word.
 
     Parameters
     ----------
-    outputs : iterable of path or None
-        None and '-' are passed over, and devices such as /dev/null have nothing to lose.
+    precious : iterable of path or None
+        Outputs that are kept where they exist. None and '-' are passed over; an empty file, or a
+        device such as /dev/null, has nothing to lose.
     inputs : iterable of path or None
     force : bool
         Whether --force was given.
+    derived : iterable of path or None
+        Outputs that replace what is there.
 
     Raises
     ------
@@ -52,9 +56,11 @@ def check_outputs(outputs: Iterable[str | os.PathLike | None],
 
     """
     from selfcal_ros.report import files
-    named = [path for path in outputs if path is not None and str(path) != STANDARD_OUTPUT]
-    files.check_outputs(named, inputs)
-    taken = [] if force else [str(path) for path in named if os.path.isfile(path)]
+    kept, others = ([path for path in paths if path is not None and str(path) != STANDARD_OUTPUT]
+                    for paths in (precious, derived))
+    files.check_outputs([*kept, *others], inputs)
+    taken = [] if force else [str(path) for path in kept
+                              if os.path.isfile(path) and os.path.getsize(path)]
     if len(taken) == 1:
         raise InputError(f'{taken[0]} exists already; choose another name, or replace it with '
                          '--force.')

@@ -73,8 +73,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
         raise InputError(f'{folder} cannot be made: {error.strerror}.') from None
     page = args.report or folder / 'summary.html'
     inputs = (*paths, args.mask)
-    check_outputs((page, folder / 'summary.json', args.json), inputs, force=True)
-    check_outputs((args.report, args.json), inputs, args.force)
+    check_outputs((), inputs, args.force, (page, folder / 'summary.json', args.json))
     quiet = args.quiet or is_standard_output(args.json)
     files = _RecordingFiles(folder / 'recordings')
     with Progress.of(args) as progress:

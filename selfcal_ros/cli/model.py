@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='the model, as .cao or .yaml (default object.cao)')
     output.add_argument('--obj', type=Path, metavar='OBJECT.OBJ',
                         help='the model for programs that draw it')
-    add_force_argument(output)
+    add_force_argument(output, 'replace the model if it exists')
     add_quiet_argument(output)
     parser.add_argument('--seed', type=int, default=0, help=argparse.SUPPRESS)
 
@@ -101,4 +101,5 @@ def _check_outputs(args) -> None:
         raise ArgumentError(f'The model {args.output} must be named .cao or .yaml.')
     if args.obj and args.obj.suffix.lower() != '.obj':
         raise ArgumentError(f'The drawing {args.obj} must be named .obj.')
-    check_outputs((args.output, args.obj), (args.input, args.camera, args.vertices), args.force)
+    check_outputs((args.output,), (args.input, args.camera, args.vertices), args.force,
+                  (args.obj,))

@@ -67,7 +67,7 @@ class Outputs:
         inputs : path or None
             What is read, and must not be replaced.
         force : bool
-            Replace files that exist already.
+            Replace the camera file, if it exists already.
 
         Raises
         ------
@@ -76,8 +76,8 @@ class Outputs:
 
         """
         check_camera_name(self.camera_name)
-        check_outputs((self.camera_yaml, self.result_json, self.report, *self.scene.files), inputs,
-                      force)
+        check_outputs((self.camera_yaml,), inputs, force,
+                      (self.result_json, self.report, *self.scene.files))
         self.scene.check(inputs[0] if inputs else None, force)
 
     def write(self, result: Calibration | NotCalibrated, text: str,

@@ -21,7 +21,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
-from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -56,7 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='pose of the object in every image (default poses.csv)')
     output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
                         help='the images with the object drawn over them')
-    add_force_argument(output)
     add_quiet_argument(output)
 
 
@@ -88,8 +87,8 @@ def run(args: argparse.Namespace) -> int:
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
     excerpt = excerpt_from(args)
-    check_outputs((args.output, args.overlay), (args.input, args.model, args.camera, args.init),
-                  args.force)
+    check_outputs((), (args.input, args.model, args.camera, args.init), False,
+                  (args.output, args.overlay))
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)

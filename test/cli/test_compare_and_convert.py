@@ -157,7 +157,7 @@ def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments,
     K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]
     write_camera_yaml('a.yaml', Camera(K, [], 640, 480), 'a')
     write_camera_yaml('k3.yaml', Camera(K, [0, 0, 0, 0, 0.1], 640, 480), 'a')
-    Path('taken.txt').touch()
+    Path('taken.txt').write_text('mine\n', encoding='utf-8')
     before = sorted(Path().iterdir())
     assert selfcal('convert', *arguments) == 2
     heard = capsys.readouterr()

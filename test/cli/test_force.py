@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Nothing that exists is replaced without --force, whatever the verb; and it is said at once."""
+"""No camera file and no model is replaced without --force; and it is said at once."""
 
 from pathlib import Path
 
@@ -38,9 +38,6 @@ def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, 
     with monkeypatch.context() as patch:
         patch.setattr(calibrate_input, 'calibrate_input', None)
         assert 'camera.yaml exists already' in refused(capsys, 'calibrate', driven[0], *SIZE)
-        Path('r.html').touch()
-        assert 'camera.yaml and r.html exist already' in refused(
-            capsys, 'calibrate', driven[0], *SIZE, '--report', 'r.html')
     assert Path('camera.yaml').read_text(encoding='utf-8') == MINE
     # devices and standard output have nothing to lose
     check_outputs(('-', '/dev/null', None), (driven[0],), False)
@@ -49,19 +46,12 @@ def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, 
 
 
 @pytest.mark.parametrize('arguments', [
-    ['calibrate', 'in.csv', '--json', 'mine', '--output', 'new.yaml'],
-    ['calibrate', 'in.csv', '--report', 'mine', '--output', 'new.yaml'],
-    ['calibrate', 'in.csv', '--ply', 'mine', '--output', 'new.yaml'],
-    ['calibrate', 'in.csv', 'in.csv', '--json', 'mine'],
+    ['calibrate', 'in.csv', '--output', 'mine'],
     ['calibrate', 'in.csv', 'in.csv', '--output-dir', 'earlier'],
-    ['track', 'in', '--model', 'm.cao', '--camera', 'c.yaml', '--init', 'p', '--output', 'mine'],
     ['model', 'in', '--camera', 'c.yaml', '--output', 'mine.cao'],
-    ['compare', 'c.yaml', 'c.yaml', '--json', 'mine'],
-    ['compare', 'c.yaml', 'c.yaml', '--picture', 'mine.png'],
     ['convert', 'c.yaml', 'mine', '--to', 'opencv'],
-    ['demo', '--no-ros', '--output-dir', 'earlier'],
-    ['demo', '--no-ros', '--recording', 'object', '--output-dir', 'earlier']])
-def test_every_verb_keeps_what_exists(arguments, capsys, monkeypatch):
+    ['demo', '--no-ros', '--output-dir', 'earlier']])
+def test_every_verb_keeps_a_camera_or_a_model(arguments, capsys, monkeypatch):
     write_camera_yaml('c.yaml', Camera([[500, 0, 320], [0, 500, 240], [0, 0, 1]], [], 640, 480),
                       'c')
     Path('in.csv').write_text('frame,track,x,y\n0,0,1,1\n', encoding='utf-8')
@@ -75,10 +65,20 @@ def test_every_verb_keeps_what_exists(arguments, capsys, monkeypatch):
     assert all(path.read_text(encoding='utf-8') == MINE for path in mine)
 
 
+def test_what_is_derived_is_replaced_and_an_empty_file_is_no_camera(driven, capsys):
+    for name in ('old.json', 'old.html', 'old.ply'):
+        Path(name).write_text(MINE, encoding='utf-8')
+    Path('empty.yaml').touch()
+    assert selfcal('calibrate', driven[0], *SIZE, '--output', 'empty.yaml', '--json', 'old.json',
+                   '--report', 'old.html', '--ply', 'old.ply', '-q') == 0
+    for name in ('old.json', 'old.html', 'old.ply', 'empty.yaml'):
+        assert Path(name).read_text(encoding='utf-8', errors='replace') not in ('', MINE)
+
+
 def test_the_demo_replaces_its_own_folder(capsys, monkeypatch):
     monkeypatch.setattr('selfcal_ros.cli.demo._from_bag', _stop)
     Path('selfcal_demo').mkdir()
-    Path('selfcal_demo/camera.yaml').touch()
+    Path('selfcal_demo/camera.yaml').write_text(MINE, encoding='utf-8')
     for more in ([], ['--output-dir', 'selfcal_demo', '--force']):
         with pytest.raises(EOFError):
             _demo(*more)
