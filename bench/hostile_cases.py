@@ -43,7 +43,7 @@ ODD = ('nan', 'inf', '-inf', '1e999', '1e308', '1e-308', '-1', '0', '-0.0', '1e3
        '1e', '--', '~', '&a', '*a', '<<', '!!binary x', '%', "'", '"', '\\', '#', '...',
        '9' * 5000)
 OUTPUTS = ('out.yaml', 'out.json', 'out.html', 'out.csv', 'out.mp4', 'out.cao', 'out.obj',
-           'out_bag', 'out.ply', 'out.xml', 'out.cameramodel', 'out.txt', 'out.bin')
+           'out_bag', 'out.ply', 'out.tum', 'out.xml', 'out.cameramodel', 'out.txt', 'out.bin')
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def write_good_files(folder: Path) -> None:
 READERS: tuple[tuple[str, str], ...] = (
     ('tracks.csv', 'calibrate @ --image-size 640 480 --output out.yaml --json out.json'),
     ('tracks.csv', 'calibrate @ --image-size 640 480 --motion planar --lens none --report '
-                   'out.html --ply out.ply'),
+                   'out.html --ply out.ply --poses out.tum'),
     ('tracks.csv', 'calibrate @ --image-size 640 480 --object points.csv'),
     ('points.csv', 'calibrate tracks.csv --image-size 640 480 --object @'),
     ('mask.png', 'calibrate images --mask @ --output out.yaml'),
@@ -307,8 +307,10 @@ def whole(path: Path) -> bool:
         json.loads(data)
     if path.suffix == '.ply':
         header, _, body = data.partition(b'end_header\n')
-        count = int(header.partition(b'element vertex ')[2].split()[0])
-        return len(body) == count * (4 * header.count(b'property float')
-                                     + header.count(b'property uchar'))
+        size = 0
+        for element in header.split(b'element ')[1:]:
+            uchars = element.count(b'property uchar')
+            size += int(element.split()[1]) * (4 * element.count(b'property ') - 3 * uchars)
+        return len(body) == size
     ends = {'.html': b'</html>', '.xml': b'</opencv_storage>\n', '.cameramodel': b'}\n'}
     return data.endswith(ends.get(path.suffix, b'' if path.suffix in ('.bin',) else b'\n'))

@@ -92,6 +92,7 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     prefix = tmp_path / 'venv'
     assert (prefix / 'share/ament_index/resource_index/packages/selfcal_ros').is_file()
     assert (prefix / 'share/selfcal_ros/package.xml').is_file()
+    assert (prefix / 'share/selfcal_ros/result.schema.json').is_file()
     for name in ('agv', 'arm', 'track'):
         assert (prefix / f'share/selfcal_ros/launch/{name}.launch.py').is_file()
     for folder, names in SHARED.items():

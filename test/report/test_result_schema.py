@@ -47,8 +47,8 @@ def schema():
 def problems(value, schema, place='result'):
     """List what contradicts a schema, of the keywords that ours uses."""
     unknown = schema.keys() - {
-        '$schema', 'title', 'description', 'type', 'properties', 'required', 'items', 'enum',
-        'additionalProperties', 'const', 'pattern', 'minItems', 'minimum'}
+        '$schema', '$id', 'title', 'description', 'type', 'properties', 'required', 'items',
+        'enum', 'additionalProperties', 'const', 'pattern', 'minItems', 'minimum'}
     assert not unknown, unknown
     found = []
     if 'const' in schema and value != schema['const']:
@@ -133,6 +133,7 @@ def test_what_contradicts_the_schema_is_found(schema):
 
 def test_version_motions_and_keys_are_those_of_the_code_and_of_the_page(schema):
     assert schema['properties']['schema']['const'] == SCHEMA
+    assert schema['$id'] == f'urn:selfcal_ros:result:{SCHEMA}'
     assert tuple(schema['properties']['motion']['enum']) == MOTIONS
     page = (DOCS / 'result-json.md').read_text(encoding='utf-8')
     table = page[page.index('| key'):page.index('## Kinds')]
