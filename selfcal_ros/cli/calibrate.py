@@ -22,9 +22,10 @@ import sys
 from selfcal_ros.cli.colours import coloured
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.facts import add_fact_arguments, facts_from, FREE
-from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
+from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -77,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                         help='image size in pixels, for tracks.csv')
     add_excerpt_arguments(parser)
+    add_seed_argument(parser)
     add_fact_arguments(parser)
     add_many_arguments(parser)
     output = parser.add_argument_group('output')
@@ -109,7 +111,8 @@ def run(args: argparse.Namespace) -> int:
         views=args.views,
         known_object=args.object, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
-        image_size=tuple(args.image_size) if args.image_size else None, mask=args.mask,
+        image_size=tuple(args.image_size) if args.image_size else None,
+        mask=args.mask, seed=args.seed,
         excerpt=excerpt_from(args))
     if args.mask is not None:
         from selfcal_ros.features.mask import read_mask
@@ -167,7 +170,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     from selfcal_ros.pipeline.sources import open_source
     outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
                       report=args.report, scene=SceneOutputs.of(args),
-                      camera_name=args.camera_name,
+                      camera_name=args.camera_name, seed=args.seed,
                       command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)

@@ -75,7 +75,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     inputs = (*paths, args.mask)
     check_outputs((), inputs, args.force, (page, folder / 'summary.json', args.json))
     quiet = args.quiet or is_standard_output(args.json)
-    files = _RecordingFiles(folder / 'recordings')
+    files = _RecordingFiles(folder / 'recordings', settings.seed)
     with Progress.of(args) as progress:
         summary = calibrate_many(paths, settings, each=files.write, progress=progress,
                                  engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
@@ -113,8 +113,8 @@ def _result_in(folder: Path, summaries: bool) -> Path | None:
 class _RecordingFiles:
     """Writes the result of each recording as it comes, so that none is lost."""
 
-    def __init__(self, folder: Path):
-        self._folder = folder
+    def __init__(self, folder: Path, seed: int):
+        self._folder, self._seed = folder, seed
         self._names: set[str] = set()
         self.count = 0
 
@@ -131,7 +131,7 @@ class _RecordingFiles:
             number += 1
             name = f'{base}_{number}'
         self._names.add(name)
-        write_result_json(self._folder / f'{name}.json', outcome.result)
+        write_result_json(self._folder / f'{name}.json', outcome.result, self._seed)
         if outcome.result:
             write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
                               file_name(outcome.topic) or 'camera',

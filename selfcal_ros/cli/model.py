@@ -20,6 +20,7 @@ from pathlib import Path
 import sys
 
 from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='the model for programs that draw it')
     add_force_argument(output, 'replace the model if it exists')
     add_quiet_argument(output)
-    parser.add_argument('--seed', type=int, default=0, help=argparse.SUPPRESS)
+    add_seed_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:

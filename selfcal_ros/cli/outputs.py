@@ -47,6 +47,8 @@ class Outputs:
         Words of the command line, for the report.
     inputs : tuple of path
         What is read, for the report.
+    seed : int, optional
+        What was drawn at random was drawn from it.
 
     """
 
@@ -57,6 +59,7 @@ class Outputs:
     camera_name: str = 'camera'
     command: tuple[str, ...] = ()
     inputs: tuple[str | Path, ...] = ()
+    seed: int | None = None
 
     def check(self, *inputs: str | Path | None, force: bool = True) -> None:
         """
@@ -126,7 +129,7 @@ class Outputs:
                          result.focal.fx.min(), result.focal.fx.max())]),
                  *_shutter_comments(result)]))
         if self.result_json:
-            write_json(self.result_json, result_to_json(result))
+            write_json(self.result_json, result_to_json(result, self.seed))
             if not is_standard_output(self.result_json):
                 written.append(self.result_json)
         if self.report:

@@ -21,6 +21,20 @@ import re
 from selfcal_ros.cli.status import EXIT_INPUT
 
 
+def add_seed_argument(parser) -> None:
+    """Add the option --seed to a verb."""
+    parser.add_argument('--seed', type=_seed, default=0, metavar='N',
+                        help='what is drawn at random, the samples of RANSAC, is drawn from this '
+                             'number: the same one gives the same result to the byte (default 0)')
+
+
+def _seed(text: str) -> int:
+    """Take a whole number that every generator takes."""
+    if not text.isdecimal() or len(text) > 10 or int(text) >= 2**32:
+        raise argparse.ArgumentTypeError(f'{text!r:.40} is no whole number from 0 to 4294967295')
+    return int(text)
+
+
 class SentenceParser(argparse.ArgumentParser):
     """An argparse parser that does not print its whole usage for a slip of the finger."""
 

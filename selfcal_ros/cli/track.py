@@ -22,6 +22,7 @@ import sys
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--plane-axis', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
                        help='with --motion planar: axis of rotation in the camera frame '
                             '(default: learned)')
+    add_seed_argument(group)
     output = parser.add_argument_group('output')
     output.add_argument('--output', type=Path, default=Path('poses.csv'), metavar='POSES.CSV',
                         help='pose of the object in every image (default poses.csv)')
@@ -72,7 +74,6 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
     group.add_argument('--clicks', type=float, nargs='+', metavar='U V',
                        help='where the points of the .init file are in the first image, in '
                             'pixels and in its order')
-    group.add_argument('--seed', type=int, default=0, help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:

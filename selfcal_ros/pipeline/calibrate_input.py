@@ -58,6 +58,8 @@ class CalibrationSettings:
         Image file that is white where the images may be used.
     excerpt : Excerpt
         The part of the recording that is used.
+    seed : int
+        What is drawn at random is drawn from it: the same one gives the same result.
 
     """
 
@@ -72,6 +74,7 @@ class CalibrationSettings:
     image_size: tuple[int, int] | None = None
     mask: str | None = None
     excerpt: Excerpt = field(default_factory=Excerpt)
+    seed: int = 0
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -123,11 +126,12 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
-    reading = read_tracks(path, mode=settings.mode, **shared)
+    reading = read_tracks(path, mode=settings.mode, seed=settings.seed, **shared)
     _tell(progress)
     return _timed(lambda: calibrate(
         reading.tracks, motion=settings.motion, facts=settings.facts,
-        translation_frames=settings.translation_frames, views=settings.views), reading), reading
+        translation_frames=settings.translation_frames, views=settings.views,
+        rng=np.random.default_rng(settings.seed) if settings.seed else None), reading), reading
 
 
 def _tell(progress: Callable | None) -> None:

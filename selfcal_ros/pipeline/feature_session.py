@@ -129,7 +129,8 @@ def _keyframes(tracks: Tracks, most: int) -> np.ndarray:
 def read_tracks(path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
                 progress: Callable | None = None,
-                mask: ImageMask | None = None, excerpt: Excerpt = Excerpt()) -> ExtractedTracks:
+                mask: ImageMask | None = None, excerpt: Excerpt = Excerpt(),
+                seed: int = 0) -> ExtractedTracks:
     """
     Read an input of any kind that `open_source` knows, and find point tracks in it.
 
@@ -150,6 +151,8 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         Where the images may be used.
     excerpt : Excerpt
         The part of the recording that is used.
+    seed : int
+        What is drawn at random is drawn from it.
 
     Returns
     -------
@@ -175,7 +178,8 @@ def read_tracks(path, topic: str | None = None, mode: str = 'auto',
         limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
         found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
                                mode=mode, progress=report if progress else None, mask=mask,
-                               **limit)
+                               # without a generator there is a fixed one, as there always was
+                               rng=np.random.default_rng(seed) if seed else None, **limit)
         if not len(found.tracks):
             raise InputError(f'No point could be followed through the images of {path}; they need '
                              f'texture and overlap{", also within the mask" if mask else ""}.')

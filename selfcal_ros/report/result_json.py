@@ -147,9 +147,16 @@ def _in_the_structure(sample: StructureSample | None) -> dict:
                                     'corner': sample.corner}}
 
 
-def write_result_json(path, result: Calibration | NotCalibrated) -> Path:
+def write_result_json(path, result: Calibration | NotCalibrated, seed: int | None = None) -> Path:
     """
     Write the result as JSON; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    result : Calibration or NotCalibrated
+    seed : int, optional
+        See `result_to_json`.
 
     Raises
     ------
@@ -157,12 +164,22 @@ def write_result_json(path, result: Calibration | NotCalibrated) -> Path:
         If the file cannot be written.
 
     """
-    return atomic_write(path, result_to_json(result))
+    return atomic_write(path, result_to_json(result, seed))
 
 
-def result_to_json(result: Calibration | NotCalibrated) -> str:
-    """Return the result as strict JSON text, without NaN and infinities."""
-    return json.dumps(result_to_dict(result), indent=2, allow_nan=False,
+def result_to_json(result: Calibration | NotCalibrated, seed: int | None = None) -> str:
+    """
+    Return the result as strict JSON text, without NaN and infinities.
+
+    Parameters
+    ----------
+    result : Calibration or NotCalibrated
+    seed : int, optional
+        What was drawn at random was drawn from it; the key 'seed'.
+
+    """
+    content = result_to_dict(result) | ({} if seed is None else {'seed': seed})
+    return json.dumps(content, indent=2, allow_nan=False,
                       ensure_ascii=False) + '\n'
 
 
