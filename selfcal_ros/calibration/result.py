@@ -26,6 +26,7 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
+from selfcal_ros.calibration.card import calibration_card, grade_of, refusal_card
 from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, StructureSample
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
@@ -265,6 +266,19 @@ class Calibration:
         """Standard deviation of each of `parameter_names`, zero where held."""
         return dict(zip(self.parameter_names, np.sqrt(np.diag(self.covariance)).tolist()))
 
+    @property
+    def grade(self) -> str:
+        """'good', 'partial' (something is not determined) or 'coarse' (fx, to more than 1 %)."""
+        return grade_of(self.camera.K, self.covariance, self.status)
+
+    def _repr_html_(self) -> str:
+        """Show a card in a notebook."""
+        facts = (f'{self.motion} motion' if self.motion != 'known-object' else 'known object',
+                 f'{len(self.frames)} views', f'{self.camera.width} × {self.camera.height} px',
+                 f'rms {self.reprojection_rms_px:.2g} px')
+        return calibration_card(self.grade, self.camera, self.sigma, self.status, facts,
+                                self.notes)
+
 
 @dataclass(frozen=True)
 class NotCalibrated:
@@ -352,6 +366,16 @@ class NotCalibrated:
     def is_hint(self) -> bool:
         """Whether `values` has a focal length, which is a hint and no calibration."""
         return self.kind == HINT
+
+    @property
+    def grade(self) -> str:
+        """'hint' or 'bad', as `Calibration.grade` says how good a calibration is."""
+        return 'hint' if self.is_hint else 'bad'
+
+    def _repr_html_(self) -> str:
+        """Show a card in a notebook."""
+        facts = (f'{self.motion} motion',) if self.motion != 'unknown' else ()
+        return refusal_card(self.grade, self.reason, self.advice, facts)
 
     def __bool__(self) -> Literal[False]:
         """Be false: there is no calibration."""

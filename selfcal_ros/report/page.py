@@ -38,7 +38,7 @@ from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
-from selfcal_ros.report.summary import distortion, grade, matrix, px_text, quality
+from selfcal_ros.report.summary import distortion, matrix, px_text, quality
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -93,7 +93,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     drawings, tables = _drawings(shown, tracks)
     said = ranked_notes(shown, notes)
     page = _environment().get_template('page.html.j2').render(
-        calibrated=bool(shown), result=result, text=text, source=source, grade=grade(result),
+        calibrated=bool(shown), result=result, text=text, source=source, grade=result.grade,
         drawings=drawings, of=lambda section: [name for name, drawing in drawings.items()
                                                if drawing['section'] == section],
         tables=lambda section: [table for table in tables if table.section == section],

@@ -23,6 +23,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.values.measured_digits import with_sigma
 
 #: What each parameter of the calibration matrix is.
 _MATRIX_MEANING = {
@@ -49,20 +50,6 @@ class Row:
     share: str
     status: str
     held_by: str = ''
-
-
-def with_sigma(value: float, sigma: float) -> tuple[str, str]:
-    """Write a value and its sigma with the digits that mean something: two of sigma."""
-    if not np.isfinite(value):
-        return 'unknown', 'unknown'
-    if not np.isfinite(sigma):
-        return f'{value:.6g}', 'unknown'
-    if sigma <= 0:
-        return f'{value:.6g}', ''
-    decimals = 1 - int(np.floor(np.log10(sigma)))
-    decimals -= round(sigma, min(decimals, 12)) >= 10.0 ** (2 - decimals)
-    decimals = min(max(decimals, 0), 9)
-    return f'{value:.{decimals}f}', f'{sigma:.{decimals}f}'
 
 
 def meaning(model: str, name: str) -> str:

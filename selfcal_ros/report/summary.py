@@ -19,16 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.report.phrases import with_sigma
+from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
+from selfcal_ros.values.measured_digits import with_sigma
 
 #: Where a parameter is from, by its status.
 ORIGINS = {'estimated': 'images', 'held': 'fact', 'unobservable': 'unknown'}
 #: A camera that is so many times less certain than one image point can be improved with ease.
 MUCH_MORE = 3.0
-#: A focal length with a larger share of uncertainty is not what most uses of a camera need.
-COARSE_SIGMA = 0.01
 #: The entries of K, rows first; None: zero or one by definition.
 _K = (('fx', 'skew', 'cx'), (None, 'fy', 'cy'), (None, None, None))
 
@@ -83,27 +81,6 @@ def projection_sigmas(result: Calibration) -> tuple[float, float] | None:
     sigma = projection_uncertainty(camera, covariance, 40).sigma_px
     sigma = sigma[np.isfinite(sigma)]
     return (float(np.median(sigma)), float(sigma.max())) if len(sigma) else None
-
-
-def grade(result: Calibration | NotCalibrated) -> str:
-    """
-    Grade a result, for the colour of its verdict.
-
-    Returns
-    -------
-    str
-        Green: 'good'. Amber: 'partial' (something is not determined), 'coarse' (the focal length
-        is, to more than `COARSE_SIGMA`) or 'hint'. Red: 'bad' (no calibration).
-
-    """
-    if not result:
-        return 'hint' if result.is_hint else 'bad'
-    covariance = np.asarray(result.covariance, float)
-    if 'unobservable' in result.status.values() or not np.isfinite(covariance).all():
-        return 'partial'
-    coarse = any(result.sigma[name] > COARSE_SIGMA * result.camera.K[k, k]
-                 for k, name in enumerate(('fx', 'fy')))
-    return 'coarse' if coarse else 'good'
 
 
 def quality(result: Calibration) -> str:

@@ -36,8 +36,7 @@ from selfcal_ros.report.keyframe_pictures import pictures_and_colours
 from selfcal_ros.report.page import page_html, write_page
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict, with_sigma
 from selfcal_ros.report.scene import scene_of
-from selfcal_ros.report.summary import (distortion, grade, matrix, projection_sigmas, px_text,
-                                        quality)
+from selfcal_ros.report.summary import distortion, matrix, projection_sigmas, px_text, quality
 
 #: Of a covariance of all parameters.
 COVARIANCE_SHAPE = (len(PARAMETER_NAMES),) * 2
@@ -237,7 +236,7 @@ def test_without_a_calibration(tmp_path):
 
 def test_a_hint_and_a_coarse_calibration_are_not_green(calibration, without_figures):
     coarse = replace(calibration, covariance=calibration.covariance * 100)
-    assert (grade(calibration), grade(coarse)) == ('good', 'coarse')
+    assert (calibration.grade, coarse.grade) == ('good', 'coarse')
     refusal = NoEstimate(HINT, turned_deg=5.6, focal_px=620.0, sigma_px=30.0, hint=coarse)
     page = page_html(NotCalibrated.of(refusal), '')
     assert 'class="card hint"' in page and 'turned by 5.6 degrees' in page
@@ -295,8 +294,8 @@ def test_the_summary_says_where_numbers_are_from_and_how_good_they_are(calibrati
         ['images', 'fact', 'images'], ['definition', 'images', 'unknown'], ['definition'] * 3]
     assert (rows[0][0].value, rows[0][0].sigma) == ('900.0', '2.0')
     assert [entry.origin for entry in distortion(calibration)] == ['images'] * 2 + ['fact'] * 3
-    assert (grade(calibration), grade(replace(calibration, status=status)),
-            grade(NotCalibrated('No.'))) == ('good', 'partial', 'bad')
+    assert (calibration.grade, replace(calibration, status=status).grade,
+            NotCalibrated('No.').grade) == ('good', 'partial', 'bad')
     # half a pixel everywhere, as a rotation hides none of a change of scale alone
     one = replace(calibration, covariance=np.diag([4.0] + [0] * (len(PARAMETER_NAMES) - 1)))
     median, worst = projection_sigmas(one)
