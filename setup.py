@@ -39,6 +39,7 @@ version = re.search(r"^__version__ = '(.+)'$",
 data_files = [
     ('share/ament_index/resource_index/packages', ['resource/' + PACKAGE]),
     (f'share/{PACKAGE}', ['package.xml', 'docs/result.schema.json']),
+    ('share/man/man1', ['docs/selfcal.1']),
     (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
     (f'share/{PACKAGE}/config', sorted(
         file for kind in ('yaml', 'xml', 'rviz', 'json') for file in glob(f'config/*.{kind}'))),

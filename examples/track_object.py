@@ -24,7 +24,7 @@ import sys
 import cv2
 import numpy as np
 from selfcal_ros.pipeline.sources import open_source
-from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.report.camera_files.known_camera import read_known_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 
@@ -34,13 +34,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description='Follow a known object through a recording.')
     parser.add_argument('recording')
     parser.add_argument('model', help='wireframe, .cao or .yaml')
-    parser.add_argument('camera', help='camera file of ROS')
+    parser.add_argument('camera', help='camera file of ROS, OpenCV or another program')
     parser.add_argument('--start', type=float, nargs=6, required=True,
                         metavar=('TX', 'TY', 'TZ', 'RX', 'RY', 'RZ'),
                         help='object in the optical frame: metres, angle-axis in radians')
     args = parser.parse_args(argv)
 
-    camera, _ = read_camera_yaml(args.camera)
+    camera = read_known_camera(args.camera)
     tracker = RorapidTracker(read_model(args.model), camera)
     rotation = cv2.Rodrigues(np.array(args.start[3:]))[0]
     tracker.start(rotation, args.start[:3])

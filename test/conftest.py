@@ -36,7 +36,7 @@ EXPECTED = {
     'user': (r'this user may write anywhere',),
     'platform': (r'there is no /proc here', r"needs Linux's /proc",
                  r'this Python cannot make virtual environments.*',
-                 r'(bash|zsh|fish) is not installed'),
+                 r'(bash|zsh|fish|groff) is not installed'),
     'opencv': (r'this OpenCV (has|has no) ChArUco boards', r'this OpenCV cannot write MJPG'),
     'optional': (r"could not import '(pycolmap|rerun)'.*", r'this COLMAP has no model \w+',
                  r'ViSP is not installed', r'Dask is not installed'),

@@ -93,6 +93,7 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     assert (prefix / 'share/ament_index/resource_index/packages/selfcal_ros').is_file()
     assert (prefix / 'share/selfcal_ros/package.xml').is_file()
     assert (prefix / 'share/selfcal_ros/result.schema.json').is_file()
+    assert (prefix / 'share/man/man1/selfcal.1').is_file()
     for name in ('agv', 'arm', 'track'):
         assert (prefix / f'share/selfcal_ros/launch/{name}.launch.py').is_file()
     for folder, names in SHARED.items():
@@ -123,6 +124,7 @@ def test_colcon_gives_executables_that_ros2_run_finds(tmp_path, sources, clean):
         there = {path.name for path in (prefix / 'share/selfcal_ros' / shared).iterdir()}
         assert names <= there
     assert (prefix / 'share/selfcal_ros/bags/agv_drive/metadata.yaml').is_file()
+    assert (prefix / 'share/man/man1/selfcal.1').is_file()
     started = f'. {workspace}/install/setup.sh && exec "$0" "$@"'
     said = run('sh', '-c', started, folder / 'selfcal', '--version', env=clean, cwd=tmp_path)
     assert said.startswith('selfcal_ros ')

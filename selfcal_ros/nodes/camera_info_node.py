@@ -100,7 +100,7 @@ class CameraInfoPublisher(Node):
         except InputError as error:
             self.get_logger().error(f'{error} The last calibration stays in force.')
             return
-        if name != self._file.camera_name:
+        if name not in ('', self._file.camera_name):
             self.get_logger().warning(f'{self._file.path} is of the camera {name!r}, not of '
                                       f'{self._file.camera_name!r}; used all the same')
         self.get_logger().info(f'calibration from {self._file.path}')

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Camera files of ROS as they are: read and written without a look at their lens model."""
+"""Camera files as they are: of ROS without a look at their lens model, and those of OpenCV."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from msg_adapters.copied_camera import CopiedCamera
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.report.camera_files.known_camera import read_known_camera
+from selfcal_ros.report.camera_files.opencv_storage import is_opencv
 from selfcal_ros.report.camera_yaml import REQUIRED, ros_document, ros_yaml
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.yaml_text import decoded, matrix, positive_integer, read_bytes
@@ -28,13 +30,13 @@ from selfcal_ros.report.yaml_text import decoded, matrix, positive_integer, read
 
 def read_copied_camera(path) -> tuple[CopiedCamera, str]:
     """
-    Read a camera file of ROS, of whatever lens model.
+    Read a camera file of ROS, of whatever lens model, or one of OpenCV: YAML, XML or JSON.
 
     Returns
     -------
     camera : CopiedCamera
     name : str
-        'unknown' where the file does not name the camera.
+        'unknown' where the file does not name the camera; empty where its kind has no names.
 
     Raises
     ------
@@ -43,7 +45,12 @@ def read_copied_camera(path) -> tuple[CopiedCamera, str]:
 
     """
     source = str(path)
-    document = ros_document(decoded(read_bytes(path), path), source)
+    text = decoded(read_bytes(path), path)
+    if is_opencv(text):
+        known = read_known_camera(path)
+        return CopiedCamera(known.width, known.height, known.model, known.distortion, known.K,
+                            np.eye(3), np.column_stack([known.K, np.zeros(3)])), ''
+    document = ros_document(text, source)
     width, height = (positive_integer(document[key], f'{source}: {key}') for key in REQUIRED[:2])
     K, R, P = (matrix(document, key, shape, source) for key, shape in (
         ('camera_matrix', (3, 3)), ('rectification_matrix', (3, 3)),
@@ -66,8 +73,11 @@ def write_copied_camera(path, camera: CopiedCamera, name: str, comments=()) -> P
     ArgumentError
         If the name is impossible.
     InputError
-        If the file cannot be written.
+        If the file cannot be written, or its name says that it is one of OpenCV.
 
     """
+    if Path(path).suffix.lower() == '.xml':
+        raise InputError(f'{path} is named as a file of OpenCV, and what is served is written for '
+                         'ROS; let camera_info_url end in .yaml.')
     return atomic_write(path, ros_yaml((camera.width, camera.height), name, camera.K, camera.model,
                                        camera.d, camera.R, camera.P, comments))

@@ -141,7 +141,10 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
     assert '322.5 241.5' in Path('cameras.txt').read_text(encoding='utf-8')
     for path in ('opencv.xml', 'opencv.yaml', 'cameras.txt', 'cameras.bin', 'camchain.yaml'):
         # what the reader of camera files advises works
-        assert selfcal('convert', path, 'back.yaml', '--force', '--camera-name', 'front') == 0
+        assert selfcal('convert', path, 'back.yaml', '--force', '--quiet', '--camera-name', 'front'
+                       ) == 0
+        assert selfcal('compare', path, 'front.yaml', '--json', '-') == 0
+        assert json.loads(capsys.readouterr().out)['difference_px']['max'] < 1e-6
         back, name = read_camera_yaml('back.yaml')
         assert np.array_equal(back.parameters, camera.parameters) and name == 'front'
 
