@@ -113,7 +113,9 @@ def run(args: argparse.Namespace) -> int:
         max_keyframes=args.max_keyframes,
         image_size=tuple(args.image_size) if args.image_size else None,
         mask=args.mask, seed=args.seed,
-        excerpt=excerpt_from(args))
+        excerpt=excerpt_from(args),
+        # whoever says how many wants no choice made
+        **({} if args.every is None else {'long': None}))
     if args.mask is not None:
         from selfcal_ros.features.mask import read_mask
         # before the long work, and once for many recordings
@@ -191,7 +193,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         progress('writing')
         written, left_out = outputs.write(result, text, reading.description, reading.tracks,
                                           open_frames, (*why, *reading.findings),
-                                          reading.stamps_ns)
+                                          reading.stamps_ns,
+                                          _figures(reading) if args.report else ())
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
@@ -205,6 +208,15 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         view(result, reading.tracks, open_frames,
              None if args.view == VIEWER else args.view)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+
+
+def _figures(reading) -> tuple[str, ...]:
+    """Return the time line of a recording that was followed in parts."""
+    survey = getattr(reading, 'survey', None)
+    if survey is None or len(survey.glances) < 2:
+        return ()
+    from selfcal_ros.report.timeline_figure import timeline_html
+    return (timeline_html(survey),)
 
 
 def _from_edges(args, path, settings, progress):

@@ -26,7 +26,7 @@ def add_excerpt_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--start', type=float, default=0.0, metavar='S',
                        help='pass over the first S seconds (image files count as 30 a second)')
     group.add_argument('--duration', type=float, metavar='S', help='use S seconds')
-    group.add_argument('--every', type=int, default=1, metavar='N', help='use one of N images')
+    group.add_argument('--every', type=int, metavar='N', help='use one of N images')
 
 
 def excerpt_from(args: argparse.Namespace) -> Excerpt:
@@ -39,4 +39,4 @@ def excerpt_from(args: argparse.Namespace) -> Excerpt:
         If a number is impossible.
 
     """
-    return Excerpt(args.start, args.duration, args.every)
+    return Excerpt(args.start, args.duration, 1 if args.every is None else args.every)

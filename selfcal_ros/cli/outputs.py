@@ -86,7 +86,8 @@ class Outputs:
     def write(self, result: Calibration | NotCalibrated, text: str,
               source: str = '', tracks: Tracks | None = None,
               open_frames: Callable | None = None, notes: tuple[Finding | str, ...] = (),
-              stamps_ns: Mapping[int, int] | None = None) -> tuple[list[Path], list[str]]:
+              stamps_ns: Mapping[int, int] | None = None,
+              figures: tuple[str, ...] = ()) -> tuple[list[Path], list[str]]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -106,6 +107,8 @@ class Outputs:
             Further ones for the report.
         stamps_ns : mapping of int to int, optional
             When the images were taken, where they tell.
+        figures : tuple of str
+            Further elements for the report, from this program alone.
 
         Returns
         -------
@@ -133,7 +136,7 @@ class Outputs:
             if not is_standard_output(self.result_json):
                 written.append(self.result_json)
         if self.report:
-            written.append(write_page(self.report, result, text, source, tracks=tracks,
+            written.append(write_page(self.report, result, text, source, figures, tracks=tracks,
                                       camera_name=self.camera_name, notes=notes,
                                       open_frames=open_frames,
                                       made=Provenance.of_this_run(self.command, self.inputs)))

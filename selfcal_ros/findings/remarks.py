@@ -356,6 +356,18 @@ REMARKS: dict[str, Phrase] = {
         '{keyframes} keyframes chosen by parallax out of {frames} frames.',
         'Neighbouring frames of a video tell the same.',
         'Nothing.'),
+    # long recordings
+    'segments_followed': Phrase(
+        'Of {images} images, {followed} in {count} segment{count:plural} were followed, which '
+        'say most of the camera: {when}.',
+        'A long recording is looked through first: turns, parallax and coverage decide. See '
+        '[long recordings](how-to/long-recordings.md).',
+        'Nothing; `--every 1` follows every image, `--start` and `--duration` choose by hand.'),
+    'segments_joint': Phrase(
+        'Camera and sigmas are of {segments} segments together, which scatter by {scatter:.1f} of '
+        'their sigmas; path and structure are of that at {start_s:.0f} s.',
+        'Every segment was calibrated by itself, and weighted by its information.',
+        'Nothing.'),
     # many recordings
     'recordings_asked_again': Phrase(
         '{again} of {recordings} recordings chose another distortion model than {model}; for the '

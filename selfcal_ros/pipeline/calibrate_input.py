@@ -30,6 +30,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.long_policy import LongRecordings
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -60,6 +61,8 @@ class CalibrationSettings:
         The part of the recording that is used.
     seed : int
         What is drawn at random is drawn from it: the same one gives the same result.
+    long : LongRecordings, optional
+        When a recording is long, and followed in parts; None: never.
 
     """
 
@@ -75,6 +78,7 @@ class CalibrationSettings:
     mask: str | None = None
     excerpt: Excerpt = field(default_factory=Excerpt)
     seed: int = 0
+    long: LongRecordings | None = field(default_factory=LongRecordings)
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -126,6 +130,9 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
+    long = _calibrate_long(path, settings, shared.get('mask'), progress)
+    if long is not None:
+        return long
     reading = read_tracks(path, mode=settings.mode, seed=settings.seed, **shared)
     _tell(progress)
     return _timed(lambda: calibrate(
@@ -138,6 +145,19 @@ def _tell(progress: Callable | None) -> None:
     """Tell that the estimate begins, which cannot know how far it is."""
     if progress:
         progress('estimating', 0, None)
+
+
+def _calibrate_long(path, settings: CalibrationSettings, mask, progress):
+    """Calibrate from parts of a long recording; None if it is none."""
+    from selfcal_ros.pipeline.sources import open_source
+    if settings.long is None:
+        return None
+    with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
+                     ) as source:
+        if not settings.long.concern(source, settings):
+            return None
+        from selfcal_ros.pipeline.long_recording import calibrate_long
+        return calibrate_long(source, settings, settings.long, mask, progress)
 
 
 def _timed(estimate: Callable[[], Calibration | NotCalibrated],

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 import math
 
@@ -91,8 +92,9 @@ class Reading:
     Parameters
     ----------
     excerpt : Excerpt
-    wanted : set of int, optional
-        Only these images of the excerpt, by their count in the recording.
+    wanted : container of int, optional
+        Only these images of the excerpt, by their count in the recording. After the largest of a
+        set nothing is read.
 
     Attributes
     ----------
@@ -103,10 +105,10 @@ class Reading:
 
     """
 
-    def __init__(self, excerpt: Excerpt, wanted: set[int] | None = None):
+    def __init__(self, excerpt: Excerpt, wanted: Container[int] | None = None):
         """Start before the first image."""
         self._excerpt, self._wanted = excerpt, wanted
-        self._last = max(wanted, default=-1) if wanted is not None else None
+        self._last = max(wanted, default=-1) if isinstance(wanted, set) else None
         self._first_ns: int | None = None
         self.past_s = 0.0
         self.used = self._inside = 0

@@ -57,6 +57,16 @@ class Frame:
     bgr: np.ndarray | None = None
 
 
+class _Pairs:
+    """The numbers 0 and 1 of every `stride`."""
+
+    def __init__(self, stride: int):
+        self._stride = stride
+
+    def __contains__(self, index: object) -> bool:
+        return isinstance(index, int) and index % self._stride < 2
+
+
 class FrameSource(ABC):
     """
     Frames, one at a time; a context manager, and iterable more than once.
@@ -141,6 +151,10 @@ class FrameSource(ABC):
         wanted = {int(index) for index in indices}
         if wanted:
             yield from self._read(Reading(self.excerpt, wanted))
+
+    def pairs(self, stride: int) -> Iterator[Frame]:
+        """Iterate over images number 0, 1, stride, stride + 1, ...; others are not decoded."""
+        yield from self._read(Reading(self.excerpt, _Pairs(stride)))
 
     @abstractmethod
     def _read(self, reading: Reading) -> Iterator[Frame]:

@@ -70,8 +70,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
         'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
-        (`RowReadout`), 'labels' (tracks by what they are, where something moves by itself,
-        jumps, or stands still in the image), and 'hint' (what the images suggest where the status
+        (`RowReadout`), 'segments' (what was followed of a long recording), 'labels' (tracks by
+        what they are, where something moves by itself, jumps, or stands still in the image), and
+        'hint' (what the images suggest where the status
         is 'hint': 'camera', 'lens', 'sigma', 'covariance', 'parameter_names').
 
     """
@@ -113,6 +114,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         findings.insert(0, {'kind': result.kind, **result.values})
     if findings:
         found['findings'] = findings
+    parts = [one.values['segments'] for one in result.findings if one.kind == 'segments_followed']
+    if parts:
+        found['segments'] = parts[0]
     if result and result.shutter is not None:
         found['shutter'] = result.shutter.as_dict()
     if result and result.labels is not None:

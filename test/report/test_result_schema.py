@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.result import FocalCourse, HINT, MOTIONS, NotCalibrated
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict, SCHEMA
 from selfcal_ros.synthetic.scenes import sequence_si
@@ -95,6 +96,12 @@ def test_calibrations_are_as_the_schema_says(schema):
     course = FocalCourse(np.array([0, 1]), np.array([900.0, 910.0]), np.array([2.0, np.inf]))
     content = written(replace(result, focal=course))
     assert not problems(content, schema) and content['focal'][1]['fx'] == 910
+    part = {'first': 30, 'last': 90, 'start_s': 1.0, 'end_s': 3.0, 'why': 'rolling',
+            'status': 'refused', 'fx': None, 'sigma_fx': None, 'reason': 'No.'}
+    followed = Finding('segments_followed', images=2000, followed=61, count=1, when=['1 to 3 s'],
+                       segments=[part])
+    content = written(replace(result, findings=(followed,)))
+    assert not problems(content, schema) and content['segments'] == [part]
     assert content.keys() <= schema['properties'].keys()
 
 
