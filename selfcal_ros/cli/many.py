@@ -56,7 +56,10 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     from selfcal_ros.pipeline.many_inputs import calibrate_many
     from selfcal_ros.report.camera_yaml import check_camera_name
     from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
-    for name in ('output', 'ply', 'poses', 'colmap', 'transforms'):
+    if args.poses:
+        raise ArgumentError('--poses is for a single recording; with many, --poses-format writes '
+                            'the poses of each beside its result.')
+    for name in ('output', 'ply', 'colmap', 'transforms'):
         if getattr(args, name):
             raise ArgumentError(f'--{name} is for a single recording; with many, --output-dir '
                                 'takes the files.')
@@ -75,7 +78,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     inputs = (*paths, args.mask)
     check_outputs((), inputs, args.force, (page, folder / 'summary.json', args.json))
     quiet = args.quiet or is_standard_output(args.json)
-    files = _RecordingFiles(folder / 'recordings', settings.seed)
+    files = _RecordingFiles(folder / 'recordings', settings.seed, args.poses_format)
     with Progress.of(args) as progress:
         summary = calibrate_many(paths, settings, each=files.write, progress=progress,
                                  engine=args.engine, workers=args.jobs, scheduler=args.scheduler)
@@ -113,13 +116,13 @@ def _result_in(folder: Path, summaries: bool) -> Path | None:
 class _RecordingFiles:
     """Writes the result of each recording as it comes, so that none is lost."""
 
-    def __init__(self, folder: Path, seed: int):
-        self._folder, self._seed = folder, seed
+    def __init__(self, folder: Path, seed: int, poses: str | None):
+        self._folder, self._seed, self._poses = folder, seed, poses
         self._names: set[str] = set()
         self.count = 0
 
     def write(self, outcome) -> None:
-        """Write camera file and result, each whole or not at all."""
+        """Write camera file, result and poses, each whole or not at all."""
         from selfcal_ros.report.camera_yaml import write_camera_yaml
         from selfcal_ros.report.result_json import write_result_json
         if outcome.result is None:
@@ -132,10 +135,15 @@ class _RecordingFiles:
             name = f'{base}_{number}'
         self._names.add(name)
         write_result_json(self._folder / f'{name}.json', outcome.result, self._seed)
-        if outcome.result:
-            write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
-                              file_name(outcome.topic) or 'camera',
-                              [f'{outcome.result.software}: {outcome.path} {outcome.topic}'])
+        if not outcome.result:
+            return
+        about = f'{outcome.result.software}: {outcome.path} {outcome.topic}'
+        write_camera_yaml(self._folder / f'{name}.yaml', outcome.result.camera,
+                          file_name(outcome.topic) or 'camera', [about])
+        if self._poses and outcome.camera_path is not None:
+            from selfcal_ros.report.scene_files.pose_files import ENDS, write_poses
+            write_poses(self._folder / f'{name}{ENDS[self._poses]}', self._poses,
+                        outcome.camera_path, outcome.stamps_ns, about)
 
 
 def _plain_name(text: str) -> str:

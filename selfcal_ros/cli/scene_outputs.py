@@ -38,7 +38,8 @@ def add_scene_arguments(group) -> None:
                        help='where the camera was in every image that was used: .tum or .txt '
                             '(stamp tx ty tz qx qy qz qw), or .csv with covariances')
     group.add_argument('--poses-format', choices=('tum', 'euroc', 'csv'),
-                       help='format of --poses, if its name does not tell; euroc has w first')
+                       help='format of --poses, if its name does not tell; euroc has w first; '
+                            'with many recordings, poses of each in this format')
     group.add_argument('--colmap', type=Path, metavar='FOLDER',
                        help='text model of COLMAP; images of a bag or a video as PNG in '
                             'FOLDER/images')
@@ -96,11 +97,11 @@ class SceneOutputs:
         return [*filter(None, (self.ply, self.poses, self.transforms)), *beside]
 
     @property
-    def _image_folders(self) -> list[Path]:
-        """Where images of a bag or a video go."""
+    def _image_folders(self) -> dict[Path, Path]:
+        """Where images of a bag or a video go, each with the file that names them."""
         from selfcal_ros.report.scene_files.keyframe_files import FOLDER
-        places = (self.colmap, self.transforms and self.transforms.parent)
-        return sorted({place.resolve() / FOLDER for place in places if place})
+        naming = (self.colmap and self.colmap / 'images.txt', self.transforms)
+        return {file.resolve().parent / FOLDER: file for file in naming if file}
 
     def check(self, source: str | Path | None, force: bool) -> None:
         """
@@ -111,7 +112,7 @@ class SceneOutputs:
         source : path or None
             What is calibrated from.
         force : bool
-            Replace images that exist already.
+            Replace images that somebody else has made.
 
         Raises
         ------
@@ -125,9 +126,10 @@ class SceneOutputs:
         if force or _is_photographs(source):
             return
         from selfcal_ros.report.scene_files.keyframe_files import PATTERN
-        for folder in self._image_folders:
+        for folder, naming in self._image_folders.items():
             taken = next(folder.glob(PATTERN), None)
-            if taken is not None:
+            # those of an earlier run are made anew
+            if taken is not None and not naming.exists():
                 raise InputError(f'{folder} holds images already, such as {taken.name}; choose '
                                  'another folder, or replace them with --force.')
 
@@ -184,7 +186,7 @@ class SceneOutputs:
         else:
             with open_frames() as frames:
                 images = read_keyframes(frames, scene.path.frames, tracks, scene.tracks,
-                                        self._image_folders)
+                                        sorted(self._image_folders))
         written, left_out = [], []
         for name in asked:
             try:

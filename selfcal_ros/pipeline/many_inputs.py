@@ -32,6 +32,7 @@ import numpy as np
 
 from selfcal_ros.calibration.estimators.joint import combine, JointCalibration
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.structure.camera_path import camera_path, CameraPath
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
@@ -64,6 +65,10 @@ class Outcome:
     seconds : float
         Time that it took.
     findings : tuple of Finding
+    camera_path : CameraPath or None
+        Where the camera was.
+    stamps_ns : dict of int to int, or None
+        When each image was taken; None where the recording has no clock of its own.
 
     """
 
@@ -75,6 +80,8 @@ class Outcome:
     start_ns: int | None = None
     seconds: float = 0.0
     findings: tuple[Finding, ...] = ()
+    camera_path: CameraPath | None = None
+    stamps_ns: dict[int, int] | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -222,6 +229,7 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
         # a fault of this program in one recording must not cost the others theirs
         return Outcome(path, topic, error=f'{path}: fault of selfcal_ros, please report: '
                        f'{type(error).__name__}: {error}', seconds=time.monotonic() - began)
+    where = camera_path(result) if result and result.reconstruction is not None else None
     if result:
         # large, and of no use beyond its own process
         result = replace(result, reconstruction=None, residuals=None)
@@ -232,7 +240,7 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
     size = reading.tracks.image_size or (
         (result.camera.width, result.camera.height) if result else None)
     return Outcome(path, topic, size, result, '', start, time.monotonic() - began,
-                   reading.findings)
+                   reading.findings, where, reading.stamps_ns)
 
 
 def _sentence(error: Exception) -> str:

@@ -73,6 +73,7 @@ class _Passage:
     images: int
     tracked: int
     reason: str
+    stamps_ns: dict[int, int]
 
 
 def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | None, clicks=None,
@@ -297,6 +298,7 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
     session.start(*pose)
     step = max(1, (source.count or 2 * most) // (2 * most))
     views, images, good, reason = [], 0, 0, 'no image could be used'
+    stamps: dict[int, int] = {}
     timed = source.clock != 'nominal'
     for frame in source:
         try:
@@ -311,6 +313,7 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
             reason = tracked.reason or reason
             continue
         if good % step == 0:
+            stamps[frame.index] = frame.stamp_ns
             views.append(PosedImage(frame.index, frame.image, tracked.rotation,
                                     tracked.translation))
         good += 1
@@ -319,7 +322,7 @@ def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
             views, step = views[::2], 2 * step
     if len(views) > most:
         views = [views[k] for k in np.linspace(0, len(views) - 1, most).astype(int)]
-    return _Passage(views, images, good, reason)
+    return _Passage(views, images, good, reason, stamps)
 
 
 def _reading(source, passage: _Passage, edges: EdgeViews | None) -> ExtractedTracks:
@@ -329,5 +332,6 @@ def _reading(source, passage: _Passage, edges: EdgeViews | None) -> ExtractedTra
     if edges is None:
         nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
         return ExtractedTracks(nothing, source.description, findings)
-    return ExtractedTracks(Tracks(edges.frame, edges.point, edges.xy, edges.image_size),
-                           source.description, findings)
+    return ExtractedTracks(Tracks(edges.frame, edges.point, edges.xy, edges.image_size,
+                                  passage.stamps_ns), source.description, findings,
+                           source.clock)

@@ -29,7 +29,8 @@ def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys
             f'drives/d{number}.csv')
     Path('drives/broken.csv').write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
     pure_translation(np.random.default_rng(1)).tracks.to_csv('drives/straight.csv')
-    assert selfcal('calibrate', 'drives', *SIZE, '--output-dir', 'out') == 0
+    assert selfcal('calibrate', 'drives', *SIZE, '--output-dir', 'out', '--poses-format',
+                   'tum') == 0
     said = capsys.readouterr().out
     for words in ('d0.csv', 'straight.csv', 'not calibrated: ', 'broken.csv, line 2',
                   '3 of 4 recordings calibrate', 'The recordings agree'):
@@ -38,7 +39,8 @@ def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys
     assert abs(joint['camera']['fx'] - 520) < 4 * joint['sigma']['fx']
     assert read_camera_yaml('out/camera.yaml')[0].K[0, 0] == joint['camera']['fx']
     assert sorted(p.name for p in Path('out/recordings').iterdir()) == [
-        'd0.json', 'd0.yaml', 'd1.json', 'd1.yaml', 'd2.json', 'd2.yaml', 'straight.json']
+        *(f'd{k}.{end}' for k in range(3) for end in ('json', 'tum', 'yaml')), 'straight.json']
+    assert np.loadtxt('out/recordings/d1.tum').shape == (12, 8)
     page = Path('out/summary.html').read_text(encoding='utf-8')
     assert 'data:image/svg+xml' in page and 'http://' not in page and 'straight.csv' in page
     assert Path('out/summary.png').read_bytes().startswith(b'\x89PNG')
@@ -54,6 +56,7 @@ def test_many_recordings_none_of_which_can_be_used(capsys):
     heard = capsys.readouterr()
     assert heard.out == '' and heard.err.count('\n') == 2
     for options, words in ((['--output', 'c.yaml'], '--output is for a single'),
+                           (['--poses', 'p.tum'], '--poses-format writes the poses of each'),
                            (['--track', '--model', 'm.cao'], '--track takes a single'),
                            (['--jobs', '0'], 'positive'), (['--scheduler', 'x'], 'dask')):
         assert selfcal('calibrate', 'a.csv', 'b.csv', *options) == 2

@@ -93,7 +93,7 @@ def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys):
                                          *rotation_vector(recording.rotations[0])))
     status = selfcal('calibrate', 'images', '--motion', 'known-object', '--track', '--model',
                      'model.yaml', '--init', pose, '--distortion', 'none', '--json', 'r.json',
-                     '--report', 'r.html')
+                     '--report', 'r.html', '--poses', 'path.txt')
     said = capsys.readouterr().out
     assert status == 0, said
     content = json.loads(Path('r.json').read_text(encoding='utf-8'))
@@ -102,6 +102,12 @@ def test_an_object_under_an_unknown_lens_calibrates_the_camera(capsys):
         assert abs(content['camera'][name] - value) < 4 * content['sigma'][name], name
     assert abs(content['camera']['fx'] / true[0, 0] - 1) < 0.01
     assert content['motion'] == 'known-object' and 'was followed in' in said
+    # the camera in the frame of the object, in metres, against where it was; folders have no clock
+    rows = np.loadtxt('path.txt')
+    assert rows[:, 0].astype(int).tolist() == content['frames']['used']
+    off = [row[1:4] + recording.rotations[int(row[0])].T @ recording.translations[int(row[0])]
+           for row in rows]
+    assert np.linalg.norm(off, axis=1).max() < 0.03 * np.linalg.norm(recording.translations[0])
 
 
 @pytest.mark.parametrize('arguments, words', [

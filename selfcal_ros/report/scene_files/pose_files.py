@@ -35,6 +35,8 @@ FORMATS = {'tum': "TUM's, as evo reads it", 'euroc': "EuRoC's, as evo and Kalibr
            'csv': 'a table with covariances'}
 #: Formats by the end of a name; EuRoC's has the end of any table.
 SUFFIXES = {'.tum': 'tum', '.txt': 'tum', '.csv': 'csv'}
+#: What names end in where we choose them.
+ENDS = {'tum': '.tum', 'euroc': '.euroc.csv', 'csv': '.csv'}
 #: Rows and columns of a covariance, in the order of PoseWithCovariance of ROS.
 COORDINATES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 #: Columns of the table.
