@@ -62,6 +62,7 @@ BENCHES = {
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',
     'live': 'image to tracks at 30 Hz, in one process and over DDS',
+    'live_page': 'load of the live page at 30 Hz, without and with a browser',
     'hostile_inputs': 'bad files, messages, options, signals, a full disk, at random',
     'composed': 'image to CameraInfo at 30 Hz, nodes apart and in one process',
     'soak': 'memory, threads and files of the nodes over simulated hours: hours',
