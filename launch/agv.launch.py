@@ -20,14 +20,14 @@ ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag watch:=true
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-from selfcal_ros.nodes.launch_hooks import end_on_refusal, look_at_arguments
+from selfcal_ros.nodes.launch_hooks import dds_settings, end_on_refusal, look_at_arguments
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -85,9 +85,7 @@ def generate_launch_description():
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
         look_at_arguments(ARGUMENTS),
-        # finds peers at once, and has room for large images
-        SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE',
-                               PathJoinSubstitution([share, 'config', 'fastdds.xml'])),
+        *dds_settings(),
         node(value['calibrator'], [calibrator, sim_time], infos, apart),
         node('feature_tracker', [sim_time], images, apart),
         node('all_nodes', [calibrator, sim_time], images + infos, IfCondition(value['composed']),

@@ -21,14 +21,14 @@ model:=/path/to/object.cao start_pose:="0 0 0.5 0 0 0"
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import (LaunchConfiguration, NotEqualsSubstitution,
                                   PathJoinSubstitution)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
-from selfcal_ros.nodes.launch_hooks import end_on_refusal, look_at_arguments
+from selfcal_ros.nodes.launch_hooks import dds_settings, end_on_refusal, look_at_arguments
 
 ARGUMENTS = {
     'image': ('image', 'image topic of the camera; <image>/compressed is found, too'),
@@ -55,12 +55,11 @@ def generate_launch_description():
     text = {name: ParameterValue(value[name], value_type=str)
             for name in ('bag', 'model', 'start_pose', 'camera_file', 'camera_model', 'motion')}
     topics = [('image', value['image']), ('image/compressed', [value['image'], '/compressed'])]
-    profiles = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config', 'fastdds.xml'])
     return LaunchDescription([
         *(DeclareLaunchArgument(name, default_value=default, description=description)
           for name, (default, description) in ARGUMENTS.items()),
         look_at_arguments(ARGUMENTS),
-        SetEnvironmentVariable('FASTRTPS_DEFAULT_PROFILES_FILE', profiles),
+        *dds_settings(),
         Node(package='selfcal_ros', executable='rorapid_tracker', output='screen',
              namespace=value['namespace'],
              remappings=[*topics, ('camera_info', value['camera_info'])],

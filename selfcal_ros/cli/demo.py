@@ -19,13 +19,13 @@ import argparse
 from dataclasses import replace
 from importlib.util import find_spec
 import json
-import os
 from pathlib import Path
 import subprocess
 import sys
 
 from selfcal_ros.cli.force import add_force_argument
 from selfcal_ros.cli.progress import Progress
+from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: What lies there is of an earlier demo.
@@ -112,16 +112,10 @@ def _agreement(live, direct) -> str:
 
 def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profile: Path):
     """Return the result of the nodes, None if they came to none."""
-    environment = dict(os.environ)
-    # a domain of its own: the demo neither hears nor disturbs robots on the network
-    environment['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
-    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(profile)
-    environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
-    environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
     command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
                str(folder), '--rate', str(rate), '--calibrator', calibrator]
     from selfcal_ros.report.result_json import result_from_dict
-    done = subprocess.run(command, env=environment)
+    done = subprocess.run(command, env=own_graph(profile, folder / 'log'))
     if done.returncode not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
     try:

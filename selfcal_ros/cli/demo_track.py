@@ -18,13 +18,13 @@ from __future__ import annotations
 import argparse
 from importlib.util import find_spec
 import json
-import os
 from pathlib import Path
 import subprocess
 import sys
 
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.progress import Progress
+from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 RECORDING = 'bags/tracked_object'
@@ -98,12 +98,7 @@ def _truth(bag: Path) -> dict:
 def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
     """Return the poses of the nodes; none if they came to none."""
     from selfcal_ros.cli.shared_files import shared_file
-    environment = dict(os.environ)
-    # a domain of its own: the demo neither hears nor disturbs robots on the network
-    environment['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
-    environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(shared_file('config/fastdds.xml'))
-    environment.setdefault('ROS_LOG_DIR', str(folder.absolute() / 'log'))
-    environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
+    environment = own_graph(shared_file('config/fastdds.xml'), folder / 'log')
     left = folder / 'node_poses.json'
     left.unlink(missing_ok=True)
     command = [sys.executable, '-m', 'selfcal_ros.nodes.tracking_supervisor', bag, '--output',

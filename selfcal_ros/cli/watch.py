@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import argparse
 from importlib.util import find_spec
-import os
 import subprocess
 import sys
 
+from selfcal_ros.cli.ros_environment import ros_environment
 from selfcal_ros.errors import ArgumentError
 
 
@@ -54,11 +54,8 @@ def run(args: argparse.Namespace) -> int:
             command += ['-p', f'{name}:={value}']
     if args.namespace:
         command += ['-r', f'__ns:=/{args.namespace.strip("/")}']
-    environment = dict(os.environ)
     # finds the other nodes at once
-    environment.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE',
-                           str(shared_file('config/fastdds.xml')))
-    environment.setdefault('RCUTILS_CONSOLE_OUTPUT_FORMAT', '[{name}] {message}')
+    environment = ros_environment(shared_file('config/fastdds.xml'))
     # what the node says is what the user waits for, the address above all
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True,
                           errors='replace') as node:

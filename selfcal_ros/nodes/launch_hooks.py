@@ -23,6 +23,9 @@ from collections.abc import Iterable
 
 from selfcal_ros.nodes.launch_arguments import launch_problem
 
+#: Where Fast DDS looks for its settings: up to version 2 (Jazzy), and from version 3 on (Kilted).
+PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+
 
 def look_at_arguments(names: Iterable[str]):
     """Return the action after which nothing starts where one of these arguments is wrong."""
@@ -41,3 +44,12 @@ def end_on_refusal(event, _) -> list:
     """End everything where a node has refused its input or its parameters (status 2)."""
     from launch.actions import Shutdown
     return [Shutdown(reason='a node refused what it was given')] if event.returncode == 2 else []
+
+
+def dds_settings() -> list:
+    """Return the actions that make nodes find peers at once, with room for large images."""
+    from launch.actions import SetEnvironmentVariable
+    from launch.substitutions import PathJoinSubstitution
+    from launch_ros.substitutions import FindPackageShare
+    profile = PathJoinSubstitution([FindPackageShare('selfcal_ros'), 'config', 'fastdds.xml'])
+    return [SetEnvironmentVariable(name, profile) for name in PROFILES]

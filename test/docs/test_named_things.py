@@ -53,7 +53,8 @@ FOREIGN = {
     # names that a reader replaces by his own
     'my_bag',
     # environment
-    'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS', 'ROS_LOCALHOST_ONLY',
+    'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
+    'FASTDDS_BUILTIN_TRANSPORTS', 'ROS_LOCALHOST_ONLY',
     'ROS_AUTOMATIC_DISCOVERY_RANGE', 'OMP_NUM_THREADS', 'AMENT_PREFIX_PATH', 'ROS_HOME',
 }
 #: What others' commands take; a line of code that starts with them is not ours.

@@ -18,7 +18,8 @@ import re
 
 import pytest
 
-from selfcal_ros.nodes import launch_arguments
+from selfcal_ros.cli import ros_environment
+from selfcal_ros.nodes import launch_arguments, launch_hooks
 from selfcal_ros.nodes.entry_point import refusal, run_node
 from selfcal_ros.nodes.launch_arguments import launch_problem, shared_file_problem
 from selfcal_ros.nodes.parameter_words import in_parameters
@@ -59,6 +60,15 @@ def test_cameras_do_not_share_a_file():
     for names, output in ((['left'], '/data/camera.yaml'), (['left', 'right'], ''),
                           (['left', 'right'], '/data/${NAME}.yaml')):
         assert shared_file_problem(names, output) == ''
+
+
+def test_the_settings_of_fast_dds_have_the_names_of_both_versions():
+    # up to Jazzy, and from Kilted on
+    assert launch_hooks.PROFILES == ros_environment.PROFILES == (
+        'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+    for path in (ROOT / 'launch').glob('*.launch.py'):
+        text = path.read_text(encoding='utf-8')
+        assert '*dds_settings()' in text or 'agv.launch.py' in text, path
 
 
 @pytest.mark.parametrize('name', ['agv', 'track'])
