@@ -13,16 +13,20 @@
 # limitations under the License.
 """The package installs with pip into an environment without ROS, and with colcon."""
 
+import email
 from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 
 import pytest
+from test_support.ros_domain import reserved_domain
 
 ROOT = Path(__file__).resolve().parents[1]
 #: What may lie beside the sources but is no part of them.
@@ -47,6 +51,23 @@ def sources(tmp_path):
 
 
 @pytest.fixture
+def workspace(tmp_path):
+    """Make the workspace that the Dockerfile makes."""
+    text = (ROOT / 'Dockerfile').read_text(encoding='utf-8')
+    for line in re.findall(r'^COPY (.+)$', text, re.M):
+        *given, target = line.split()
+        for one in given:
+            # several files go into a folder, whose name ends so
+            place = tmp_path / 'ws' / target / ('' if not target.endswith('/') else Path(one).name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if (ROOT / one).is_dir():
+                shutil.copytree(ROOT / one, place, ignore=NOT_SOURCES)
+            else:
+                shutil.copy(ROOT / one, place)
+    return tmp_path / 'ws'
+
+
+@pytest.fixture
 def clean():
     """Hide the environment of this test from what it starts."""
     # the ROS wheels restart Python with their libraries once; a new environment shall, too
@@ -65,18 +86,42 @@ def run(*command, env, cwd, timeout_s=300, status=0):
 def environment(folder, env):
     """Make a virtual environment; returns its bin folder."""
     base = Path(sys.base_prefix) / 'bin' / f'python3.{sys.version_info.minor}'
-    run(base if base.exists() else sys.executable, '-m', 'venv', folder, env=env, cwd='/')
+    # our own pip installs into it: one of its own costs seconds
+    run(base if base.exists() else sys.executable, '-m', 'venv', '--without-pip', folder, env=env,
+        cwd='/')
     return folder / 'bin'
 
 
 def pip_install(binaries, *what, env, cwd):
-    run(binaries / 'python', '-m', 'pip', 'install', '--quiet', '--no-compile',
-        '--disable-pip-version-check', *what, env=env, cwd=cwd)
+    run(sys.executable, '-m', 'pip', '--python', binaries / 'python', 'install', '--quiet',
+        '--no-compile', '--disable-pip-version-check', *what, env=env, cwd=cwd)
+
+
+def source_distribution(sources, env):
+    """Build the archive of the sources, look at it, and return its path."""
+    run(sys.executable, '-c', 'from setuptools import build_meta; build_meta.build_sdist("dist")',
+        env=env, cwd=sources)
+    path, = (sources / 'dist').glob('*.tar.gz')
+    with tarfile.open(path) as archive:
+        names = {name.partition('/')[2] for name in archive.getnames()}
+        about = email.message_from_binary_file(archive.extractfile(
+            f'{path.name.removesuffix(".tar.gz")}/PKG-INFO'))
+    # what the wheel is made from, and what ROS wants of it
+    tracked = {str(file.relative_to(sources)) for folder in (
+        'selfcal_ros', 'msg_adapters', 'launch', 'config', 'scripts', 'resource')
+        for file in (sources / folder).rglob('*') if file.is_file()}
+    assert {*tracked, 'package.xml', 'pyproject.toml', 'setup.cfg', 'README.md'} <= names
+    # what a package index looks at
+    assert about['Name'].replace('-', '_') == 'selfcal_ros' and about['Version']
+    assert about['Description-Content-Type'] == 'text/markdown'
+    assert about['Summary'] and about.get_payload().startswith('# selfcal_ros')
+    return path
 
 
 def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, clean):
     binaries = environment(tmp_path / 'venv', clean)
-    pip_install(binaries, '.', env=clean, cwd=sources)
+    # by way of the archive, so that the wheel is built from what the archive has
+    pip_install(binaries, source_distribution(sources, clean), env=clean, cwd=tmp_path)
     run(binaries / 'python', '-c', 'import rclpy', env=clean, cwd=tmp_path, status=1)
     said = run(binaries / 'selfcal', 'demo', env=clean, cwd=tmp_path)
     assert 'no ROS' in said and 'truth' in said
@@ -103,17 +148,17 @@ def test_pip_without_ros_gives_a_selfcal_that_works_on_bags(tmp_path, sources, c
     assert 'selfcal_ros' in run(shims / 'selfcal', '--version', env=clean, cwd=tmp_path)
 
 
-def test_colcon_gives_executables_that_ros2_run_finds(tmp_path, sources, clean):
+def test_colcon_gives_executables_that_ros2_run_finds(tmp_path, workspace, clean):
     binaries = environment(tmp_path / 'colcon', clean)
     # colcon's own pin; newer setuptools have dropped what it calls
-    pip_install(binaries, 'colcon-core', 'colcon-ros', 'setuptools<80', env=clean, cwd=tmp_path)
+    pip_install(binaries, 'colcon-core', 'colcon-bash', 'colcon-ros', 'setuptools<80', env=clean,
+                cwd=tmp_path)
     # the libraries that the package needs come from the environment of this test
     site = subprocess.run([binaries / 'python', '-c', 'import sysconfig; '
                            'print(sysconfig.get_path("purelib"))'], capture_output=True, text=True,
                           env=clean).stdout.strip()
     Path(site, 'test_environment.pth').write_text(sysconfig.get_path('purelib') + '\n',
                                                   encoding='utf-8')
-    workspace = tmp_path / 'ws'
     run(binaries / 'colcon', 'build', '--event-handlers', 'console_direct+', env=clean,
         cwd=workspace)
     prefix = workspace / 'install' / 'selfcal_ros'
@@ -129,5 +174,56 @@ def test_colcon_gives_executables_that_ros2_run_finds(tmp_path, sources, clean):
     said = run('sh', '-c', started, folder / 'selfcal', '--version', env=clean, cwd=tmp_path)
     assert said.startswith('selfcal_ros ')
     if find_spec('rclpy'):
-        said = run('sh', '-c', started, folder / 'bag_player', env=clean, cwd=tmp_path, status=2)
-        assert 'needs a bag' in said
+        newcomers_path(workspace, tmp_path, clean)
+
+
+#: A driver whose CameraInfo is empty.
+DRIVER = """
+import rclpy
+from sensor_msgs.msg import CameraInfo
+rclpy.init()
+node = rclpy.create_node('driver')
+infos = node.create_publisher(CameraInfo, '/camera/camera_info', 10)
+node.create_timer(0.1, lambda: infos.publish(CameraInfo(width=640, height=480)))
+rclpy.spin(node)
+"""
+#: Lines of the page that want a whole installation of ROS, or are done already.
+ELSEWHERE = ('rosdep install', 'colcon build', 'ros2 launch', 'ros2 service call /planar')
+
+
+def newcomers_path(workspace, home, env):
+    """Run the commands of a page of the documents as they stand there."""
+    page = ROOT / 'docs' / 'how-to' / 'from-colcon-to-driver.md'
+    lines = re.findall(r'^ {4}(\S.*)$', page.read_text(encoding='utf-8'), re.M)
+    todo = [line for line in lines if not line.startswith(ELSEWHERE)]
+    assert len(todo) == 6 and todo[0] == 'source install/setup.bash' == todo[4]
+    build, folder, calibrate, serve, _, look = todo
+    tools = home / 'tools'
+    tools.mkdir()
+    (tools / 'ros2').write_text(
+        f'#!/bin/sh\nexec {sys.executable} {ROOT}/test_support/ros2_stand_in.py "$@"\n',
+        encoding='utf-8')
+    (tools / 'ros2').chmod(0o755)
+    profile = str(ROOT / 'config' / 'fastdds.xml')
+    started = []
+    with reserved_domain() as domain:
+        env = {**env, 'HOME': str(home), 'ROS_DOMAIN_ID': str(domain),
+               'ROS_LOG_DIR': str(home / 'log'), 'PATH': f'{tools}{os.pathsep}{env["PATH"]}',
+               'FASTRTPS_DEFAULT_PROFILES_FILE': profile,
+               'FASTDDS_DEFAULT_PROFILES_FILE': profile}
+        env.pop('ROS_HOME', None)
+        try:
+            said = run('bash', '-c', f'{build} && {folder} && {calibrate}', env=env, cwd=workspace)
+            assert 'fx' in said and (home / '.ros' / 'camera_info' / 'front.yaml').is_file()
+            for command in ([sys.executable, '-c', DRIVER],
+                            ['bash', '-c', f'{build} && exec {serve}']):
+                started.append(subprocess.Popen(command, env=env, cwd=workspace,
+                                                stderr=subprocess.DEVNULL))
+            said = run('bash', '-c', f'{build} && {look}', env=env, cwd=workspace)
+            width, focal = re.search(r'width: (\d+) \nk: ([\d.]+)', said).groups()
+            assert width == '640' and abs(float(focal) - 520) < 2
+        finally:
+            for process in started:
+                process.terminate()
+            for process in started:
+                process.wait(20)

@@ -13,6 +13,7 @@
 # limitations under the License.
 """The files that other people's tools read agree with the package."""
 
+import json
 from pathlib import Path
 import re
 
@@ -42,6 +43,29 @@ def test_the_citation_is_of_this_version():
     citation = _yaml('CITATION.cff')
     assert citation['version'] == selfcal_ros.__version__
     assert citation['license'] == 'Apache-2.0'
+
+
+def test_containers_copy_what_is_there_and_leave_the_rest():
+    text = (ROOT / 'Dockerfile').read_text(encoding='utf-8')
+    # a line of one command goes on after a backslash, and comments within it are left out
+    lines = re.sub(r'\\\n(\s*#.*\n)*', ' ', text).splitlines()
+    words = [line.split() for line in lines if line and not line.startswith('#')]
+    assert {line[0] for line in words} <= {'ARG', 'FROM', 'WORKDIR', 'COPY', 'RUN', 'ENV',
+                                           'ENTRYPOINT', 'CMD'}
+    assert ['FROM', 'ros:${ROS_DISTRO}-ros-base'] in words
+    copied = {source for line in words if line[0] == 'COPY' for source in line[1:-1]}
+    assert all((ROOT / source).exists() for source in copied)
+    ignored = (ROOT / '.dockerignore').read_text(encoding='utf-8').split()
+    assert not copied & set(ignored)
+    for line in words:
+        if line[0] in ('ENTRYPOINT', 'CMD'):
+            assert all(isinstance(word, str) for word in json.loads(' '.join(line[1:])))
+    # the container to develop in is made of the same file
+    folder = ROOT / '.devcontainer'
+    about = json.loads((folder / 'devcontainer.json').read_text(encoding='utf-8'))
+    assert (folder / about['build']['dockerfile']).resolve() == ROOT / 'Dockerfile'
+    assert (folder / about['build']['context']).resolve() == ROOT
+    assert about['workspaceFolder'] == '/ws/src/selfcal_ros'
 
 
 def test_the_workflow_runs_make_test_on_every_python_that_setup_py_takes():

@@ -17,13 +17,13 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import queue
-import socket
 import subprocess
 import sys
 import threading
 import time
 
 import pytest
+from test_support.ros_domain import reserved_domain
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -44,17 +44,9 @@ def pytest_pycollect_makemodule(module_path, parent):
 
 @pytest.fixture(scope='session')
 def domain_id():
-    """Reserve a domain among all tests of this machine; ids up to 101 are safe everywhere."""
-    for number in range(1, 102):
-        # a name in the same network name space as DDS, of all users, gone with the process
-        with socket.socket(socket.AF_UNIX) as lock:
-            try:
-                lock.bind(f'\0selfcal_ros_domain_{number}')
-            except OSError:
-                continue
-            yield number
-            return
-    pytest.fail('all ROS domains are taken by other tests')
+    """Reserve a domain for the tests of this process."""
+    with reserved_domain() as number:
+        yield number
 
 
 @pytest.fixture(autouse=True)
