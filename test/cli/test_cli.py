@@ -28,6 +28,7 @@ from selfcal_ros.cli.shared_files import shared_file
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.synthetic.hard_scenes import one_curve, vehicle
 from selfcal_ros.synthetic.special_scenes import pure_translation
 from test_support.command_line import selfcal, SIZE
 
@@ -134,6 +135,25 @@ def test_the_report_names_the_camera_and_shows_what_the_reading_noted(driven, mo
     assert 'camera_name: front_left' in page
     made = page[page.index('id="made"'):]
     assert f'selfcal calibrate {driven[0]}' in made and '--camera-name front_left' in made
+
+
+def test_a_hint_is_status_1_in_words_and_leaves_no_camera_file(capsys):
+    curve = vehicle(np.random.default_rng(1), one_curve(6, 6), count=60)
+    curve.tracks.to_csv('tracks.csv')
+    command = ['calibrate', 'tracks.csv', '--image-size', *curve.tracks.image_size, '--lens',
+               'radial2', '--json', 'r.json']
+    assert selfcal(*command) == 1
+    said = capsys.readouterr().out
+    assert said.startswith('A hint, no calibration: The camera turned by 5.')
+    assert 'which suggests a focal length of' in said and 'Turn the camera by 20 degrees' in said
+    assert 'Written: r.json.' in said and not Path('camera.yaml').exists()
+    content = json.loads(Path('r.json').read_text(encoding='utf-8'))
+    truth = curve.camera.K[0, 0]
+    assert content['status'] == 'hint' and content['camera'] is None
+    assert abs(content['hint']['camera']['fx'] - truth) < 4 * content['hint']['sigma']['fx']
+    # a hint is no camera to compare with or to convert either
+    assert selfcal('convert', 'r.json', 'camera.yaml') == 2
+    assert 'holds no camera' in capsys.readouterr().err and not Path('camera.yaml').exists()
 
 
 def test_shared_files_are_found_and_a_missing_one_is_a_sentence():

@@ -28,6 +28,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.nodes.calibrator_node import Calibrator
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml
+from selfcal_ros.synthetic.hard_scenes import one_curve, vehicle
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import String
@@ -44,9 +45,10 @@ OPTIONS = ('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=12', '-p', '
 class Drive:
     """A calibrator, and a drive that is fed to it message by message."""
 
-    def __init__(self, graph):
+    def __init__(self, graph, sequence=None):
         self.graph = graph
-        self.sequence = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
+        self.sequence = sequence or drive(np.random.default_rng(11), noise_px=0.1, views=20,
+                                          tracks=700)
         graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         self.infos = graph.listen(CameraInfo, 'camera_info')
@@ -84,6 +86,23 @@ class Drive:
 @pytest.fixture
 def on_the_road(graph):
     return Drive(graph(*OPTIONS))
+
+
+def test_a_hint_is_not_saved_and_the_answer_tells_it(graph, tmp_path):
+    curve = vehicle(np.random.default_rng(1), one_curve(6, 6), count=60)
+    bend = Drive(graph('-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=6', '-p',
+                       'distortion:=radial2'), curve)
+    bend.publish(range(6))
+    bend.graph.wait_for(lambda: any(json.loads(r.data)['status'] == 'hint' for r in bend.results),
+                        60, 'hint')
+    answer = bend.graph.call('planar_calibrator/save')
+    assert not answer.success
+    assert answer.message.startswith('there is no calibration yet: The camera turned by ')
+    assert 'which suggests a focal length of' in answer.message
+    assert not (tmp_path / 'ros_home' / 'camera_info').exists()
+    # what is only suggested is served to nobody
+    bend.publish([5], START_NS + STEP_NS)
+    assert not bend.infos[-1].k.any()
 
 
 def test_a_drive_is_calibrated_and_every_image_gets_its_camera_info(on_the_road, tmp_path):
