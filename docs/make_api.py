@@ -20,6 +20,7 @@ What stands here is what QUALITY_DECLARATION.md promises to keep.
 from __future__ import annotations
 
 import argparse
+from enum import Enum
 from importlib import import_module
 import inspect
 from pathlib import Path
@@ -48,6 +49,10 @@ MODULES = {
     'msg_adapters.stamps': 'Times and headers.',
     'msg_adapters.message_types': 'Builders of messages, of rclpy or of rosbags.',
 }
+#: A longer signature has a line for every parameter.
+WIDTH = 88
+#: A longer default is cut.
+LONGEST_DEFAULT = 40
 _SECTION = re.compile(r'^([A-Z]\w+)\n-{3,}$', re.M)
 
 
@@ -78,7 +83,8 @@ def page() -> str:
 
 def _entry(name: str, value) -> str:
     """Describe a class with its methods, or a function."""
-    lines = [f'\n### {name}\n', '```python', _signature(name, value), '```', '', _text(value)]
+    lines = [f'\n### {name}\n', '```python', _signature(name, value, WIDTH), '```', '',
+             _text(value)]
     if inspect.isclass(value):
         for member, raw in sorted(vars(value).items()):
             inner = raw.fget if isinstance(raw, property) else getattr(raw, '__func__', raw)
@@ -87,21 +93,67 @@ def _entry(name: str, value) -> str:
                 continue
             kind = isinstance(raw, property) or not inspect.isfunction(
                 getattr(raw, '__func__', raw))
-            title = member if kind else _signature(member, inner)
+            title = _attribute(member, inner) if kind else _signature(member, inner)
             lines += ['', f'**`{title}`**', '', _text(inner)]
     return '\n'.join(lines)
 
 
-def _signature(name: str, value) -> str:
-    """Write how something is called, without annotations: the docstring tells types."""
+def _signature(name: str, value, width: int = 0) -> str:
+    """
+    Write how something is called, with the types of its parameters and of what it returns.
+
+    Where that is longer than a width, every parameter has a line; a width of 0 keeps one line.
+    """
+    if inspect.isclass(value) and issubclass(value, Enum):
+        return name
     try:
-        parameters = inspect.signature(value).parameters.values()
+        signature = inspect.signature(value)
     except (TypeError, ValueError):
         return name
-    bare = [one.replace(annotation=inspect.Parameter.empty) for one in parameters
-            if one.name not in ('self', 'cls')]
+    mine, last = [], None
+    for one in signature.parameters.values():
+        if one.name in ('self', 'cls'):
+            continue
+        if one.kind is one.KEYWORD_ONLY and last not in (one.KEYWORD_ONLY, one.VAR_POSITIONAL):
+            mine.append('*')
+        last = one.kind
+        mine.append(_parameter(one))
+    returned = signature.return_annotation
+    end = ')' if inspect.isclass(value) or returned is signature.empty else (
+        f') -> {_annotation(returned)}')
+    line = f'{name}({", ".join(mine)}{end}'
+    if width and len(line) > width:
+        line = ',\n    '.join([f'{name}(\n    {mine[0]}', *mine[1:]]) + f',\n{end}'
     # addresses in reprs would differ from run to run
-    return re.sub(r' at 0x[0-9a-f]+', '', name + str(inspect.Signature(bare)))
+    return re.sub(r' at 0x[0-9a-f]+', '', line)
+
+
+def _attribute(name: str, getter) -> str:
+    """Write a property with its type."""
+    returned = inspect.signature(getter).return_annotation
+    return name if returned is inspect.Signature.empty else f'{name}: {_annotation(returned)}'
+
+
+def _parameter(one: inspect.Parameter) -> str:
+    """Write a parameter with its type and what it is by default."""
+    stars = {one.VAR_POSITIONAL: '*', one.VAR_KEYWORD: '**'}.get(one.kind, '')
+    if one.annotation is one.empty:
+        return str(one)
+    default = '' if one.default is one.empty else f' = {_default(one.default)}'
+    return f'{stars}{one.name}: {_annotation(one.annotation)}{default}'
+
+
+def _default(value) -> str:
+    """Write a default; a long one, or one that is made anew for each, in short."""
+    text = repr(value)
+    if text == '<factory>':
+        return '...'
+    return text if len(text) <= LONGEST_DEFAULT else f'{type(value).__name__}(...)'
+
+
+def _annotation(annotation) -> str:
+    """Write a type as it stands in the source."""
+    return annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
 
 
 def _text(value) -> str:

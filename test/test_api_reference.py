@@ -13,7 +13,10 @@
 # limitations under the License.
 """The reference of the Python interface can be made, and names what there is."""
 
+from enum import Enum
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
+import inspect
 from pathlib import Path
 import re
 
@@ -45,6 +48,41 @@ def test_the_reference_has_every_public_name_and_says_something_of_each(make_api
         said = entry.split('```', 2)[2]
         assert len(said.strip()) > 15, f'{entry.splitlines()[0]} has no docstring'
     assert '0x' not in text and str(Path.home()) not in text
+
+
+def test_every_parameter_of_the_interface_has_a_type(make_api):
+    assert '](#' in make_api.page()
+    for name in make_api.MODULES:
+        module = import_module(name)
+        for public in make_api.public_names(module):
+            value = getattr(module, public)
+            members = vars(value).values() if inspect.isclass(value) else [value]
+            if inspect.isclass(value) and issubclass(value, (Enum, Exception)):
+                continue
+            for one in [value, *members]:
+                one = one.fget if isinstance(one, property) else getattr(one, '__func__', one)
+                if one is not value and (not inspect.isfunction(one) or not one.__doc__
+                                         or one.__name__.startswith('_')):
+                    continue
+                signature = inspect.signature(one)
+                bare = [p.name for p in signature.parameters.values()
+                        if p.annotation is p.empty and p.name not in ('self', 'cls')]
+                assert not bare, f'{name}.{public}: {bare} of {one.__name__} have no type'
+                assert inspect.isclass(one) or signature.return_annotation is not signature.empty
+
+
+def test_signatures_show_types(make_api):
+    def short(path: str | Path, *rest: int, deep: bool = False) -> list[str]:
+        pass
+    assert make_api._signature('short', short) in (
+        'short(path: str | pathlib.Path, *rest: int, deep: bool = False) -> list[str]',
+        'short(path: str | Path, *rest: int, deep: bool = False) -> list[str]')
+    text = make_api.page()
+    assert '    tracks: Tracks,\n    *,\n    motion: str = \'auto\',\n' in text
+    assert ') -> Calibration | NotCalibrated' in text and '<factory>' not in text
+    assert '**`sigma: dict[str, float]`**' in text
+    # what a reader sees in docs
+    assert ') -> Calibration | NotCalibrated' in (DOCS / 'api.md').read_text(encoding='utf-8')
 
 
 def test_the_page_in_docs_names_what_there_is(make_api):

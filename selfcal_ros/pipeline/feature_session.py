@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -126,7 +127,7 @@ def _keyframes(tracks: Tracks, most: int) -> np.ndarray:
     return frames[kept[first:first + most]]
 
 
-def read_tracks(path, topic: str | None = None, mode: str = 'auto',
+def read_tracks(path: str | Path, topic: str | None = None, mode: str = 'auto',
                 max_keyframes: int | None = None, image_size: tuple[int, int] | None = None,
                 progress: Callable | None = None,
                 mask: ImageMask | None = None, excerpt: Excerpt = Excerpt(),

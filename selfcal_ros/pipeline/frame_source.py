@@ -25,6 +25,7 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
+from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,8 @@ class FrameSource(ABC):
     kind = ''
     clock = 'none'
 
-    def __init__(self, path, image_size=None, colour=False, excerpt: Excerpt = Excerpt()):
+    def __init__(self, path: str | Path, image_size: tuple[int, int] | None = None,
+                 colour: bool = False, excerpt: Excerpt = Excerpt()) -> None:
         """Keep what all sources have."""
         self.path = Path(path)
         self._colour = colour
@@ -160,7 +162,7 @@ class FrameSource(ABC):
     def _read(self, reading: Reading) -> Iterator[Frame]:
         """Iterate over the recording, and decode what the reading uses."""
 
-    def tracks(self):
+    def tracks(self) -> Tracks:
         """
         Return the tracks of a source of kind 'tracks'.
 

@@ -36,8 +36,9 @@ _EXPECTED = ('expected a rosbag2 folder, an .mcap, .db3 or .bag file, an image f
              f'({", ".join(VIDEO_SUFFIXES)}), or a .csv file of tracks')
 
 
-def open_source(path, topic: str | None = None, image_size: tuple[int, int] | None = None,
-                colour: bool = False, excerpt: Excerpt = Excerpt()) -> FrameSource:
+def open_source(path: str | Path, topic: str | None = None,
+                image_size: tuple[int, int] | None = None, colour: bool = False,
+                excerpt: Excerpt = Excerpt()) -> FrameSource:
     """
     Open a source of frames or tracks.
 

@@ -124,7 +124,7 @@ def _string(text: str) -> str:
     return text if plain else json.dumps(text)
 
 
-def write_camera_yaml(path, camera: Camera, name: str,
+def write_camera_yaml(path: str | Path, camera: Camera, name: str,
                       comments: Iterable[str] = ()) -> Path:
     """
     Write a camera file; it appears whole or not at all.
@@ -148,7 +148,7 @@ def _matrix(key: str, matrix: np.ndarray) -> list[str]:
             f'  data: [{data}]']
 
 
-def read_camera_yaml(path) -> tuple[Camera, str]:
+def read_camera_yaml(path: str | Path) -> tuple[Camera, str]:
     """
     Read a camera file of ROS.
 

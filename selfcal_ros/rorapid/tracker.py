@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
@@ -33,6 +34,7 @@ from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basi
 from selfcal_ros.rorapid.region.region_of_interest import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
+from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
@@ -70,7 +72,9 @@ class RorapidTracker:
 
     """
 
-    def __init__(self, model, camera: Camera, options: TrackerOptions | None = None, rng=None):
+    def __init__(self, model: WireframeModel, camera: Camera,
+                 options: TrackerOptions | None = None,
+                 rng: np.random.Generator | None = None) -> None:
         """Prepare the model for this camera."""
         self.model, self.camera = model, camera
         self.options = options = TrackerOptions() if options is None else options
@@ -148,7 +152,8 @@ class RorapidTracker:
         self._method.adopt(options, self._control)
         return True
 
-    def start(self, rotation, translation, covariance=None, focal_px: float | None = None,
+    def start(self, rotation: ArrayLike, translation: ArrayLike,
+              covariance: ArrayLike | None = None, focal_px: float | None = None,
               lost: bool = False) -> None:
         """
         Take a guess of the pose; the state becomes INITIALISING, or LOST.

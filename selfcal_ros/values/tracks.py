@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import csv
 from dataclasses import dataclass, replace
 import os
@@ -178,7 +179,7 @@ class Tracks:
         beside = None if self.neighbours is None else self.neighbours * [1, 1, rate_hz]
         return replace(self, stamps_ns=None, neighbours=beside)
 
-    def in_frames(self, frames) -> Tracks:
+    def in_frames(self, frames: Iterable[int]) -> Tracks:
         """Keep the observations of the given frames."""
         return self.select(np.isin(self.frame, np.asarray(list(frames))))
 
@@ -223,7 +224,7 @@ class Tracks:
         return track, self.xy[in_a[a]], self.xy[in_b[b]]
 
     @classmethod
-    def from_csv(cls, path, image_size: tuple[int, int] | None = None) -> Tracks:
+    def from_csv(cls, path: str | Path, image_size: tuple[int, int] | None = None) -> Tracks:
         """
         Read a CSV file with the columns frame, track, x, y.
 
@@ -258,7 +259,7 @@ class Tracks:
         frame, track, x, y = zip(*rows)
         return cls(np.array(frame), np.array(track), np.column_stack([x, y]), image_size)
 
-    def to_csv(self, path) -> None:
+    def to_csv(self, path: str | Path) -> None:
         """Write the columns frame, track, x, y; the file appears whole or not at all."""
         path = Path(path)
         temporary = path.with_name(path.name + '.part')

@@ -19,10 +19,13 @@ Lengths are metres, in the object's own frame.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.polygon import cut_into_triangles, newell_normal
@@ -206,8 +209,9 @@ class WireframeModel:
         self._cut_faces()
 
     @classmethod
-    def build(cls, vertices, lines=(), faces=(), line_names=(), line_min_length_px=(),
-              **other) -> WireframeModel:
+    def build(cls, vertices: ArrayLike, lines: Iterable[Sequence[int]] = (),
+              faces: Sequence[Polygon] = (), line_names: Iterable[str] = (),
+              line_min_length_px: Iterable[float] = (), **other: Any) -> WireframeModel:
         """
         Make a model whose lines are those given and the borders of its faces.
 

@@ -28,7 +28,7 @@ _WRITERS = {'.cao': write_cao, '.obj': write_obj, '.yaml': write_model_yaml,
             '.yml': write_model_yaml}
 
 
-def read_model(path) -> WireframeModel:
+def read_model(path: str | Path) -> WireframeModel:
     """
     Read a model: ViSP's ``.cao``, or our own ``.yaml``.
 
@@ -54,7 +54,7 @@ def read_model(path) -> WireframeModel:
     raise InputError(f'The model {path} must be a .cao or a .yaml file.')
 
 
-def write_model(model: WireframeModel, path) -> Path:
+def write_model(model: WireframeModel, path: str | Path) -> Path:
     """
     Write a model: ``.cao``, ``.yaml``, or ``.obj`` for programs that draw it.
 
