@@ -22,6 +22,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 from matplotlib.figure import Figure
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / 'docs' / 'images'
@@ -44,21 +45,26 @@ def test_every_figure_is_in_docs_and_on_a_page():
         assert f'images/{name}.svg' in pages, f'no page shows {name}'
 
 
-def test_all_can_be_drawn(tmp_path):
-    _draw(tmp_path)
+@pytest.fixture(scope='module')
+def drawn(tmp_path_factory):
+    """All figures, drawn once."""
+    folder = tmp_path_factory.mktemp('drawn')
+    _draw(folder)
+    return folder
+
+
+def test_all_can_be_drawn(drawn):
     for name in NAMES:
         old, new = (ElementTree.parse(folder / f'{name}.svg').getroot()
-                    for folder in (IMAGES, tmp_path))
+                    for folder in (IMAGES, drawn))
         assert old.get('viewBox') == new.get('viewBox'), f'{name}: docs/make_figures.py'
 
 
-def test_the_same_is_drawn_twice(tmp_path):
+def test_the_same_is_drawn_twice(drawn, tmp_path):
     names = ('house', 'profile_likelihood')
-    _draw(tmp_path / 'a', *names)
-    _draw(tmp_path / 'b', *names)
+    _draw(tmp_path, *names)
     for name in names:
-        assert (tmp_path / 'a' / f'{name}.svg').read_bytes() == (
-            tmp_path / 'b' / f'{name}.svg').read_bytes()
+        assert (drawn / f'{name}.svg').read_bytes() == (tmp_path / f'{name}.svg').read_bytes()
 
 
 def _loaded(path):
