@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The reference of the Python interface can be made, and names what there is."""
+"""The references of the Python interface and of the command line name what there is."""
 
 from enum import Enum
 from importlib import import_module
@@ -27,12 +27,22 @@ import selfcal_ros
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
 
 
-@pytest.fixture(scope='module')
-def make_api():
-    spec = spec_from_file_location('make_api', DOCS / 'make_api.py')
+def script(name):
+    """Return a script of the documents as a module."""
+    spec = spec_from_file_location(name, DOCS / f'{name}.py')
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope='module')
+def make_api():
+    return script('make_api')
+
+
+def test_the_man_page_is_what_the_parsers_say():
+    written = (DOCS / 'selfcal.1').read_text(encoding='utf-8')
+    assert written == script('make_man').page(), 'run: PYTHONPATH=. python docs/make_man.py'
 
 
 def headings(text):
