@@ -60,7 +60,7 @@ FOREIGN = {
 #: What others' commands take; a line of code that starts with them is not ours.
 OTHERS_COMMANDS = ('ros2 bag', 'ros2 topic', 'ros2 pkg', 'pip', 'dask', 'rosdep', 'colcon', 'git',
                    'export', 'ros2 run image_proc', 'python -m venv', 'pre-commit', 'ruff',
-                   'evo_traj', 'colmap', 'ns-train')
+                   'evo_traj', 'colmap', 'ns-train', 'bloom-release', 'twine', 'sudo')
 OTHERS_OPTIONS = {'--ros-args', '--share', '--once', '--symlink-install', '--from-paths',
                   '--strict', '--update', '--max-worker-restart', '--dist'}
 

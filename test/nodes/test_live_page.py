@@ -13,8 +13,16 @@
 # limitations under the License.
 """The live page in a real browser, with a tracker and a calibrator at work."""
 
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
 import time
 from types import SimpleNamespace
+from urllib.request import Request, urlopen
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msg_adapters.message_types import rclpy_types
@@ -23,6 +31,8 @@ from msg_adapters.tracks import tracks_message
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
+from selfcal_ros.cli import watch
+from selfcal_ros.cli.main import main
 from selfcal_ros.nodes import page_node
 from selfcal_ros.nodes.calibrator_node import Calibrator
 from selfcal_ros.nodes.page_node import CalibrationPage, TRACKS_HZ
@@ -30,6 +40,7 @@ from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.nodes.tracker_node import FeatureTracker
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import Trigger
 from test_support import image_stream
 from test_support.chromium import started_browser
 from test_support.node_interfaces import has, written
@@ -181,6 +192,59 @@ def test_the_page_shows_images_and_numbers_as_they_come_and_its_buttons_work(sta
     # whoever goes takes the load away
     page.send('Page.close')
     graph.wait_for(lambda: not stage.images_wanted(), what='end of the subscription')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_the_nodes_of_other_processes_until_it_is_stopped(graph, number):
+    graph = graph()
+
+    def saved(_, response):
+        response.success, response.message = True, 'saved elsewhere'
+        return response
+
+    graph.probe.create_service(Trigger, 'front/planar_calibrator/save', saved)
+    statuses = graph.probe.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    command = subprocess.Popen(
+        [sys.executable, '-m', 'selfcal_ros.cli.main', 'watch', '--port', '0', '--namespace',
+         'front'], stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        url = next(found[0] for line in command.stderr
+                   if (found := re.search(r'http://127.0.0.1:\d+/', line)))
+        token = re.search('name="token" content="(.+?)"', urlopen(url).read().decode())[1]
+        graph.wait_for(lambda: statuses.get_subscription_count() > 0, what='page')
+        graph.wait_for(lambda: statuses.publish(DiagnosticArray(status=[DiagnosticStatus(
+            name='front/planar_calibrator: calibration')]))
+            or graph.probe.count_subscribers('/front/tracks') > 0, what='subscription')
+        answers = []
+        asking = threading.Thread(target=lambda: answers.append(urlopen(
+            Request(f'{url}save', method='POST', headers={'X-Token': token})).read()))
+        asking.start()
+        graph.wait_for(lambda: answers, what='answer')
+        asking.join()
+        assert json.loads(answers[0]) == {'success': True, 'message': 'saved elsewhere'}
+        if number == signal.SIGINT:
+            # as a terminal does: to everybody at once
+            os.killpg(command.pid, number)
+        else:
+            command.send_signal(number)
+        assert command.wait(20) == -number
+        assert 'Traceback' not in command.stderr.read()
+        with pytest.raises(OSError):
+            urlopen(url, timeout=5)
+    finally:
+        if command.poll() is None:
+            os.killpg(command.pid, signal.SIGKILL)
+            command.wait()
+        command.stderr.close()
+
+
+def test_without_ros_the_command_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(watch, 'find_spec', lambda name: None)
+    assert main(['watch']) == 2
+    assert "pip install 'selfcal_ros[ros-wheels]'" in capsys.readouterr().err
+    monkeypatch.undo()
+    assert main(['watch', '--port', '70000']) == 2
+    assert '--port must be from 0 to 65535' in capsys.readouterr().err
 
 
 def test_the_first_calibrator_of_the_own_namespace_is_watched(graph):
