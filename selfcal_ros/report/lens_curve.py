@@ -33,6 +33,8 @@ from selfcal_ros.report.style import BLUE, Drawing, GREY, new_panel, ORANGE, PAL
 
 #: Points of the curve.
 _POINTS = 160
+#: Points along each side by which it is measured how much of the image has rays.
+_GRID = 30
 #: A lens is followed to this share of its widest angle.
 _NEARLY = 0.9999
 #: A pinhole is drawn as far as this many times the radius of the lens.
@@ -55,6 +57,8 @@ class LensCurve:
     is_perspective : bool
     reached_deg : float or None
         Angle up to which there were observations.
+    blind : float
+        Share of the image that has no rays: there the lens model is not valid.
 
     """
 
@@ -64,6 +68,7 @@ class LensCurve:
     focal_px: float
     is_perspective: bool
     reached_deg: float | None = None
+    blind: float = 0.0
 
     @property
     def reference_px(self) -> np.ndarray:
@@ -118,7 +123,16 @@ def lens_curve(camera: Camera, covariance: np.ndarray, seen: np.ndarray | None =
     if seen is not None and len(seen):
         reached = float(np.nanquantile(_angles(camera, seen), _REACHED))
     return LensCurve(angle[known], radius[known], np.sqrt(np.maximum(variance, 0)),
-                     focal * axis_scale(camera), camera.lens.is_perspective, reached)
+                     focal * axis_scale(camera), camera.lens.is_perspective, reached,
+                     _blind(camera))
+
+
+def _blind(camera: Camera) -> float:
+    """Return the share of the image for which the lens has no rays."""
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, _GRID),
+                       np.linspace(0, camera.height - 1, _GRID))
+    rays = camera.rays(np.stack([u, v], axis=-1))
+    return float(1 - np.isfinite(rays).all(axis=-1).mean())
 
 
 def _angles(camera: Camera, pixels: np.ndarray) -> np.ndarray:
@@ -199,4 +213,7 @@ def _caption(curve: LensCurve) -> str:
     words = f'The curve ends {end} from the principal point, at the farthest corner or before.'
     if curve.reached_deg is not None:
         words += f' Observations reach {curve.reached_deg:.0f} degrees; grey is extrapolated.'
+    if curve.blind > 0:
+        known += (f' The model is valid up to there only: {100 * curve.blind:.1f} % of the '
+                  'image lies beyond, and has no rays.')
     return words + known

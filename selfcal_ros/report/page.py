@@ -104,7 +104,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         quality=_unbroken(quality(shown)) if shown else '',
         matrix=matrix(shown) if shown else [],
         distortion=distortion(shown) if shown else [],
-        rows=parameter_rows(shown) if shown else [],
+        rows=parameter_rows(shown) if shown else [], lens=_lens(shown),
         facts=facts_lines(result.facts),
         notes=said[:MOST_SHOWN], folded=said[MOST_SHOWN:],
         made=made.rows(tracks) if made else [],
@@ -179,6 +179,14 @@ def _environment() -> Environment:
                               lstrip_blocks=True)
     environment.filters['base64'] = lambda data: base64.b64encode(data).decode('ascii')
     return environment
+
+
+def _lens(result: Calibration | NotCalibrated) -> str:
+    """Say which of ROS's models the distortion is of, and what it is a function of."""
+    if not result:
+        return ''
+    of = 'normalised coordinates' if result.camera.lens.is_perspective else 'angles from the axis'
+    return f'ROS\'s {result.camera.model}, on {of}'
 
 
 def _numbers(result: Calibration | NotCalibrated) -> list[tuple[str, str]]:

@@ -13,6 +13,8 @@
 # limitations under the License.
 """The report on a fisheye that sees more than a half of all directions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from selfcal_ros.calibration.reconstruction import Reconstruction
@@ -148,6 +150,7 @@ def test_every_figure_of_a_fisheye_is_drawn_and_told(room):
     assert 'Observations reach 100 degrees' in drawings['lens'].caption
     page = page_html(result, 'text', tracks=tracks)
     assert 'id="lens"' in page and 'distortion, θ³' in page and 'equidistant' in page
+    assert "Distortion is ROS&#39;s equidistant, on angles" in page and 'plumb_bob' not in page
     rows = {row.name: row for row in parameter_rows(result)}
     assert float([row for row in parameter_rows(result) if row.name == 'FoV'][0].value) > 185
     assert rows['k2'].meaning == 'distortion, θ⁵'
@@ -161,3 +164,16 @@ def test_where_a_fisheye_has_no_ray_there_is_no_sigma():
     assert np.isnan(sigma[0, 0]) and np.isfinite(sigma[15, 20])
     curve = lens_curve(rim, np.zeros((9, 9)))
     assert 90 < curve.angle_deg[-1] <= 95
+
+
+def test_where_a_lens_is_not_valid_is_said(calibration):
+    # turns back at a normalised radius of 1 / sqrt(3 * 0.8), within the image
+    folded = replace(calibration, camera=Camera([[400, 0, 400], [0, 400, 300], [0, 0, 1]],
+                                                [-0.8, 0, 0, 0, 0], 800, 600))
+    curve = lens_curve(folded.camera, folded.covariance)
+    u, v = np.meshgrid(np.arange(800) - 400, np.arange(600) - 300)
+    reach = 400 * (2 / 3) / np.sqrt(3 * 0.8)      # where the fold is in the image
+    assert curve.blind == pytest.approx(float((np.hypot(u, v) > reach).mean()), abs=0.03)
+    drawing, = (one for one in draw_figures(folded) if one.name == 'lens')
+    assert 'has no rays' in drawing.caption
+    assert lens_curve(CAMERA, np.zeros((9, 9))).blind == 0
