@@ -92,7 +92,7 @@ def stood(glances: Sequence[Glance]) -> bool:
 
 
 def choose_segments(glances: Sequence[Glance], images: int, longest: int, way: float,
-                    most: int) -> list[Segment]:
+                    most: int, began_ns: int = 0) -> list[Segment]:
     """
     Choose the stretches that say most of the camera.
 
@@ -108,6 +108,8 @@ def choose_segments(glances: Sequence[Glance], images: int, longest: int, way: f
         How far the image moves in a stretch at most, in diagonals.
     most : int
         Stretches at most.
+    began_ns : int
+        Stamp of the first image of the recording.
 
     Returns
     -------
@@ -139,7 +141,6 @@ def choose_segments(glances: Sequence[Glance], images: int, longest: int, way: f
     starts, ends = starts[good], ends[good]
     chosen: list[Segment] = []
     total, left = np.zeros(len(KINDS)), images
-    began_ns = glances[0].stamp_ns
     while len(starts) and len(chosen) < most:
         inside = sums[ends] - sums[starts]
         gain = _value(total + inside) - _value(total)

@@ -92,6 +92,8 @@ class FrameSource(ABC):
         Number of frames. An estimate for videos and for excerpts.
     excerpt : Excerpt
         The part of the recording that is used.
+    began_ns : int
+        Stamp of the first image of the recording, whatever the excerpt.
     clock : {'header', 'log', 'video', 'nominal', 'none'}
         Where the stamps come from: the header of the message, the recorder's log (where headers
         are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
@@ -107,6 +109,7 @@ class FrameSource(ABC):
         self.path = Path(path)
         self._colour = colour
         self.excerpt = excerpt
+        self.began_ns = 0
         self.description = ''
         self.topic = ''
         self.frame_id = ''
@@ -196,6 +199,7 @@ class FrameSource(ABC):
         first = next(self._read(Reading(Excerpt())), None)
         if first is not None:
             self.image_size = first.image.shape[1], first.image.shape[0]
+            self.began_ns = first.stamp_ns
         return first is not None
 
     def _checked(self, frame: Frame) -> Frame:

@@ -95,11 +95,14 @@ class Survey:
     glances : tuple of Glance
     segments : tuple of FollowedSegment
         The most valuable first.
+    began_ns : int
+        Stamp of the first image of the recording.
 
     """
 
     glances: tuple[Glance, ...]
     segments: tuple[FollowedSegment, ...] = ()
+    began_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ def calibrate_long(source: FrameSource, settings: CalibrationSettings, policy: L
     if stood(glances):
         return _refused(source, settings, glances)
     segments = choose_segments(glances, policy.images, policy.longest, policy.way,
-                               policy.segments)
+                               policy.segments, source.began_ns)
     if not segments or np.mean([one.followed >= 0.5 for one in glances]) < _FOLLOWED:
         return None
     _LOGGER.info('%d of %d images are followed: %s', sum(one.images for one in segments),
@@ -198,7 +201,7 @@ def _refused(source, settings, glances) -> tuple[NotCalibrated, LongReading]:
                                software=f'selfcal_ros {__version__}')
     nothing = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), source.image_size)
     return refusal, LongReading(nothing, source.description, (), source.clock,
-                                Survey(tuple(glances)))
+                                Survey(tuple(glances), (), source.began_ns))
 
 
 def _followed(source: FrameSource, settings, segments: list[Segment], mask, progress,
@@ -282,4 +285,4 @@ def _together(source, settings, followed: list[FollowedSegment], found, glances,
     result = replace(result, findings=(*findings, *result.findings))
     return result, LongReading(_tracks(found[base], source), source.description,
                                found[base].findings, source.clock,
-                               Survey(tuple(glances), tuple(followed)))
+                               Survey(tuple(glances), tuple(followed), source.began_ns))

@@ -40,7 +40,7 @@ def timeline_figure(survey: Survey) -> Drawing:
 
     """
     glances = survey.glances
-    time_s = 1e-9 * np.array([one.stamp_ns - glances[0].stamp_ns for one in glances])
+    time_s = 1e-9 * np.array([one.stamp_ns - survey.began_ns for one in glances])
     in_minutes = time_s[-1] > 180
     unit, word = (60.0, 'min') if in_minutes else (1.0, 's')
     rates = np.array([[np.hypot(*one.shift), abs(one.growth), one.parallax] for one in glances])
@@ -62,7 +62,7 @@ def timeline_figure(survey: Survey) -> Drawing:
             for number, part in enumerate(parts):
                 axes.axvspan(part.start_s / unit, part.end_s / unit, color=colour, alpha=0.25,
                              linewidth=0, label=None if number else label)
-        axes.set_xlim(0, time_s[-1] / unit)
+        axes.set_xlim(time_s[0] / unit, time_s[-1] / unit)
         axes.set_ylim(bottom=0)
         axes.set_xlabel(f'time / {word}')
         axes.set_ylabel('image diagonals, 1 / s')

@@ -115,7 +115,8 @@ def test_a_long_recording_is_followed_in_segments(monkeypatch):
 
     monkeypatch.setattr(long_recording, 'calibrate', by_turns)
     heard = []
-    result, reading = calibrate_input(BAG, _settings(), lambda text, *_: heard.append(text))
+    result, reading = calibrate_input(BAG, _settings(excerpt=Excerpt(start_s=1.0)),
+                                      lambda text, *_: heard.append(text))
     # weights 1 / 4 and 1 / 16
     assert result.camera.K[0, 0] == pytest.approx(502.0, abs=0.01)
     expected = np.sqrt(1 / (1 / 4 + 1 / 16))
@@ -129,6 +130,9 @@ def test_a_long_recording_is_followed_in_segments(monkeypatch):
     for (tracks, *_), part in zip(asked, parts):
         assert len(tracks.frames) >= 3 and len(tracks) > 500
         assert part['first'] <= tracks.frames.min() <= tracks.frames.max() <= part['last']
+    # seconds and numbers are those of the whole recording, at 15 Hz
+    for part in parts:
+        assert part['first'] >= 15 and abs(part['start_s'] - part['first'] / 15) < 0.01
     assert (reading.tracks.frames == asked[0][0].frames).all()
     assert {'Looking through the recording', 'Following the segments'} <= set(heard)
     assert 'segments were followed' in result.findings[0].sentence
