@@ -25,6 +25,7 @@ from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.structure.camera_path import camera_path
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.report.ply import camera_frusta
 from selfcal_ros.report.scene_files.colmap_model import check_colmap_folder, write_colmap
 from selfcal_ros.report.scene_files.exported_scene import exported_scene
@@ -249,6 +250,13 @@ def test_without_a_clock_images_are_counted_and_what_is_not_known_is_empty(tmp_p
     assert format_of(tmp_path / 'a.csv', 'euroc') == 'euroc'
     with pytest.raises(ArgumentError, match='--poses-format'):
         format_of(tmp_path / 'poses')
+
+
+@pytest.mark.parametrize('clock, told', [('header', True), ('log', True), ('video', True),
+                                         ('nominal', False), ('none', False)])
+def test_only_a_clock_gives_stamps(clock, told):
+    reading = ExtractedTracks(Tracks([3], [0], [[1.0, 2.0]], stamps_ns={3: 7}), '', clock=clock)
+    assert reading.stamps_ns == ({3: 7} if told else None)
 
 
 def test_frusta_frame_what_the_camera_sees():
