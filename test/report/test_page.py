@@ -248,7 +248,7 @@ def test_own_figures_are_put_in(calibration, without_figures):
     assert '<svg id="mine"></svg>' in page_html(calibration, '', '', ('<svg id="mine"></svg>',))
 
 
-def test_a_missing_folder_is_an_input_error(tmp_path, calibration):
+def test_a_missing_folder_is_an_input_error(tmp_path, calibration, without_figures):
     with pytest.raises(InputError):
         write_page(tmp_path / 'nowhere' / 'report.html', calibration, '')
 
