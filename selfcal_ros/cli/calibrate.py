@@ -65,8 +65,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--object', metavar='WHAT',
                         help='known object: chessboard:COLSxROWS:SQUARE_M or '
                              'charuco:COLSxROWS:SQUARE_M:MARKER_M (inner corners), '
+                             'aprilgrid:COLSxROWS:TAG_M:SPACING (tags; space over side, as in '
+                             'Kalibr), circles:COLSxROWS:SPACING_M, '
+                             'acircles:COLSxROWS:SPACING_M (staggered; between rows), '
                              'tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M (squares), or points.csv '
                              '(columns point,X,Y,Z) for an INPUT of tracks')
+    parser.add_argument('--flatness', type=float, metavar='SIGMA_M',
+                        help='with --object: how far the board may bend, as a standard deviation '
+                             'in metres, 0 for not at all (default: its bend is estimated)')
     parser.add_argument('--track', action='store_true',
                         help='follow an object of known shape (--model, --init) through the '
                              'images, and calibrate from its edges')
@@ -109,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         facts=facts_from(args, FREE if args.object else 1.0), motion=args.motion,
         translation_frames=args.translation_frames and tuple(args.translation_frames),
         views=args.views,
-        known_object=args.object, mode=args.mode, topic=args.topic,
+        known_object=args.object, flatness=args.flatness, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
         image_size=tuple(args.image_size) if args.image_size else None,
         mask=args.mask, seed=args.seed,
@@ -146,6 +152,9 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.focal == 'varying' and (known or args.motion == 'repeated'):
         raise ArgumentError('--focal varying is for an unknown scene in several images; leave it '
                             'out.')
+    if args.flatness is not None and not (args.object and 0 <= args.flatness < 1):
+        raise ArgumentError('--flatness is the standard deviation of the bend of an --object in '
+                            'metres, such as 0.0005, or 0 for a flat one.')
     if args.motion == 'known-object' and not known:
         raise ArgumentError('--motion known-object needs --object, for example '
                             'chessboard:9x6:0.025 (inner corners, metres), or --track with the '

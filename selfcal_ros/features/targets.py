@@ -17,6 +17,9 @@ Known objects: what they are called, where their points are, and how they are fo
 | text | object |
 |---|---|
 | chessboard:COLSxROWS:SQUARE_M | inner corners, row by row |
+| aprilgrid:COLSxROWS:TAG_M:SPACING | four corners a tag; SPACING as a share of TAG_M |
+| circles:COLSxROWS:SPACING_M | circles in square rows, row by row |
+| acircles:COLSxROWS:SPACING_M | circles in staggered rows, SPACING_M between rows |
 | charuco:COLSxROWS:SQUARE_M:MARKER_M[:DICTIONARY] | inner corners, row by row |
 | tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M | two orthogonal planes of dark squares |
 | points.csv | columns point,X,Y,Z: any points, found elsewhere |
@@ -30,13 +33,17 @@ import math
 from pathlib import Path
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.features.aprilgrid import AprilGrid
 from selfcal_ros.features.charuco import Charuco
 from selfcal_ros.features.chessboard import Chessboard
+from selfcal_ros.features.circles_grid import CirclesGrid
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.values.known_object import KnownObject
 
 _SHAPES = ('chessboard:COLSxROWS:SQUARE_M, charuco:COLSxROWS:SQUARE_M:MARKER_M, '
-           'tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M or a points.csv (columns point,X,Y,Z)')
+           'aprilgrid:COLSxROWS:TAG_M:SPACING, circles:COLSxROWS:SPACING_M, '
+           'acircles:COLSxROWS:SPACING_M, tsai:COLSxROWS:SQUARE_M:GAP_M:MARGIN_M or a '
+           'points.csv (columns point,X,Y,Z)')
 #: A point file beyond this is no list of an object's points.
 MAX_POINTS = 1_000_000
 
@@ -49,7 +56,7 @@ class PointList:
     find = None
 
 
-Target = Chessboard | Charuco | TsaiGrid | PointList
+Target = Chessboard | Charuco | AprilGrid | CirclesGrid | TsaiGrid | PointList
 
 
 def parse_target(text: str) -> Target:
@@ -63,7 +70,7 @@ def parse_target(text: str) -> Target:
 
     Returns
     -------
-    Chessboard, Charuco, TsaiGrid or PointList
+    Chessboard, Charuco, AprilGrid, CirclesGrid, TsaiGrid or PointList
 
     Raises
     ------
@@ -75,7 +82,8 @@ def parse_target(text: str) -> Target:
     """
     kind, colon, rest = text.partition(':')
     kind = kind.lower()
-    lengths = {'chessboard': 1, 'charuco': 2, 'tsai': 3}
+    lengths = {'chessboard': 1, 'charuco': 2, 'aprilgrid': 2, 'circles': 1, 'acircles': 1,
+               'tsai': 3}
     if not colon or kind not in lengths:
         if text.lower().endswith('.csv'):
             return PointList(read_points(text))
@@ -99,6 +107,10 @@ def parse_target(text: str) -> Target:
         return Chessboard(columns, rows, values[0])
     if kind == 'charuco':
         return Charuco(columns, rows, values[0], values[1], dictionary)
+    if kind == 'aprilgrid':
+        return AprilGrid(columns, rows, values[0], values[1])
+    if kind in ('circles', 'acircles'):
+        return CirclesGrid(columns, rows, values[0], staggered=kind == 'acircles')
     return TsaiGrid(columns, rows, values[0], values[1], values[2])
 
 

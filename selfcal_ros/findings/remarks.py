@@ -243,6 +243,17 @@ REMARKS: dict[str, Phrase] = {
         '{count} views were left out: {why:clause}.',
         'These views show too few points. The reason of the first is given.',
         'Show more of the object in these views.'),
+    'board_bent': Phrase(
+        'The board is not flat: it bends by {bend_mm:measured} mm, which is estimated with the '
+        'camera.',
+        'The images contradict a flat board. Its bend is a surface of second degree; the unit of '
+        'the object is taken for a metre. Supposed flat, a board that bends by a fifth of a '
+        'percent of its length moves the focal length by as much.',
+        'Nothing is wrong with the result. A stiffer board gives smaller sigmas.'),
+    'board_flat': Phrase(
+        'The images show no bend of the board: {limit_mm:.2g} mm would have shown.',
+        'The board was free to bend in the estimate, and is flat as far as the images tell.',
+        'Nothing.'),
     'object_misfits_frames': Phrase(
         'The object does not fit what was seen of it in {frames:frames}, left out.',
         'After the adjustment too few points of these views agree with the rest.',

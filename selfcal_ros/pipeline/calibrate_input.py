@@ -49,6 +49,8 @@ class CalibrationSettings:
     views : int, optional
     known_object : str, optional
         See `selfcal_ros.features.targets.parse_target`; the motion does not matter then.
+    flatness : float, optional
+        Of a board; see `calibrate_known_object`.
     mode : {'auto', 'video', 'wide'}
     topic : str, optional
         Image topic of a bag.
@@ -71,6 +73,7 @@ class CalibrationSettings:
     translation_frames: tuple[int, ...] | None = None
     views: int | None = None
     known_object: str | None = None
+    flatness: float | None = None
     mode: str = 'auto'
     topic: str | None = None
     max_keyframes: int | None = None
@@ -124,7 +127,8 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         reading = read_object_views(path, target, **shared)
         _tell(progress)
         return _timed(lambda: calibrate_known_object(
-            reading.tracks, target.known, facts=settings.facts), reading), reading
+            reading.tracks, target.known, facts=settings.facts, flatness=settings.flatness),
+            reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
     from selfcal_ros.pipeline.feature_session import read_tracks
     if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':

@@ -98,7 +98,8 @@ def read_object_views(path, target: Target, topic: str | None = None,
         if not views:
             raise InputError(f'The object was found in none of the {looked} images of {path}; '
                              'check its numbers of columns and rows (inner corners of a board, '
-                             'squares of a Tsai grid), and that it is seen whole and sharp.')
+                             'tags, circles, squares of a Tsai grid), and that it is seen whole '
+                             'and sharp.')
         findings: tuple[Finding, ...] = () if len(views) == looked else (
             Finding('object_seen', views=len(views), images=looked),)
         if missed:

@@ -21,6 +21,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import Lens, MATRIX_NAMES, Projection
 from selfcal_ros.calibration.bundle.motion import (GENERAL, MotionModel, NEARLY_PLANAR, PLANAR,
                                                    ROTATION)
+from selfcal_ros.calibration.bundle.object_bend import Bend
 from selfcal_ros.calibration.bundle.object_model import KnownEdges, KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES as POSE_NAMES
 from selfcal_ros.calibration.bundle.path import AxisPath, path_prior, SHARED_NAMES, VIEW_NAMES
@@ -174,7 +175,12 @@ def known(kind, rng, lens=LENS):
     bundle = Bundle(KnownPoints(points), view, view, np.zeros((len(view), 2)),
                     priors=Priors(lens=lens.model), sigma_px=1.0)
     seen = bundle.residuals(state)
-    if kind == 'points':
+    if kind == 'bent board':
+        bend = Bend(rng.normal(size=(len(view), 3)), np.array([0.6, 0.0, 0.8]), 0.05)
+        state = replace(state, bend=0.02 * rng.normal(size=3))
+        bundle = Bundle(KnownPoints(points, bend), view, view, bundle.xy,
+                        priors=Priors(lens=lens.model), sigma_px=1.0)
+    if kind != 'edges':
         bundle.xy = seen + rng.normal(0, 0.5, seen.shape)
         return bundle, state
     tangents = np.tile(rng.normal(size=(POINTS, 3)), (VIEWS, 1))
@@ -196,7 +202,7 @@ def read_in_rows(bundle, rng):
 PRODUCTS = {
     'planar': PLANAR, 'nearly planar': NEARLY_PLANAR, 'general': GENERAL, 'rotation': ROTATION,
     'translation': replace(GENERAL, parallel=(0, 2, 3)), 'rolling shutter': GENERAL,
-    'points': None, 'edges': None,
+    'points': None, 'bent board': None, 'edges': None,
     'drift': replace(NEARLY_PLANAR, zoom=ZoomModel((0, 1, 4, 5), 0.0)),
     'walk': replace(GENERAL, zoom=ZoomModel((0, 1, 4, 5), 0.01)),
     'zoom': replace(PLANAR, zoom=ZoomModel((0, 1, 4, 5)))}
@@ -236,7 +242,7 @@ def test_every_product_of_blocks_by_every_unknown(name, lens, path, rng):
                                               free.shape[0], scale))
 
 
-@pytest.mark.parametrize('name', ['nearly planar', 'rotation', 'points', 'edges'])
+@pytest.mark.parametrize('name', ['nearly planar', 'rotation', 'points', 'bent board', 'edges'])
 def test_the_gradient_is_that_of_the_cost(name, path, rng):
     motion = PRODUCTS[name]
     bundle, state = known(name, rng) if motion is None else scene(motion, path, rng)

@@ -205,7 +205,8 @@ def test_recorded_chessboards_give_the_camera():
     assert all(len(xy) == 54 for xy in seen)
     tracks = Tracks(np.repeat(np.arange(len(seen)), 54), np.tile(np.arange(54), len(seen)),
                     np.concatenate(seen), (640, 480))
-    found = {lens: calibrate_known_object(tracks, board.known, facts=CameraFacts(
+    # what was published supposes a flat board
+    found = {lens: calibrate_known_object(tracks, board.known, flatness=0, facts=CameraFacts(
         skew=0.0, distortion=lens)).camera for lens in ('radtan', 'auto')}
     for camera in found.values():
         assert camera.K[0, 0] == pytest.approx(532.46, rel=0.002)

@@ -22,12 +22,13 @@ among the unknowns; 8.2 asks for it).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
 from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
@@ -61,7 +62,8 @@ class _PoseElimination:
     def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> ObjectState:
         """Move a state by a step (n,) of the lens and steps (V, 6) of the poses."""
-        return ObjectState(state.lens.moved(step[unknowns.lens]), state.path.moved(steps))
+        return replace(state, lens=state.lens.moved(step[unknowns.lens]),
+                       path=state.path.moved(steps))
 
     def prior_terms(self, state: ObjectState, unknowns: Unknowns) -> PriorTerms:
         """Nothing is supposed of the poses."""
@@ -87,25 +89,61 @@ class KnownPoints(_PoseElimination):
     ----------
     points : ndarray, shape (N, 3)
         In the object's frame.
+    bend : Bend, optional
+        How a board may bend; its points are held where they are without.
 
     """
 
     points: np.ndarray
+    bend: Bend | None = None
 
     dimension = 2
+
+    def unknowns(self, views: int, lens_names: tuple[str, ...]) -> Unknowns:
+        """Lay out what remains once the poses are eliminated: the lens, and the bend."""
+        return Unknowns.all_free(lens_names, () if self.bend is None else BEND_NAMES)
+
+    def moved(self, state: ObjectState, step: np.ndarray, steps: np.ndarray,
+              unknowns: Unknowns) -> ObjectState:
+        """Move a state by a step (n,) of the lens and the bend, and steps (V, 6) of the poses."""
+        state = super().moved(state, step, steps, unknowns)
+        if self.bend is None:
+            return state
+        return replace(state, bend=state.bend + step[unknowns.places(BEND_NAMES)])
+
+    def prior_terms(self, state: ObjectState, unknowns: Unknowns) -> PriorTerms:
+        """Return cost, gradient (n,) and diagonal (n,) of what is supposed of the bend."""
+        cost, gradient, diagonal = super().prior_terms(state, unknowns)
+        if self.bend is None:
+            return cost, gradient, diagonal
+        place, weight = unknowns.places(BEND_NAMES), 1 / self.bend.sigma**2
+        gradient[place] = weight * state.bend
+        diagonal[place] = weight
+        return cost + 0.5 * weight * float(state.bend @ state.bend), gradient, diagonal
+
+    def prior_count(self, views: int) -> int:
+        """Count the measurements that `prior_terms` stands for."""
+        return 0 if self.bend is None else len(BEND_NAMES)
 
     def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
                   unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
         """Project every point and differentiate; see `SceneModel.linearise`."""
-        turned = state.path.turned(self.points, blocks.view)
+        points = self.points if self.bend is None else self.points + self.bend.off(state.bend)
+        turned = state.path.turned(points, blocks.view)
         X = turned + state.path.translations(blocks.view)
         ahead, pixels = _look(state.lens, X, xy)
         residual = pixels.uv - xy
         if not jacobians:
             return residuals_only(residual, ahead)
-        return Linearisation(residual, ahead, pixels.by_intrinsics(unknowns.free),
-                             np.empty((len(xy), 2, 0)),
-                             ObjectPoses.by_steps(pixels.by_points(), turned))
+        J = pixels.by_points()
+        shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
+        if self.bend is not None:
+            normal = state.path.cam_from_object[:, :, :3] @ self.bend.normal
+            along = np.einsum('nij,nj->ni', J, normal[blocks.view])
+            shared[:, :, unknowns.places(BEND_NAMES)] = (
+                along[:, :, None] * self.bend.modes[:, None])
+        return Linearisation(residual, ahead, shared, np.empty((len(xy), 2, 0)),
+                             ObjectPoses.by_steps(J, turned))
 
 
 @dataclass(frozen=True)

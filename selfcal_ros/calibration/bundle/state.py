@@ -126,7 +126,10 @@ class ObjectState(BundleState):
     Attributes
     ----------
     path : ObjectPoses
+    bend : ndarray, shape (3,)
+        Of a board that need not be flat; see `BEND_NAMES`.
 
     """
 
     path: ObjectPoses
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(3))

@@ -21,21 +21,20 @@ One image of a solid suffices; boards need several views under different tilts. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import cast
+from dataclasses import replace
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
-from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior, priors_from_facts, start_lens, with_fixed
 from selfcal_ros.calibration.bundle.state import ObjectState
+from selfcal_ros.calibration.known_object.bent_board import BoardShape, may_bend, USUAL_FLATNESS
 from selfcal_ros.calibration.known_object.object_pose_precision import pose_precision
 from selfcal_ros.calibration.known_object.object_start import (fisheye_cameras, fisheye_state,
-                                                               linear_view, LinearView,
                                                                start_state, supposed_cameras)
+from selfcal_ros.calibration.known_object.object_views import gathered_views, ObjectViews
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
@@ -64,31 +63,9 @@ MISFIT_FRACTION = 0.006
 START_POINTS = 40
 
 
-@dataclass(frozen=True)
-class _Views:
-    """Observations by view, in a centred frame of the object with unit extent."""
-
-    frames: np.ndarray
-    view: np.ndarray
-    point: np.ndarray
-    points: np.ndarray
-    xy: np.ndarray
-    linear: list[LinearView]
-
-    def bundle(self, priors, sigma_px: float) -> Bundle:
-        return Bundle(KnownPoints(self.points), self.view, self.view, self.xy, priors=priors,
-                      sigma_px=sigma_px)
-
-    def select(self, mask: np.ndarray) -> _Views:
-        """Keep the observations in mask, of views that keep at least four."""
-        mask = mask & (np.bincount(self.view[mask], minlength=len(self.frames)) >= 4)[self.view]
-        kept, index = np.unique(self.view[mask], return_inverse=True)
-        return _Views(self.frames[kept], index, self.point[mask], self.points[mask],
-                      self.xy[mask], [self.linear[v] for v in kept])
-
-
 def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
-                           facts: CameraFacts | None = None) -> Calibration | NotCalibrated:
+                           facts: CameraFacts | None = None, flatness: float | None = None,
+                           ) -> Calibration | NotCalibrated:
     """
     Calibrate a camera from images of known points.
 
@@ -100,12 +77,15 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     facts : CameraFacts, optional
         What is known of the camera; nothing by default. Distortion 'auto': the richest model
         that the data determine.
+    flatness : float, optional
+        Standard deviation of the bend of a plane object, in its unit; 0 for an exactly flat one.
+        By default the bend is estimated with hardly anything supposed of it.
 
     Returns
     -------
     Calibration or NotCalibrated
-        Motion 'known-object'; the reconstruction holds the object's points and the pose of the
-        object in every camera (units of the object).
+        Motion 'known-object'; the reconstruction holds the object's points, bent as it is, and
+        the pose of the object in every camera (units of the object).
 
     References
     ----------
@@ -137,7 +117,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     software = f'selfcal_ros {__version__}'
     result: Calibration | NoEstimate
     try:
-        result = _calibrate(tracks, target, size, facts)
+        result = _calibrate(tracks, target, size, facts, flatness)
     except np.linalg.LinAlgError:
         result = NoEstimate('equations_singular')
     if isinstance(result, NoEstimate):
@@ -147,7 +127,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
 
 
 def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
-               facts: CameraFacts) -> Calibration | NoEstimate:
+               facts: CameraFacts, flatness: float | None) -> Calibration | NoEstimate:
     """Calibrate in a centred frame of the object, and go back to its own."""
     origin = target.points.mean(axis=0) if len(target) else np.zeros(3)
     extent = float(np.sqrt(np.mean(np.sum((target.points - origin)**2, axis=1)))) if len(
@@ -155,14 +135,18 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     if not extent > 0:
         return NoEstimate('object_without_extent')
     scaled = replace(target, points=(target.points - origin) / extent)
-    gathered = _gather(tracks, scaled)
+    gathered = gathered_views(tracks, scaled)
     if isinstance(gathered, NoEstimate):
         return gathered
     views, findings = gathered
     fit = _fit(views, size, facts)
     if isinstance(fit, NoEstimate):
         return fit
-    used, bundle, state, chosen, judgement = fit
+    bent = None
+    if flatness != 0:
+        bent = _bent_fit(views, fit, scaled.points,
+                         USUAL_FLATNESS if flatness is None else flatness / extent, size)
+    used, bundle, state, chosen, judgement = fit if bent is None else bent
     limit = MISFIT_FRACTION * float(np.hypot(*size))
     if all(view.mirrored and view.error_px < limit for view in views.linear):
         return NoEstimate('object_mirrored')
@@ -180,6 +164,10 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     poses = np.array(state.path.cam_from_object)
     poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin
     points = np.column_stack([target.points, np.ones(len(target))])
+    if bent is not None:
+        shape = BoardShape.of(bundle, state, dependence, scaled.points, extent)
+        points[:, :3] += shape.off
+        findings += (shape.finding(),)
     rejected = len(views.view) - len(used.view)
     return Calibration(
         camera=state.camera(*size), covariance=covariance, status=status,
@@ -194,36 +182,19 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         residuals=residuals)
 
 
-def _gather(tracks: Tracks, target: KnownObject,
-            ) -> tuple[_Views, tuple[Finding, ...]] | NoEstimate:
-    """Return the views that can be used, and what was left out."""
-    place = np.minimum(np.searchsorted(target.identity, tracks.track), len(target) - 1)
-    known = target.identity[place] == tracks.track
-    if not known.any():
-        return NoEstimate('no_common_numbers')
-    findings: tuple[Finding, ...] = ()
-    if not known.all():
-        findings += (Finding('points_of_no_object', count=int(np.count_nonzero(~known))),)
-    order = np.lexsort((tracks.track, tracks.frame))
-    order = order[known[order]]
-    frame, place, xy = tracks.frame[order], place[order], tracks.xy[order]
-    frames, view = np.unique(frame, return_inverse=True)
-    everything = _Views(frames, view, place, target.points[place], xy, [])
-    first = np.searchsorted(view, np.arange(len(frames) + 1))
-    found = [linear_view(everything.points[a:b], xy[a:b], int(f))
-             for f, a, b in zip(frames, first, first[1:])]
-    refused = [one for one in found if isinstance(one, NoEstimate)]
-    good = np.array([isinstance(one, LinearView) for one in found])
-    if not good.any():
-        return NoEstimate('no_usable_view', why=refused[0])
-    if refused:
-        findings += (Finding('views_left_out', count=len(refused), why=refused[0]),)
-    # those that are refused are left out at once
-    everything = replace(everything, linear=cast(list[LinearView], found))
-    return everything.select(good[view]), findings
+def _bent_fit(views: ObjectViews, fit: tuple, points: np.ndarray, sigma: float,
+              size: tuple[int, int]) -> tuple | None:
+    """Return the fit with a board that may bend; None where the images do not determine it."""
+    used, _, state, chosen, _ = fit
+    free = may_bend(views.select(np.isin(views.frames, used.frames)[views.view]), points, sigma)
+    bent = None if free is None else _robust_fit(free, state, chosen)
+    if bent is None or isinstance(bent, NoEstimate):
+        return None
+    judgement = _judge(*bent, chosen, size)
+    return None if 'unobservable' in judgement[2].values() else (*bent, chosen, judgement)
 
 
-def _fit(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
+def _fit(views: ObjectViews, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
     """Return views, bundle, state, facts with their distortion model and judgement."""
     found = _fit_family(views, size, facts)
     if facts.distortion != 'auto' or not _may_be_wide(views, found):
@@ -238,7 +209,7 @@ def _fit(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | No
     return other if gain > FAMILY_MARGIN else found
 
 
-def _may_be_wide(views: _Views, fit: tuple | NoEstimate) -> bool:
+def _may_be_wide(views: ObjectViews, fit: tuple | NoEstimate) -> bool:
     """Tell whether points lie far from the axis of a fitted perspective, or do not fit it."""
     if isinstance(fit, NoEstimate):
         return True
@@ -247,7 +218,7 @@ def _may_be_wide(views: _Views, fit: tuple | NoEstimate) -> bool:
     return len(used.view) < 0.9 * len(views.view) or not (angle < WIDE_ANGLE).all()
 
 
-def _misfit(views: _Views, fit: tuple, sigma_px: float) -> float:
+def _misfit(views: ObjectViews, fit: tuple, sigma_px: float) -> float:
     """Sum of squared residuals over the variance, an outlier's share for what was left out."""
     used, bundle, state = fit[:3]
     square = np.sum(bundle.residuals(state)**2, axis=1) / sigma_px**2
@@ -255,7 +226,8 @@ def _misfit(views: _Views, fit: tuple, sigma_px: float) -> float:
     return float(np.minimum(square, most).sum() + most * (len(views.view) - len(used.view)))
 
 
-def _fit_family(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tuple | NoEstimate:
+def _fit_family(views: ObjectViews, size: tuple[int, int],
+                facts: CameraFacts) -> tuple | NoEstimate:
     """Fit the richest member of one family that the views determine; see `_fit`."""
     state = _start(views, size, facts)
     names = AUTOMATIC_DISTORTION if facts.distortion == 'auto' else (facts.distortion,)
@@ -280,7 +252,7 @@ def _fit_family(views: _Views, size: tuple[int, int], facts: CameraFacts) -> tup
     return found
 
 
-def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
+def _start(views: ObjectViews, size, facts: CameraFacts) -> ObjectState:
     """Return the best of the supposed cameras after a short, held adjustment of a few points."""
     rank = np.arange(len(views.view)) - np.searchsorted(views.view, views.view)
     count = np.bincount(views.view)[views.view]
@@ -309,8 +281,8 @@ def _start(views: _Views, size, facts: CameraFacts) -> ObjectState:
     return best
 
 
-def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts,
-                ) -> tuple[_Views, Bundle, ObjectState] | NoEstimate:
+def _robust_fit(views: ObjectViews, state: ObjectState, facts: CameraFacts,
+                ) -> tuple[ObjectViews, Bundle, ObjectState] | NoEstimate:
     """Adjust, estimate the noise, leave out outliers."""
     priors = priors_from_facts(facts)
     bundle = views.bundle(priors, 1.0)
@@ -341,11 +313,14 @@ def _robust_fit(views: _Views, state: ObjectState, facts: CameraFacts,
     return views, bundle, state
 
 
-def _judge(views: _Views, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
+def _judge(views: ObjectViews, bundle: Bundle, state: ObjectState, facts: CameraFacts, size):
     """Return how far errors are shared, the covariance, and every parameter's status."""
-    dependence = cluster_robust_covariance(bundle.information(state), views.point, views.xy, size)
+    # the shape of a board with the lens: what moves the one moves the other
+    information = replace(bundle.information(state), lens=bundle.unknowns.shared)
+    dependence = cluster_robust_covariance(information, views.point, views.xy, size)
     camera = state.camera(*size)
-    covariance = without_held(to_parameters(dependence.covariance, state.lens), camera, facts)
+    of_lens = dependence.covariance[bundle.unknowns.lens, bundle.unknowns.lens]
+    covariance = without_held(to_parameters(of_lens, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
@@ -366,12 +341,13 @@ def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,
     exact = Bundle(bundle.model, bundle.view, bundle.part,
                    bundle.xy + np.nan_to_num(bare.residuals(ideal)), priors=priors,
                    sigma_px=bundle.sigma_px)
-    covariance = to_parameters(exact.ideal_covariance(ideal), ideal.lens)
+    lens = exact.unknowns.lens
+    covariance = to_parameters(exact.ideal_covariance(ideal)[lens, lens], ideal.lens)
     status = parameter_status(ideal.camera(*size), covariance, pinhole, bundle.sigma_px)
     return {name: status[name] for name in MATRIX_PARAMETERS if status[name] == 'unobservable'}
 
 
-def _unobservable(missing: tuple[str, ...], views: _Views) -> NoEstimate:
+def _unobservable(missing: tuple[str, ...], views: ObjectViews) -> NoEstimate:
     """Tell which parameters the views leave open."""
     if not all(view.flat for view in views.linear):
         return NoEstimate('object_leaves_open', missing=missing)
