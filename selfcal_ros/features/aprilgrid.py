@@ -176,16 +176,13 @@ def _detector(border_bits: int):
     make = getattr(aruco, 'DetectorParameters_create', None)
     parameters = make() if make else aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
-    if hasattr(aruco, 'ArucoDetector'):
-        detect = aruco.ArucoDetector(markers, parameters).detectMarkers
-    else:
-        def detect(image):
-            return aruco.detectMarkers(image, markers, parameters=parameters)
+    new = hasattr(aruco, 'ArucoDetector') and aruco.ArucoDetector(markers, parameters)
 
     def find(image):
         if min(image.shape[:2]) < 8:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
-        corners, tags, _ = detect(image)
+        corners, tags, _ = new.detectMarkers(image) if new else aruco.detectMarkers(
+            image, markers, parameters=parameters)
         if tags is None or not len(tags):
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         return (np.asarray(tags).ravel().astype(np.int64),
