@@ -36,6 +36,8 @@ MOST_FINDINGS = 7
 VERDICTS = {'good': ('Calibrated', '#00916b'), 'partial': ('Calibrated in part', '#b87503'),
             'coarse': ('Calibrated coarsely', '#b87503'),
             'hint': ('A hint, no calibration', '#b87503'), 'bad': ('Not calibrated', '#d1335b')}
+#: What is drawn beside a matrix.
+_BRACKETS = 'border-left:2px solid;border-right:2px solid;margin:4px 0'
 _ENTRIES = (('fx', 'skew', 'cx'), ('', 'fy', 'cy'), ('', '', ''))
 
 
@@ -89,8 +91,7 @@ def calibration_card(grade: str, camera: Camera, sigma: Mapping[str, float],
                      for name in camera.lens.coefficients)
     return _card(grade, facts, (
         '<div style="display:flex;align-items:center;gap:8px"><i>K</i> ='
-        '<table style="border-left:2px solid;border-right:2px solid;margin:4px 0">'
-        f'<tbody>{rows}</tbody></table>px</div>'
+        f'<table style="{_BRACKETS}"><tbody>{rows}</tbody></table>px</div>'
         f'<div>{escape(camera.model)}: {lens}</div>'), notes)
 
 

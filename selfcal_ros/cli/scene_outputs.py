@@ -232,7 +232,8 @@ _WRITERS = {'ply': _write_ply, 'colmap': _write_colmap, 'transforms': _write_tra
 
 def _comments(scene, about: str) -> list[str]:
     """Say what the numbers of a file are."""
-    return [about, f'unit: {scene.path.unit_in_words}', f'axes: {scene.path.world}']
+    from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
+    return [about, f'unit: {unit_in_words(scene.path)}', f'axes: {world_in_words(scene.path)}']
 
 
 def _check_structure(args: argparse.Namespace, asked: list[str]) -> None:

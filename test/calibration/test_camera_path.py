@@ -25,6 +25,7 @@ from selfcal_ros.calibration.structure.metric_structure import metric_structure,
 from selfcal_ros.calibration.structure.path_precision import in_the_world, path_slopes
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.report.scene_files.world_words import world_in_words
 from selfcal_ros.synthetic.scenes import sequence_si
 from selfcal_ros.synthetic.special_scenes import general_motion, pure_rotation
 from selfcal_ros.values.known_object import KnownObject
@@ -108,7 +109,7 @@ def test_before_a_known_object_poses_are_in_its_frame_and_its_metres():
                         (camera.project(seen) + noise).reshape(-1, 2), image_size=(640, 480))
         path = camera_path(calibrate_known_object(tracks, KnownObject(range(35), corners),
                                                   facts=FACTS))
-        assert path.unit == 'm' and 'object' in path.world
+        assert path.unit == 'm' and 'object' in world_in_words(path)
         off = path.centre + np.swapaxes(R, 1, 2) @ [-0.12, -0.08, 0.6]
         turned = rotation_vector(path.rotation @ R)
         squares.append(whitened_square(np.concatenate([off, turned], axis=1), path.covariance))

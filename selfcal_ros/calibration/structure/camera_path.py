@@ -74,21 +74,6 @@ class CameraPath:
         """Of length: 'm', 'step', or '' where there is no length."""
         return {OF_AN_OBJECT: 'm', TURNING: ''}.get(self.motion, 'step')
 
-    @property
-    def world(self) -> str:
-        """What the world is, in a few words."""
-        if self.motion == OF_AN_OBJECT:
-            return 'that of the known object'
-        up = ('z up, along the axis of the motion' if self.motion in IN_A_PLANE
-              else 'z up as the first image has it')
-        return f'origin at the first image; x forward, y left, {up}'
-
-    @property
-    def unit_in_words(self) -> str:
-        """What the unit is, in a few words."""
-        return {'m': 'metre', '': 'none, for the camera only turned'}.get(
-            self.unit, 'median step between successive images, for images show no metres')
-
 
 def camera_path(calibration: Calibration) -> CameraPath:
     """

@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.structure.camera_path import CameraPath
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
 
 #: What each format is, for a person.
 FORMATS = {'tum': "TUM's, as evo reads it", 'euroc': "EuRoC's, as evo and Kalibr have it",
@@ -134,8 +135,8 @@ def _head(poses: CameraPath, stamps_ns: Mapping[int, int] | None, source: str) -
               else 'those of the images')
     return ['# ' + ' '.join(line.split()) for line in (
         source, "world_T_camera: place and turn of the camera's optical frame (x right, y down, "
-        'z forward) in the world', f'world: {poses.world}',
-        f'unit of length: {poses.unit_in_words}', f'stamps: {stamps}') if line]
+        'z forward) in the world', f'world: {world_in_words(poses)}',
+        f'unit of length: {unit_in_words(poses)}', f'stamps: {stamps}') if line]
 
 
 def _in_order(poses: CameraPath, stamps_ns: Mapping[int, int] | None) -> list[tuple[int, int]]:

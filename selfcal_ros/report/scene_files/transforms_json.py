@@ -34,6 +34,7 @@ from selfcal_ros.report.camera_files.colmap_cameras import HALF_PIXEL
 from selfcal_ros.report.camera_files.stored import without_skew
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.scene_files.exported_scene import ExportedScene
+from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
 
 #: An OpenGL camera's axes in those of an optical frame.
 _OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -90,8 +91,8 @@ def write_transforms(path: Path, scene: ExportedScene, files: Sequence[str],
         frames.append(frame)
     if ply is not None:
         content['ply_file_path'] = ply
-    content['selfcal'] = {'source': source, 'world': scene.path.world,
-                          'unit': scene.path.unit_in_words}
+    content['selfcal'] = {'source': source, 'world': world_in_words(scene.path),
+                          'unit': unit_in_words(scene.path)}
     content['frames'] = frames
     return atomic_write(path, json.dumps(content, indent=1) + '\n')
 
