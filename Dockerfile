@@ -19,7 +19,7 @@ COPY config src/selfcal_ros/config
 COPY launch src/selfcal_ros/launch
 COPY scripts src/selfcal_ros/scripts
 COPY bags src/selfcal_ros/bags
-COPY docs/result.schema.json src/selfcal_ros/docs/result.schema.json
+COPY docs/result.schema.json docs/selfcal.1 src/selfcal_ros/docs/
 COPY msg_adapters src/selfcal_ros/msg_adapters
 COPY selfcal_ros src/selfcal_ros/selfcal_ros
 RUN . /opt/ros/${ROS_DISTRO}/setup.sh && colcon build

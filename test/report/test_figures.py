@@ -176,7 +176,8 @@ def test_projection_uncertainty_against_draws():
 def test_all_figures_are_drawn_and_are_reproducible(calibration, sequence):
     drawings = draw_figures(calibration, sequence.tracks)
     assert [d.name for d in drawings] == ['fixed-points', 'projection', 'lens', 'sigmas',
-                                          'residuals', 'path', 'coverage']
+                                          'residuals', 'radial', 'images-fit', 'path', 'course',
+                                          'coverage']
     images = []
     for drawing in drawings:
         assert drawing.caption and drawing.title
@@ -198,7 +199,7 @@ def test_pyplot_is_left_alone(calibration, sequence):
 def test_little_is_enough(calibration):
     bare = replace(calibration, fixed_points=None, residuals=None,
                    covariance=np.zeros(COVARIANCE_SHAPE))
-    assert [d.name for d in draw_figures(bare)] == ['lens', 'path']
+    assert [d.name for d in draw_figures(bare)] == ['lens', 'path', 'course']
     unknown = replace(calibration, covariance=np.full(COVARIANCE_SHAPE, np.inf))
     for drawing in draw_figures(unknown):
         drawing.svgs()
