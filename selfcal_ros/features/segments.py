@@ -34,8 +34,10 @@ import numpy as np
 from selfcal_ros.features.glance import Glance
 
 #: Kinds of motion: their names, the amount a_c (diagonals, radians) and the weight w_c.
-KINDS = (('turning left and right', 0.25, 2.0), ('turning up and down', 0.25, 2.0),
-         ('rolling', 0.25, 2.0), ('coming nearer', 0.5, 1.0), ('parallax', 0.15, 1.0))
+#: Turns to either side count by themselves: the principal point wants both.
+KINDS = (('turning left', 0.125, 1.0), ('turning right', 0.125, 1.0),
+         ('turning up and down', 0.25, 2.0), ('rolling', 0.25, 2.0), ('coming nearer', 0.5, 1.0),
+         ('parallax', 0.15, 1.0))
 #: A glance is usable where so much of the corners could be followed, over so much of the image.
 LEAST_FOLLOWED, LEAST_COVERED = 0.5, 0.15
 #: A stretch that adds less than this to V is not worth its time.
@@ -122,7 +124,9 @@ def choose_segments(glances: Sequence[Glance], images: int, longest: int, way: f
     index = np.array([one.index for one in glances])
     moved = _ways([one.speed for one in glances], glances)
     amounts = np.stack([_ways(rates, glances) for rates in (
-        [abs(one.shift[0]) for one in glances], [abs(one.shift[1]) for one in glances],
+        # the image moves to the right where the camera turns left
+        [max(one.shift[0], 0.0) for one in glances], [max(-one.shift[0], 0.0) for one in glances],
+        [abs(one.shift[1]) for one in glances],
         [abs(one.roll) for one in glances], [abs(one.growth) for one in glances],
         [one.parallax for one in glances])], axis=1)
     covered = np.array([one.covered for one in glances])

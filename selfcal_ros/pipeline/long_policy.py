@@ -54,7 +54,7 @@ class LongRecordings:
     glances: int = 1200
     images: int = 1500
     longest: int = 600
-    way: float = 1.2
+    way: float = 2.0
     segments: int = 3
     whole: int = 5000
 
