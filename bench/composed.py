@@ -24,13 +24,12 @@ from __future__ import annotations
 from contextlib import contextmanager
 from importlib.util import find_spec
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 
-from bench.inputs import process_environment, ROOT
+from bench.inputs import end, process_environment, ROOT
 from bench.tables import Report
 import cv2
 import numpy as np
@@ -95,14 +94,7 @@ def running(processes):
                     start_new_session=True, cwd=folder, env=process_environment()))
             yield
         finally:
-            for process in started:
-                process.send_signal(signal.SIGINT)
-            for process in started:
-                try:
-                    process.wait(5)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
+            end(started)
 
 
 def measured(images, processes) -> tuple[dict, int]:

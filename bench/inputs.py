@@ -18,6 +18,8 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+import signal
+import subprocess
 
 import cv2
 import numpy as np
@@ -32,6 +34,18 @@ def process_environment(**more: str) -> dict:
     here = str(Path(selfcal_ros.__file__).resolve().parents[1])
     paths = [here, *filter(None, [os.environ.get('PYTHONPATH')])]
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(paths), **more}
+
+
+def end(processes) -> None:
+    """Interrupt processes, and kill those that do not end within five seconds."""
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        try:
+            process.wait(5)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def data_folder(name: str) -> Path | None:

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 
-from bench.inputs import process_environment, ROOT
+from bench.inputs import end, process_environment, ROOT
 from bench.tables import Report
 import numpy as np
 from selfcal_ros.features.klt import KltTracker
@@ -100,12 +99,7 @@ def over_dds(report: Report, images) -> None:
         try:
             times, sent = exchange(images)
         finally:
-            node.send_signal(signal.SIGINT)
-            try:
-                node.wait(5)
-            except subprocess.TimeoutExpired:
-                node.kill()
-                node.wait()
+            end([node])
     report.table(HEADER, [latencies_row('publish, feature_tracker, tracks', times,
                                         f'{sent - len(times)} of {sent}')])
     report.say('')

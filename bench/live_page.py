@@ -19,14 +19,13 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
-import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 
-from bench.inputs import process_environment, ROOT
+from bench.inputs import end, process_environment, ROOT
 from bench.live import _message, RATE_HZ
 from bench.tables import Report
 from selfcal_ros.synthetic.recordings import agv_drive
@@ -77,14 +76,7 @@ def measure(seconds: float) -> list[tuple[str, list[float], float]]:
             threading.Thread(target=nodes[1].stderr.read, daemon=True).start()
             return _cases(images, nodes, found[0], seconds)
         finally:
-            for node in nodes:
-                node.send_signal(signal.SIGINT)
-            for node in nodes:
-                try:
-                    node.wait(5)
-                except subprocess.TimeoutExpired:
-                    node.kill()
-                    node.wait()
+            end(nodes)
 
 
 def _cases(images, nodes, url: str, seconds: float) -> list:

@@ -130,38 +130,32 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
             reading.tracks, target.known, facts=settings.facts, flatness=settings.flatness),
             reading), reading
     from selfcal_ros.calibration.calibrate import calibrate
-    from selfcal_ros.pipeline.feature_session import read_tracks
+    from selfcal_ros.pipeline.feature_session import generator, tracks_of
+    from selfcal_ros.pipeline.sources import open_source
     if settings.motion == 'repeated' and Path(path).suffix.lower() != '.csv':
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
-    long = _calibrate_long(path, settings, shared.get('mask'), progress)
-    if long is not None:
-        return long
-    reading = read_tracks(path, mode=settings.mode, seed=settings.seed, **shared)
+    mask = shared.get('mask')
+    with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
+                     ) as source:
+        if settings.long is not None and settings.long.concern(source, settings):
+            from selfcal_ros.pipeline.long_recording import calibrate_long
+            found = calibrate_long(source, settings, settings.long, mask, progress)
+            if found is not None:
+                return found
+        reading = tracks_of(source, settings.mode, shared['max_keyframes'], progress, mask,
+                            settings.seed)
     _tell(progress)
     return _timed(lambda: calibrate(
         reading.tracks, motion=settings.motion, facts=settings.facts,
         translation_frames=settings.translation_frames, views=settings.views,
-        rng=np.random.default_rng(settings.seed) if settings.seed else None), reading), reading
+        rng=generator(settings.seed)), reading), reading
 
 
 def _tell(progress: Callable | None) -> None:
     """Tell that the estimate begins, which cannot know how far it is."""
     if progress:
         progress('estimating', 0, None)
-
-
-def _calibrate_long(path, settings: CalibrationSettings, mask, progress):
-    """Calibrate from parts of a long recording; None if it is none."""
-    from selfcal_ros.pipeline.sources import open_source
-    if settings.long is None:
-        return None
-    with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
-                     ) as source:
-        if not settings.long.concern(source, settings):
-            return None
-        from selfcal_ros.pipeline.long_recording import calibrate_long
-        return calibrate_long(source, settings, settings.long, mask, progress)
 
 
 def _timed(estimate: Callable[[], Calibration | NotCalibrated],

@@ -166,25 +166,35 @@ def read_tracks(path: str | Path, topic: str | None = None, mode: str = 'auto',
 
     """
     with open_source(path, topic, image_size, excerpt=excerpt) as source:
-        if source.kind == 'tracks':
-            return tracks_of_table(source, mask, max_keyframes)
-        # OpenCV loads here, not where the command line starts
-        from selfcal_ros.features.extraction import extract_tracks
-        total = source.count
+        return tracks_of(source, mode, max_keyframes, progress, mask, seed)
 
-        def report(text, done):
-            # matching reports a share, reading a number of frames
-            progress(text, done, 1.0 if isinstance(done, float) else total)
 
-        limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
-        found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
-                               mode=mode, progress=report if progress else None, mask=mask,
-                               # without a generator there is a fixed one, as there always was
-                               rng=np.random.default_rng(seed) if seed else None, **limit)
-        if not len(found.tracks):
-            raise InputError(f'No point could be followed through the images of {path}; they need '
-                             f'texture and overlap{", also within the mask" if mask else ""}.')
-        tracks = found.tracks
-        if source.clock == 'nominal':
-            tracks = tracks.unstamped(NOMINAL_RATE_HZ)
-        return ExtractedTracks(tracks, source.description, found.findings, source.clock)
+def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
+              progress: Callable | None, mask: ImageMask | None, seed: int) -> ExtractedTracks:
+    """Find point tracks in an input that is open; see `read_tracks`."""
+    if source.kind == 'tracks':
+        return tracks_of_table(source, mask, max_keyframes)
+    # OpenCV loads here, not where the command line starts
+    from selfcal_ros.features.extraction import extract_tracks
+    total = source.count
+
+    def report(text, done):
+        # matching reports a share, reading a number of frames
+        progress(text, done, 1.0 if isinstance(done, float) else total)
+
+    limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
+    found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
+                           mode=mode, progress=report if progress else None, mask=mask,
+                           rng=generator(seed), **limit)
+    if not len(found.tracks):
+        raise InputError(f'No point could be followed through the images of {source.path}; they '
+                         f'need texture and overlap{", also within the mask" if mask else ""}.')
+    tracks = found.tracks
+    if source.clock == 'nominal':
+        tracks = tracks.unstamped(NOMINAL_RATE_HZ)
+    return ExtractedTracks(tracks, source.description, found.findings, source.clock)
+
+
+def generator(seed: int) -> np.random.Generator | None:
+    """Return what draws by a seed; None for 0: each step then has a fixed one of its own."""
+    return np.random.default_rng(seed) if seed else None

@@ -38,7 +38,7 @@ from selfcal_ros.features.glance import Glance, glance, LEAST
 from selfcal_ros.features.segments import choose_segments, Segment, stood
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.feature_session import ExtractedTracks, generator
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.long_policy import LongRecordings
 from selfcal_ros.pipeline.sources import FrameSource
@@ -223,7 +223,7 @@ def _followed(source: FrameSource, settings, segments: list[Segment], mask, prog
             frames, lambda frame: int(np.searchsorted(starts, frame.index, side='right')) - 1):
         images = ((frame.index, frame.image, frame.stamp_ns) for frame in group)
         yield in_order[number], extract_tracks(images, 'video', report, mask=mask,
-                                               rng=_rng(settings), **limit)
+                                               rng=generator(settings.seed), **limit)
         before += in_order[number].images
 
 
@@ -234,7 +234,7 @@ def _calibrated(segments, found, settings, source, progress) -> list[FollowedSeg
         if progress:
             progress('Calibrating the segments', number, len(segments))
         result = calibrate(_tracks(found[segment], source), motion=settings.motion, facts=facts,
-                           start=start, rng=_rng(settings))
+                           start=start, rng=generator(settings.seed))
         _LOGGER.info('%.1f to %.1f s: %s', segment.start_s, segment.end_s,
                      f'fx {result.camera.K[0, 0]:.2f} ± {result.sigma["fx"]:.2f}' if result
                      else result.reason)
@@ -242,10 +242,6 @@ def _calibrated(segments, found, settings, source, progress) -> list[FollowedSeg
             facts, start = result.facts, result.camera
         done.append(FollowedSegment(segment, result))
     return done
-
-
-def _rng(settings) -> np.random.Generator | None:
-    return np.random.default_rng(settings.seed) if settings.seed else None
 
 
 def _tracks(extraction: Extraction, source: FrameSource) -> Tracks:

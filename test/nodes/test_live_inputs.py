@@ -154,6 +154,8 @@ def test_a_bag_in_a_loop_with_its_own_time_starts_anew_each_time(graph, launch, 
     assert sum(a > b for a, b in zip(stamps, stamps[1:])) >= 1
     assert 'jumped back' in json.loads(results[-1].data)['reason']
     graph.wait_for(lambda: tracker.has_said('time jumped back; tracking starts anew'))
+    # the player waits for who listens to its images, not for a reader of its clock
+    graph.wait_for(lambda: clock, what='the clock of the bag, which plays on')
     assert min(stamp_ns(c.clock) for c in clock) >= start_ns
 
 
