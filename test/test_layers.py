@@ -26,12 +26,12 @@ STOREY = {'errors': 0, 'version': 0, 'findings': 0, 'geometry': 1, 'values': 2, 
           'nodes': 6}
 #: Floors of the calibration: rooms of one floor do not import each other.
 CALIBRATION_FLOOR = {
-    'card': 0, 'reconstruction': 0, 'row_readout': 0, 'result': 1, 'observability': 1,
+    'card': 0, 'reconstruction': 0, 'row_readout': 0, 'mount': 0, 'result': 1, 'observability': 1,
     'bundle': 2, 'planar': 2, 'affine': 2,
     'initialisation': 3, 'uncertainty': 3, 'structure': 3,
     'moving': 4,
-    'estimators': 5, 'known_object': 5, 'monitoring': 5,
-    'calibrate': 6}
+    'estimators': 5, 'known_object': 5, 'monitoring': 5, 'mounting': 5,
+    'calibrate': 6, 'rigs': 7}
 #: The same of the object tracker.
 RORAPID_FLOOR = {
     'options': 1, 'tracked_frame': 1, 'projection': 1, 'region': 1, 'visibility': 1, 'model': 1,

@@ -27,6 +27,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from selfcal_ros.calibration.card import calibration_card, grade_of, refusal_card
+from selfcal_ros.calibration.mount import Mount, NoMount
 from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, StructureSample
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
@@ -180,6 +181,8 @@ class Calibration:
         The rolling shutter, where rows are read one after the other.
     labels : TrackLabels, optional
         What every track is, where things moved by themselves or matches jumped.
+    mount : Mount or NoMount, optional
+        Where the camera sits on the robot, or why that is not known, where its poses were given.
 
     Examples
     --------
@@ -218,6 +221,7 @@ class Calibration:
     focal: FocalCourse | None = field(default=None, repr=False)
     shutter: RowReadout | None = None
     labels: TrackLabels | None = field(default=None, repr=False)
+    mount: Mount | NoMount | None = field(default=None, repr=False)
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""
