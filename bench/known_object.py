@@ -26,6 +26,7 @@ from selfcal_ros.features.targets import Chessboard
 from selfcal_ros.features.tsai_grid import TsaiGrid
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.resection import decompose, resect, resect_linear
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
 from selfcal_ros.values.known_object import KnownObject
@@ -38,12 +39,17 @@ IMAGES = 24
 #: Corner noise that gives the thesis's reprojection error after the non-linear step.
 THESIS_CORNER_NOISE_PX = 0.128
 FREE_ASPECT = CameraFacts(skew=0.0)
+#: A printed board before a camera, and how well its corners are found.
+BOARD, VIEWS, BOARD_NOISE_PX = (9, 6), 15, 0.15
+BOARD_CAMERA = Camera([[1150, 0, 650], [0, 1150, 470], [0, 0, 1]],
+                      [-0.22, 0.09, 0.0005, -0.0004], 1280, 960)
 
 
 def run(report: Report, options) -> None:
     """Print the grid of the thesis, then the recorded sets beside OpenCV."""
     thesis_grid(report)
     recorded(report)
+    bent_boards(report, options.runs or 20)
 
 
 def grid_poses(rng) -> list[np.ndarray]:
@@ -172,6 +178,80 @@ def fisheye(report: Report) -> None:
     for k, what in enumerate(('fx', 'fy')):
         report.verdict(f'{what} beside cv2.fisheye',
                        percent(result.camera.parameters[k], K[k, k]), 0.1, '%')
+
+
+def bent_boards(report: Report, runs: int) -> None:
+    """Boards that are not flat, beside OpenCV: as flat boards, and with its boards left free."""
+    report.section('Bent boards', f'{BOARD[0]} x {BOARD[1]} corners 27 mm apart, {VIEWS} views, '
+                   f'{BOARD_NOISE_PX} px of noise, {runs} boards a row, bent as a part of a '
+                   'cylinder. Facts: skew 0.', 'fx error: root mean square. beyond 3 σ: of fx, '
+                   'fy, cx, cy. OpenCV leaves a board free with calibrateCameraRO.')
+    rows = []
+    for bend_mm in (0.0, 0.1, 0.3, 0.6, 1.0, 3.0):
+        found: dict[str, list] = {'ours': [], 'ours, held flat': [], 'cv2, flat': [],
+                                  'cv2, board free': []}
+        told = 0
+        for seed in range(runs):
+            rng = np.random.default_rng([seed, 7])
+            tracks, target = bent_views(rng, bend_mm / 1000)
+            for name, flatness in (('ours', None), ('ours, held flat', 0)):
+                result = calibrate_known_object(tracks, target, facts=FREE_ASPECT,
+                                                flatness=flatness)
+                if result:
+                    sigma = np.array([result.sigma[what] for what in ('fx', 'fy', 'cx', 'cy')])
+                    found[name].append((result.camera.parameters[:4], sigma))
+                    told += any(one.kind == 'board_bent' for one in result.findings)
+            for name, free in (('cv2, flat', False), ('cv2, board free', True)):
+                found[name].append(_opencv_board(tracks, target, free))
+        for name, results in found.items():
+            values = np.array([value for value, _ in results])
+            off = (values - BOARD_CAMERA.parameters[:4]) / [sigma for _, sigma in results]
+            error = 100 * (values[:, 0] / BOARD_CAMERA.K[0, 0] - 1)
+            rows.append((f'{bend_mm:g}', name, len(results), f'{np.sqrt(np.mean(error**2)):.3f}',
+                         int((np.abs(off) > 3).any(axis=1).sum()), f'{np.abs(off).max():.1f}',
+                         f'{told} of {runs}' if name == 'ours' else ''))
+            if name == 'ours':
+                report.judge(len(results) == runs and np.abs(off).max() < 4,
+                             f'{bend_mm:g} mm: all calibrated, none beyond 4 σ')
+    report.say('')
+    report.table(('bend mm', 'method', 'runs', 'fx error %', 'beyond 3 σ', 'worst σ',
+                  'bend told'), rows)
+
+
+def bent_views(rng: np.random.Generator, bend_m: float) -> tuple[Tracks, KnownObject]:
+    """Corners of a board that bends by so much, as a camera sees them in tilted views."""
+    columns, rows = BOARD
+    y, x = 0.027 * np.mgrid[:rows, :columns].reshape(2, -1)
+    flat = np.column_stack([x, y, np.zeros(x.size)])
+    middle, extent = flat.mean(axis=0), float(np.ptp(x))
+    height = ((flat[:, 0] - middle[0]) / extent)**2
+    bent = flat + (bend_m / np.ptp(height) * height)[:, None] * [0, 0, 1]
+    seen: list[np.ndarray] = []
+    while len(seen) < VIEWS:
+        R = rotation_matrix(rng.uniform(-0.6, 0.6, 3) * [1, 1, 0.6])
+        away = extent * rng.uniform(1.1, 2.0)
+        place = np.array([*(rng.uniform(-0.25, 0.25, 2) * away * [1.1, 0.8]), away])
+        xy = BOARD_CAMERA.project((bent - middle) @ R.T + place)
+        if ((xy > 0) & (xy < [BOARD_CAMERA.width, BOARD_CAMERA.height])).all():
+            seen.append(xy + BOARD_NOISE_PX * rng.standard_normal(xy.shape))
+    return (_tracks(seen, (BOARD_CAMERA.width, BOARD_CAMERA.height)),
+            KnownObject(np.arange(len(flat)), flat))
+
+
+def _opencv_board(tracks: Tracks, target: KnownObject, free: bool):
+    """Calibrate with OpenCV, k1 k2 p1 p2 k3; values and sigmas of fx, fy, cx, cy."""
+    frames = np.unique(tracks.frame)
+    objects = [target.points.astype(np.float32)] * len(frames)
+    seen = [tracks.xy[tracks.frame == f].astype(np.float32)[:, None] for f in frames]
+    if free:
+        # the corner at the end of the first row is held, as its documentation says
+        found = cv2.calibrateCameraROExtended(objects, seen, tracks.image_size, BOARD[0] - 1,
+                                              None, None)
+        K, spread = found[1], found[6]
+    else:
+        found = cv2.calibrateCameraExtended(objects, seen, tracks.image_size, None, None)
+        K, spread = found[1], found[5]
+    return K[[0, 1, 0, 1], [0, 1, 2, 2]], spread.ravel()[:4]
 
 
 def _left(folder):

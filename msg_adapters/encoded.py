@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import DamagedImage, InputError
 from selfcal_ros.values.image_headers import check_image
 
 
@@ -60,8 +60,8 @@ def decode_file(data: Any, colour: bool = False) -> np.ndarray:
     except (cv2.error, MemoryError):
         image = None
     if image is None or image.size == 0:
-        raise InputError('The image cannot be decoded: it is damaged, or no jpeg, png, bmp, tiff, '
-                         'webp or pgm image.')
+        raise DamagedImage('The image cannot be decoded: it is damaged, or no jpeg, png, bmp, '
+                           'tiff, webp or pgm image.')
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f'Images of type {image.dtype} are not supported; use 8 or 16 bits.')
     return image

@@ -22,5 +22,9 @@ class InputError(SelfcalError):
     """An input (file, bag, topic, message) cannot be used."""
 
 
+class DamagedImage(InputError):
+    """An image cannot be decoded, though others beside it may be."""
+
+
 class ArgumentError(SelfcalError):
     """An argument or a parameter has an impossible value."""

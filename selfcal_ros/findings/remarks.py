@@ -268,6 +268,10 @@ REMARKS: dict[str, Phrase] = {
         'in the image. The result file names all of these images.',
         'Look at these images. Where the object shows whole, more light and a steadier hand '
         'help.'),
+    'images_damaged': Phrase(
+        'Damaged and left out: {count} image{count:plural}, the first is {first}. {why}.',
+        'A truncated image decodes with a grey rest, in which wrong points would be found.',
+        'Nothing, if they are few. If they are many, look at the disk and the transport.'),
     'image_size_not_stated': Phrase(
         'The size of the images is not stated, so the smallest that holds all points is taken: '
         'state it with --image-size.',

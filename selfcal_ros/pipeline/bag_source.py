@@ -183,7 +183,8 @@ class BagSource(FrameSource):
                 image = decoder.grey(msg)
                 bgr = decoder.colour(msg) if self._colour else None
             except InputError as error:
-                raise InputError(f'{self.path}, {self.topic}, {name}: {error}') from error
+                self._refuse(error, index, name, f'{self.path}, {self.topic}, {name}')
+                continue
             yield self._checked(Frame(index, stamp, image, str(msg.header.frame_id), name, bgr))
 
     def close(self) -> None:

@@ -138,6 +138,7 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
     mask = shared.get('mask')
     with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                      ) as source:
+        source.leaves_out_damaged = True
         if settings.long is not None and settings.long.concern(source, settings):
             from selfcal_ros.pipeline.long_recording import calibrate_long
             found = calibrate_long(source, settings, settings.long, mask, progress)

@@ -192,7 +192,8 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
     tracks = found.tracks
     if source.clock == 'nominal':
         tracks = tracks.unstamped(NOMINAL_RATE_HZ)
-    return ExtractedTracks(tracks, source.description, found.findings, source.clock)
+    return ExtractedTracks(tracks, source.description, (*found.findings, *source.losses()),
+                           source.clock)
 
 
 def generator(seed: int) -> np.random.Generator | None:

@@ -112,8 +112,8 @@ class ImageFolderSource(FrameSource):
                 image = decoder.file_grey(data)
                 bgr = decoder.file_colour(data) if self._colour else None
             except InputError as error:
-                text = str(error)
-                raise InputError(text if str(file) in text else f'{file}: {text}') from error
+                self._refuse(error, index, file.name, str(file))
+                continue
             yield self._checked(Frame(index, stamp, image, '', file.name, bgr))
 
 

@@ -23,7 +23,8 @@ from typing import Self
 
 import numpy as np
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import DamagedImage, InputError
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.excerpt import Excerpt, Reading
 from selfcal_ros.values.tracks import Tracks
 
@@ -97,6 +98,8 @@ class FrameSource(ABC):
     clock : {'header', 'log', 'video', 'nominal', 'none'}
         Where the stamps come from: the header of the message, the recorder's log (where headers
         are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
+    leaves_out_damaged : bool
+        Pass over damaged images after the first, and count them; otherwise they are errors.
 
     """
 
@@ -117,6 +120,8 @@ class FrameSource(ABC):
         self._stated_size = None if image_size is None else (int(image_size[0]),
                                                              int(image_size[1]))
         self.image_size = self._stated_size
+        self.leaves_out_damaged = False
+        self._damaged: dict[int, tuple[str, str]] = {}
 
     def __enter__(self) -> Self:
         """Return the source itself."""
@@ -177,8 +182,23 @@ class FrameSource(ABC):
         """
         raise InputError(f'{self.path} holds images, not tracks.')
 
+    def losses(self) -> tuple[Finding, ...]:
+        """Tell of the damaged images that were passed over so far."""
+        if not self._damaged:
+            return ()
+        name, why = self._damaged[min(self._damaged)]
+        return Finding('images_damaged', count=len(self._damaged), first=name, why=why),
+
     def close(self) -> None:
         """Release what is open; may be called twice."""
+
+    def _refuse(self, error: InputError, index: int, name: str, where: str) -> None:
+        """Pass over a damaged image where that is wanted; otherwise say where it is."""
+        text = str(error)
+        if self.leaves_out_damaged and index and isinstance(error, DamagedImage):
+            self._damaged[index] = name, text.rstrip('.')
+            return
+        raise type(error)(text if where in text else f'{where}: {text}') from error
 
     def _beyond_the_end(self, lasts_s: float) -> InputError:
         return InputError(f'{self.path} lasts {lasts_s:.1f} s, so there is no image '

@@ -280,5 +280,5 @@ def _together(source, settings, followed: list[FollowedSegment], found, glances,
         segments=[one.as_dict() for one in followed]))
     result = replace(result, findings=(*findings, *result.findings))
     return result, LongReading(_tracks(found[base], source), source.description,
-                               found[base].findings, source.clock,
+                               (*found[base].findings, *source.losses()), source.clock,
                                Survey(tuple(glances), tuple(followed), source.began_ns))

@@ -82,6 +82,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
         moving = source.kind != 'images'
         apart = max((source.count or 0) // THOROUGH_LOOKS, 1) if moving else 1
         views, stamps, missed, looked, last = [], {}, [], 0, None
+        source.leaves_out_damaged = True
         for frame in source:
             identity, xy = _found(target, frame.image, looked % apart == 0, mask)
             looked += 1
@@ -102,6 +103,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
                              'and sharp.')
         findings: tuple[Finding, ...] = () if len(views) == looked else (
             Finding('object_seen', views=len(views), images=looked),)
+        findings += source.losses()
         if missed:
             names, at = zip(*missed[:MAX_NAMES])
             findings += (Finding('object_not_found', count=len(missed), names=list(names), **(

@@ -20,6 +20,7 @@ Every figure is drawn by an object of its own, without a display and without the
 from __future__ import annotations
 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.report.board_figure import board_figure
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
 from selfcal_ros.report.focal_figure import focal_figure
 from selfcal_ros.report.lens_curve import lens_figure
@@ -66,7 +67,7 @@ def draw_figures(result: Calibration | NotCalibrated,
                     focal_figure(result), lens_figure(result, seen), sigma_figure(result),
                     residual_figure(result, seen), radial_figure(result, seen),
                     images_figure(result, seen), path_figure(result), pose_figure(result, tracks),
-                    object_views_figure(result),
+                    object_views_figure(result), board_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]
 

@@ -31,6 +31,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
+from selfcal_ros.report.board_shape import board_shape
 from selfcal_ros.report.files import atomic_write
 
 #: Version of what is written; the first had none.
@@ -70,8 +71,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
         'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
-        (`RowReadout`), 'segments' (what was followed of a long recording), 'labels' (tracks by
-        what they are, where something moves by itself, jumps, or stands still in the image), and
+        (`RowReadout`), 'board' (`board_shape`: how it bends), 'segments' (what was followed of a
+        long recording), 'labels' (tracks by what they are, where something moves by itself,
+        jumps, or stands still in the image), and
         'hint' (what the images suggest where the status
         is 'hint': 'camera', 'lens', 'sigma', 'covariance', 'parameter_names').
 
@@ -119,6 +121,9 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         found['segments'] = parts[0]
     if result and result.shutter is not None:
         found['shutter'] = result.shutter.as_dict()
+    board = board_shape(result) if result else None
+    if board is not None:
+        found['board'] = board
     if result and result.labels is not None:
         found['labels'] = {name: result.labels.of(name) for name in result.labels.names}
     if not result and result.hint is not None:

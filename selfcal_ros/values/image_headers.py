@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import re
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import DamagedImage, InputError
 
 #: Larger images than this are refused: 134 million pixels.
 MAX_PIXELS = 2 ** 27
@@ -45,11 +45,11 @@ def check_image(content: bytes) -> None:
     Raises
     ------
     InputError
-        With a sentence that begins with 'The image'.
+        With a sentence that begins with 'The image'; a DamagedImage where others may be whole.
 
     """
     if not content:
-        raise InputError('The image is empty (0 bytes).')
+        raise DamagedImage('The image is empty (0 bytes).')
     whole = True
     if content.startswith(_PNG):
         size, whole = _png(content)
@@ -65,11 +65,11 @@ def check_image(content: bytes) -> None:
     else:
         found = _PNM.match(content[:2000])
         if not found:
-            raise InputError('The image cannot be decoded: it is damaged, or no '
-                             f'{_KINDS} image.')
+            raise DamagedImage('The image cannot be decoded: it is damaged, or no '
+                               f'{_KINDS} image.')
         size = int(found[2]), int(found[3])
     if not whole:
-        raise InputError('The image is truncated: its end is missing.')
+        raise DamagedImage('The image is truncated: its end is missing.')
     if size is None:
         return
     pixels = size[0] * size[1]

@@ -103,6 +103,10 @@ def test_calibrations_are_as_the_schema_says(schema):
     content = written(replace(result, findings=(followed,)))
     assert not problems(content, schema) and content['segments'] == [part]
     assert content.keys() <= schema['properties'].keys()
+    flat = Finding('board_flat', bend_mm={'value': 0.1, 'sigma': 0.1}, limit_mm=0.4,
+                   unknowns_m=[1e-4, 0.0, -1e-5], sigmas_m=[1e-4] * 3)
+    content = written(replace(result, findings=(flat,)))
+    assert not problems(content, schema) and content['board']['limit_m'] == 4e-4
 
 
 @pytest.mark.parametrize('scene', [pure_translation, pure_rotation])
