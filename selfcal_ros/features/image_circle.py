@@ -20,7 +20,6 @@ from itertools import combinations
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.findings.finding import Finding
@@ -268,6 +267,8 @@ def _rim(brightest, circle, black, bright):
 
 def _refined(brightest, circle, black, bright):
     """Fit a circle to the rim, twice, since the first sets the rays; None without a rim."""
+    # loaded by the few that need it
+    from scipy.optimize import least_squares
     for _ in range(2):
         xy = _rim(brightest, circle, black, bright)
         if len(xy) < 0.15 * _RAYS:

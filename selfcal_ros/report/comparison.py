@@ -27,10 +27,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaln
-from scipy.stats import chi2, norm
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.chances import chi2_chance, normal_limit
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
 #: Points a side of the grid on which two cameras are compared.
@@ -122,7 +122,7 @@ class Comparison:
         if self.p_value is None or self.chi2 is None:
             return None
         if self.p_value > 1e-200:
-            return float(norm.isf(self.p_value / 2))
+            return float(normal_limit(self.p_value / 2))
         # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
         # and of the normal distribution (DLMF 7.12.1)
         half = self.freedom / 2
@@ -259,6 +259,6 @@ def _tested(found: Comparison, known: list[tuple[Camera, np.ndarray]], rank: flo
     sigmas[good] = np.divide(length[:, 0], spread, out=np.zeros(len(d)), where=spread > 0)
     return Comparison(found.pixels, found.difference_px, found.rotation_rad, statistic,
                       # without a free parameter there is nothing that chance could explain
-                      float(chi2.sf(statistic, free.sum())) if free.any() else 1.0,
+                      float(chi2_chance(statistic, free.sum())) if free.any() else 1.0,
                       int(free.sum()), sigmas,
                       float(np.linalg.norm(rest, axis=1).max(initial=0.0)), found.one_model)

@@ -24,12 +24,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from selfcal_ros.calibration.affine.diac import (camera_from_dual_conic, InfiniteHomographies,
                                                  linear_conic, ROUNDING)
 from selfcal_ros.calibration.observability import FOCAL_FRACTION, parameter_status
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.chances import chi2_limit
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 
@@ -263,7 +263,7 @@ def _is_identity(H, covariance) -> bool:
     offset = (H - np.eye(3)).ravel()
     statistic = offset @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ offset
     # eight degrees of freedom each; the noise level itself is known to some 10 percent only
-    return bool(statistic < _IDENTITY_SLACK * chi2.ppf(0.999, 8 * len(H)))
+    return bool(statistic < _IDENTITY_SLACK * chi2_limit(0.001, 8 * len(H)))
 
 
 def _nothing(facts, kind) -> NoEstimate:

@@ -23,7 +23,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -129,6 +128,8 @@ def calibrate_kruppa(F, size: tuple[int, int], facts: CameraFacts | None = None,
         K = camera(values)
         return (kruppa_residuals(F, K @ K.T) * weight[:, None]).ravel()
 
+    # loaded by the few that need it
+    from scipy.optimize import least_squares
     low = np.array([np.log(0.1), np.log(0.2), -2, -2, -1])[free]
     trials = []
     for focal in _FOCAL_SWEEP:

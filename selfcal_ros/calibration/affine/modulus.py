@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
@@ -226,6 +225,8 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
     scaled = T @ cameras @ frame
     determinants = np.cbrt(np.linalg.det(scaled[:, :, :3]))
     scaled[1:] /= np.where(np.abs(determinants[1:]) > 1e-6, determinants[1:], 1.0)[:, None, None]
+    # loaded by the few that need it
+    from scipy.optimize import least_squares
     best, last = None, None
     roots: list[np.ndarray] = []
     for start in _proposed_planes(scaled, facts.aspect_ratio or 1.0):

@@ -25,13 +25,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, estimate_radial,
                                                             general_geometry, MIN_MATCHES,
                                                             MIN_RESIDUAL_PX, pairs_with_matches,
                                                             sampled_matches, undo_radial)
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chances import f_limit
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 from selfcal_ros.values.tracks import Tracks
@@ -163,7 +163,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, rad
     # each of the two distances of a match has variance 2 sigma^2
     noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), MIN_RESIDUAL_PX)
     statistic = np.maximum(translation_cost - cost, 0) / 5 / (4 * noise**2)
-    limit = f_distribution.ppf(1 - SIGNIFICANCE, 5, np.maximum(count - 7, 1))
+    limit = f_limit(SIGNIFICANCE, 5, np.maximum(count - 7, 1))
     tolerated = np.maximum(TOLERATED_DIAGONALS * np.hypot(*size) / noise, TOLERATED_SIGMAS)
     limit = limit + tolerated**2 * count / 5
     F = data.pixels_F(F)

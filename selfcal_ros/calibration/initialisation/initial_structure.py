@@ -24,8 +24,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import lsqr
 
 from selfcal_ros.calibration.bundle.centres import (all_rays, MINIMUM_PARALLAX,
                                                     points_from_centres)
@@ -180,24 +178,27 @@ def planar_angles(pairs: list[PairGeometry], rotations: np.ndarray, axis: np.nda
     """
     frame = align_z(axis)
     twist, _ = swing_twist(frame.T @ rotations @ frame)
-    n = len(pairs)
-    rows = np.repeat(np.arange(n), 2)
-    columns = np.array([[p.first, p.second] for p in pairs]).ravel()
-    weight = np.sqrt([len(p.xy_first) for p in pairs])
+    first, second = np.array([[p.first, p.second] for p in pairs]).T
+    matches = np.array([len(p.xy_first) for p in pairs], float)
+    weight = matches
     # wide pairs wrap: chain the narrow ones first, then bring all to the same turn
     angles = np.zeros(views)
     for k, old, new in spanning_order(pairs, views):
         angles[new] = angles[old] + (twist[k] if pairs[k].first == old else -twist[k])
-    expected = np.array([angles[p.second] - angles[p.first] for p in pairs])
+    expected = angles[second] - angles[first]
     twist = twist + 2 * np.pi * np.round((expected - twist) / (2 * np.pi))
     for _ in range(4):
-        matrix = coo_matrix((np.tile([-1.0, 1.0], n) * np.repeat(weight, 2), (rows, columns)),
-                            shape=(n, views)).tocsr()
-        angles = lsqr(matrix, twist * weight, atol=1e-12, btol=1e-12)[0]
-        angles -= angles[0]
-        error = np.array([angles[p.second] - angles[p.first] for p in pairs]) - twist
+        # normal equations: each pair ties two views, and the first view stays
+        matrix = np.diag(np.bincount(first, weight, views) + np.bincount(second, weight, views))
+        np.subtract.at(matrix, (first, second), weight)
+        np.subtract.at(matrix, (second, first), weight)
+        matrix += 1e-12 * np.diag(matrix).max() * np.eye(views)
+        pull = (np.bincount(second, weight * twist, views)
+                - np.bincount(first, weight * twist, views))
+        angles = np.append(0.0, np.linalg.solve(matrix[1:, 1:], pull[1:]))
+        error = angles[second] - angles[first] - twist
         spread = 1.5 * np.median(np.abs(error)) + 1e-6
-        weight = np.sqrt([len(p.xy_first) for p in pairs]) / (1 + (error / (3 * spread))**2)
+        weight = matches / (1 + (error / (3 * spread))**2)**2
     return angles
 
 

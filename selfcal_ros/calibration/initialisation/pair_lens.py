@@ -23,7 +23,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from selfcal_ros.geometry.division import DivisionModel, refine_division, weighted_eight_point
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
@@ -217,6 +216,8 @@ def homography_lens(lens: PairLens, samples: list[Sample], noise_px: float,
     start = min(LADDER, key=left_px)
     if any(left_px(start, which) > _HOMOGRAPHY_HOPE * left.max() for which in bad):
         return lens, left
+    # loaded by the few that need it
+    from scipy.optimize import minimize
     found = minimize(left_px, start, method='Nelder-Mead', options={
         'maxfev': 120, 'xatol': 1e-4, 'fatol': 1e-3 * noise_px,
         'initial_simplex': [start, (1.1 * start[0], start[1]), (start[0], 0.5 * start[1] - 0.01)]})

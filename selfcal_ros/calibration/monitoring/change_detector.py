@@ -28,7 +28,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.monitoring.camera_change import CameraChange, CHANGES, MonitorSettings
@@ -36,10 +35,11 @@ from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.chances import chi2_limit
 
 #: What remains of the statistic without its strongest window must be improbable, too: one window
 #: alone, with a moving object in it, proves nothing.
-WITHOUT_STRONGEST = float(chi2.isf(1e-4, len(CHANGES)))
+WITHOUT_STRONGEST = float(chi2_limit(1e-4, len(CHANGES)))
 #: The newest windows are kept one by one; older ones are merged in pairs, as many of each size.
 SINGLE_WINDOWS, OF_EACH_SIZE = 12, 4
 #: Share of the windows' scatter, as a variance, that a change has to exceed.
@@ -134,7 +134,7 @@ class ChangeMonitor:
     def _threshold(self, moments: int) -> float:
         """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
         chance = (self.settings.keyframes - 1) / self.settings.false_alarm_keyframes
-        return float(chi2.isf(chance / moments, len(CHANGES)))
+        return float(chi2_limit(chance / moments, len(CHANGES)))
 
     def learn(self, score: WindowScore) -> None:
         """

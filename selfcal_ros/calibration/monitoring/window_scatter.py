@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
+from selfcal_ros.geometry.chances import chi2_limit
 
 #: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
 REMEMBERED, MIN_FOR_SCATTER = 60, 3
@@ -108,12 +108,12 @@ class WindowScatter:
 
         # the median of so few may exceed its expectation by chance
         middle, mean = scatter(1.0)
-        if middle < share * chi2.ppf(0.5 + 0.82 / np.sqrt(count), 3):
+        if middle < share * chi2_limit(0.5 - 0.82 / np.sqrt(count), 3):
             return self._least, mean
         low, high = 0.0, np.log(MAX_TOLERANCE)
         for _ in range(20):
             factor = (low + high) / 2
-            if scatter(np.exp(factor))[0] > share * chi2.median(3):
+            if scatter(np.exp(factor))[0] > share * chi2_limit(0.5, 3):
                 low = factor
             else:
                 high = factor

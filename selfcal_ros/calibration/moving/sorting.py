@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
@@ -34,6 +33,7 @@ from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
 from selfcal_ros.calibration.moving.track_test import CHANCE, freedom_of, test_tracks, TrackTest
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
                                              UNEXPLAINED)
 from selfcal_ros.values.tracks import Tracks
@@ -307,7 +307,7 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
     square, lost = (np.add.reduceat(values, np.arange(0, 2 * len(owner), 2))
                     for values in (test.square, test.lost))
     freedom = freedom_of(test.length - test.lost).reshape(-1, 2).sum(axis=1)
-    sound = (chi2.sf(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
+    sound = (chi2_chance(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
         lost <= np.add.reduceat(test.length, np.arange(0, 2 * len(owner), 2)) / 4)
     cost = np.where(sound, square + 16 * lost, np.inf)
     found = {}

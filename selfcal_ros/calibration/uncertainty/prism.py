@@ -27,12 +27,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from selfcal_ros.calibration.bundle.priors import ORDINARY_DECENTRING
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chances import chi2_chance
 
 #: Decentring counts where without it the estimate would be an accident so rarely.
 ACCIDENT = 1e-6
@@ -87,7 +87,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
     places = lens.places(('p1', 'p2'))
     p, own = lens.values[places], covariance[np.ix_(places, places)]
     size = float(np.sum(p**2) - np.trace(own) - 2 * ORDINARY_DECENTRING**2) / 2
-    if size <= 0 or chi2.sf(p @ np.linalg.solve(own, p), 2) > ACCIDENT:
+    if size <= 0 or chi2_chance(p @ np.linalg.solve(own, p), 2) > ACCIDENT:
         return None
     joint = joint_information(fit, [Supposition(_PRISM, ('s1', 's2'), _by_prism(fit))], known)
     tested = joint.test(_PRISM)

@@ -32,10 +32,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import block_diag, csr_array, eye_array
-from scipy.stats import chi2, norm
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS, inverse_information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.geometry.chances import chi2_chance, normal_limit
 from selfcal_ros.geometry.optimise import huber_weights
 
 #: Directions of which the elimination leaves less than this share are what the estimate has
@@ -114,14 +114,14 @@ class Tested:
     @property
     def p_value(self) -> float:
         """Probability of such a chi-square where the supposition holds."""
-        return float(chi2.sf(self.chi2, self.freedom)) if self.freedom else 1.0
+        return float(chi2_chance(self.chi2, self.freedom)) if self.freedom else 1.0
 
     @property
     def sigmas(self) -> float:
         """The same as the sigmas of a Gaussian that are exceeded as rarely."""
         p = self.p_value
         # far out the root of the chi-square is as good, and still has digits
-        return (float(norm.isf(p / 2)) if p > _TINY
+        return (float(normal_limit(p / 2)) if p > _TINY
                 else float(np.sqrt(max(self.chi2 - self.freedom, 0))))
 
 
