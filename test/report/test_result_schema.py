@@ -31,7 +31,7 @@ from selfcal_ros.synthetic.special_scenes import pure_rotation, pure_translation
 DOCS = Path(__file__).resolve().parents[2] / 'docs'
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
 TYPES = {'object': dict, 'array': list, 'string': str, 'integer': int, 'number': (int, float),
-         'null': type(None)}
+         'null': type(None), 'boolean': bool}
 
 
 @pytest.fixture(scope='module')
@@ -58,7 +58,9 @@ def problems(value, schema, place='result'):
         found.append(f'{place} is {value!r}, none of {schema["enum"]}')
     names = schema.get('type', list(TYPES))
     names = [names] if isinstance(names, str) else names
-    if isinstance(value, bool) or not any(isinstance(value, TYPES[name]) for name in names):
+    fits = ('boolean' in names if isinstance(value, bool) else
+            any(isinstance(value, TYPES[name]) for name in names))
+    if not fits:
         return [*found, f'{place} is {value!r}, not of type {names}']
     if isinstance(value, str) and not re.search(schema.get('pattern', ''), value):
         found.append(f'{place} is {value!r}, not like {schema["pattern"]}')
