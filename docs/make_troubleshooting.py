@@ -26,6 +26,7 @@ import re
 import sys
 
 from selfcal_ros.findings.closed_forms import CLOSED_FORMS
+from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import MOTIONS, Phrase
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
@@ -45,6 +46,7 @@ Errors in the arguments and inputs have no kind. They are one sentence that says
 the exit status is 2.
 
 - [Refusals](#refusals): why there is no calibration. The exit status is 1.
+- [Mounts](#mounts): why it is not known where the camera sits on the robot.
 - [Remarks](#remarks): what to know of a result, or of the tracks behind it.
 - [Steps that give no estimate](#steps-that-give-no-estimate): mostly for programs that call them.
 - [Motions that are suggested](#motions-that-are-suggested).
@@ -52,6 +54,8 @@ the exit status is 2.
 _SECTIONS = (
     ('Refusals', 'Why there is no calibration. The command line and the nodes say what to do, '
      'too.', REFUSALS),
+    ('Mounts', 'Why it is not known where the camera sits on the robot. The calibration itself '
+     'stands.', MOUNTING),
     ('Remarks', 'They come with a result. The command line, the report and `notes` in the JSON '
      'show them.', REMARKS),
     ('Steps that give no estimate', 'Functions of one step return these. Where a calibration '

@@ -24,6 +24,7 @@ import pytest
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.findings.closed_forms import CLOSED_FORMS
 from selfcal_ros.findings.finding import Finding, KINDS
+from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import MOTIONS, put_in_words
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
@@ -59,7 +60,7 @@ def _fields(text):
 
 
 def test_the_tables_share_no_kind():
-    assert len(KINDS) == len(REFUSALS) + len(CLOSED_FORMS) + len(REMARKS)
+    assert len(KINDS) == sum(map(len, (REFUSALS, MOUNTING, CLOSED_FORMS, REMARKS)))
 
 
 def test_what_is_made_has_words_and_all_the_values_that_they_name():

@@ -20,12 +20,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from selfcal_ros.findings.closed_forms import CLOSED_FORMS
+from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import Phrase, put_in_words
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
 
 #: The registry: every kind of finding that the package makes, with its words.
-KINDS: dict[str, Phrase] = {**REFUSALS, **CLOSED_FORMS, **REMARKS}
+KINDS: dict[str, Phrase] = {**REFUSALS, **MOUNTING, **CLOSED_FORMS, **REMARKS}
 
 
 @dataclass(frozen=True, init=False)

@@ -138,3 +138,28 @@ def pose_covariances(precision: PosePrecision, stated: np.ndarray) -> np.ndarray
     if precision.own is not None:
         covariance += precision.own
     return (covariance + np.swapaxes(covariance, 1, 2)) / 2
+
+
+def with_shared_errors(precision: PosePrecision, stated: np.ndarray) -> np.ndarray:
+    """
+    Return the covariance of the unknowns of the adjustment, errors that observations share in it.
+
+    Parameters
+    ----------
+    precision : PosePrecision
+    stated : ndarray, shape (k, k)
+        Of the camera's parameters, with these errors.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        What the lens gains the other unknowns follow, as they follow the lens.
+
+    """
+    C = precision.covariance
+    lens = Lens.of(precision.camera)
+    known, places = len(precision.lens), lens.places(precision.lens)
+    pull = regression(C[:known, :known], C[:known]).T
+    more = to_intrinsics(stated, lens)[np.ix_(places, places)] - C[:known, :known]
+    covariance: np.ndarray = C + pull @ more @ pull.T
+    return covariance
