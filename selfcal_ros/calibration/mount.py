@@ -19,11 +19,70 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+#: The optical frame (x right, y down, z forward) of a level camera that looks straight ahead, in
+#: the axes of the body (x forward, y left, z up).
+FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 #: Degrees of freedom, in the order of `Mount.covariance`.
 PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
 NAMES = (*PLACE, *TURN, 'scale', 'time_offset')
+
+
+#: A value and its standard deviation; zero holds it.
+Fact = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MountFacts:
+    """
+    What is known of the mount beforehand, each as (value, sigma); a sigma of zero holds it.
+
+    Attributes
+    ----------
+    x, y, z : (float, float), optional
+        Place of the camera in the body (x forward, y left, z up), metres.
+    roll, pitch, yaw : (float, float), optional
+        Of the camera against one that looks straight ahead, radians: its optical frame is
+        Rz(yaw) Ry(pitch) Rx(roll) times that of the level one. A positive pitch looks down.
+    scale : (float, float), optional
+        True metres in a metre of the poses: what is known of the wheels' own scale.
+    time_offset : (float, float), optional
+        Camera clock minus body clock, seconds.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is not finite, a sigma is negative, or the scale is not positive.
+
+    """
+
+    x: Fact | None = None
+    y: Fact | None = None
+    z: Fact | None = None
+    roll: Fact | None = None
+    pitch: Fact | None = None
+    yaw: Fact | None = None
+    scale: Fact | None = None
+    time_offset: Fact | None = None
+
+    def __post_init__(self) -> None:
+        """Check the facts."""
+        for name, (value, sigma) in self.stated.items():
+            if not (np.isfinite(value) and np.isfinite(sigma) and sigma >= 0):
+                raise ArgumentError(f'A known {name} needs a finite value and a sigma of at '
+                                    f'least 0, not {value} and {sigma}.')
+        if self.scale is not None and self.scale[0] <= 0:
+            raise ArgumentError('The scale of the poses must be positive.')
+
+    @property
+    def stated(self) -> dict[str, Fact]:
+        """Those that are stated, by name."""
+        found = {name: getattr(self, name) for name in NAMES}
+        return {name: fact for name, fact in found.items() if fact is not None}
 
 
 @dataclass(frozen=True)
@@ -75,6 +134,40 @@ class Mount:
     def sigma(self) -> dict[str, float]:
         """Standard deviation of each of `NAMES`: zero where held, infinite where unobservable."""
         return dict(zip(NAMES, np.sqrt(np.diag(self.covariance)).tolist()))
+
+    @property
+    def angles(self) -> dict[str, float]:
+        """Roll, pitch and yaw (rad) against a level camera that looks straight ahead."""
+        return dict(zip(TURN, mount_angles(self.T_body_camera[:3, :3])))
+
+
+def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:
+    """
+    Return roll, pitch and yaw of a camera.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Body from optical frame.
+
+    Returns
+    -------
+    roll, pitch, yaw : float
+        Radians; rotation = Rz(yaw) Ry(pitch) Rx(roll) FORWARD. NaN where a matrix has them.
+
+    """
+    R = rotation @ FORWARD.T
+    return (float(np.arctan2(R[2, 1], R[2, 2])),
+            float(np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))),
+            float(np.arctan2(R[1, 0], R[0, 0])))
+
+
+def mount_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Return the rotation (3, 3) that `mount_angles` takes apart."""
+    turns: np.ndarray = rotation_matrix(np.diag([roll, pitch, yaw]))
+    about_x, about_y, about_z = turns
+    rotation: np.ndarray = about_z @ about_y @ about_x @ FORWARD
+    return rotation
 
 
 #: There is no mount, and why.

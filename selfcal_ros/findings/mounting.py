@@ -46,4 +46,66 @@ MOUNTING: dict[str, Phrase] = {
         'The turns are too even to tell the offset of the clocks.',
         'While a body turns at a steady rate, a later instant looks like an earlier one.',
         'Turn to and fro, so that the rate of turning changes.'),
+    # from poses of the body
+    'too_few_body_poses': Phrase(
+        'Of {images} images, {found} have a pose of the body; a mount needs {needed}.',
+        'The poses end before the images begin, or leave gaps where images were taken.',
+        'Record poses and images over the same time, by clocks that agree to half a second.'),
+    'body_stood_still': Phrase(
+        'The poses of {body} say that the robot stood still.',
+        'Images of a moving camera say nothing of a body that does not move with it.',
+        'Check that these are the frames of the robot that carries the camera.'),
+    'body_turns_otherwise': Phrase(
+        'Body and camera do not move together: between images the body turned by '
+        '{body_deg:.2g} degrees, the camera by {camera_deg:.2g} (medians).',
+        'A camera that is fixed to the body turns by the same angle. The frames, the units of '
+        'angles or the clocks may be wrong.',
+        'Check the names of the frames, that angles are in radians, and the stamps.'),
+    'body_poses_wrong': Phrase(
+        '{share:percent} % of the poses of the body contradict the others.',
+        'A few wrong poses are set aside. So many leave open which are right.',
+        'Check the names of the frames and the clocks, or record anew.'),
+    'no_mount_fits': Phrase(
+        'No mount of the camera explains the {count} poses of the body.',
+        'The closed forms find no place, turn and positive scale.',
+        'Check that the poses are those of the body in a fixed frame, and not the inverse.'),
+    # what a mount lacks
+    'height_open': Phrase(
+        'Turns about the vertical alone leave the height of the camera open.',
+        'On a level floor the camera moves alike, however high it sits.',
+        'State the height with its sigma, or tilt the body.'),
+    'place_open_in_plane': Phrase(
+        'The robot must turn while it drives to show where the camera sits.',
+        'On a straight way every point of the robot moves alike.',
+        'Drive curves of a few tens of degrees to both sides, or turn on the spot.'),
+    'place_open': Phrase(
+        'The body must turn about two axes that are not parallel to show where the camera sits.',
+        'What lies along the one axis of rotation moves alike.',
+        'Tilt the body about a second axis, by 20 degrees or more.'),
+    'angles_open_in_plane': Phrase(
+        'The robot must drive straight parts and curves to show how the camera looks.',
+        'Straight parts show pitch and yaw; the axis of the curves shows pitch and roll.',
+        'Drive on, straight and in curves.'),
+    'angles_open': Phrase(
+        'The body must turn about two axes that are not parallel, or move along two directions.',
+        'A single axis or direction leaves the angle about it open.',
+        'Turn about a second axis, by 20 degrees or more.'),
+    'metric_scale_open': Phrase(
+        'The body must move farther than its poses err to show the scale.',
+        'Images know no metre. The way of the body gives it.',
+        'Move farther, or give better poses.'),
+    'time_offset_open': Phrase(
+        'The body must turn or change its speed while images are taken to show the offset of '
+        'the clocks.',
+        'A pose that hardly changes is the same a moment later.',
+        'Record quicker motion, or state the offset.'),
+    # what to know of a mount
+    'body_poses_set_aside': Phrase(
+        '{count} of {of} poses of the body contradict the others and were set aside.',
+        'Wheels slip, and a pose may be of another moment. The estimate goes without them.',
+        'Nothing; many of them mean wrong stamps or frames.'),
+    'metre_of_odometry': Phrase(
+        'Lengths are in metres of the odometry: the scale of its wheels is taken as it is.',
+        'Nothing else here knows the metre. Wheels wear, and tyres are softer or harder.',
+        'State the known scale of the odometry with a sigma.'),
 }

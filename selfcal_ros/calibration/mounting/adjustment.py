@@ -1,0 +1,294 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The maximum-likelihood estimate of a mount from the poses of camera and body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from selfcal_ros.calibration.mount import mount_angles, MountFacts, NAMES
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
+from selfcal_ros.calibration.mounting.model import (
+    COUNT, METRE, OFFSET, predict, Prediction, SCALE, State, T, TURN, WORLD_PLACE, WORLD_TURN)
+from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+#: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
+#: Open directions get these sigmas in covariances, far beyond what counts as known.
+VAGUE_M, VAGUE_RAD, VAGUE_LOG, VAGUE_S = 10.0, 2.0, 2.0, 1.0
+#: A fact that holds is as sharp as this (metres, radians, ...).
+HELD = 1e-9
+#: One wrong verdict on a pose in so many calibrations.
+FALSE_ALARM = 0.02
+#: Rounds of estimating errors, and steps of a descent.
+_ROUNDS, _STEPS = 40, 30
+#: Variances that change by less (relative) are found; a cost that falls by less is least.
+_SETTLED, _LEVEL = 1e-3, 1e-7
+#: Degrees of freedom of the wide-tailed law by which wrong poses are found first.
+_TAIL = 3.0
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """
+    The estimate.
+
+    Attributes
+    ----------
+    state : State
+    covariance : ndarray, shape (15 + k, 15 + k)
+        Of all unknowns; what is held has zeros, what is open `VAGUE_M` and its like.
+    information : ndarray, shape (15 + k, 15 + k)
+        Of the poses, the images and the facts.
+    errors : PoseErrors
+    freedom : ndarray, shape (K,)
+        Degrees of freedom of each variance.
+    keep : ndarray of bool, shape (m,)
+        Which misfits count.
+    cost : float
+        Robust, for comparing starts.
+    prediction : Prediction
+
+    """
+
+    state: State
+    covariance: np.ndarray
+    information: np.ndarray
+    errors: PoseErrors
+    freedom: np.ndarray
+    keep: np.ndarray
+    cost: float
+    prediction: Prediction
+
+
+class Adjustment:
+    """
+    Images, poses of the body and facts, and what they say together.
+
+    Parameters
+    ----------
+    camera : CameraPoses
+        Of images that have a pose of the body.
+    track : BodyTrack
+    rows : ndarray of int, shape (V,)
+        Of these images in `track`.
+    facts : MountFacts
+
+    """
+
+    def __init__(self, camera: CameraPoses, track: BodyTrack, rows: np.ndarray,
+                 facts: MountFacts):
+        self._camera, self._track, self._rows = camera, track, rows
+        self._stated = facts.stated
+        k = camera.roots.shape[2]
+        free = np.ones(COUNT + k, bool)
+        if not camera.has_path:
+            free[T], free[SCALE], free[WORLD_PLACE] = False, False, False
+        if camera.is_metric:
+            free[SCALE] = False
+        if track.odometry:
+            free[WORLD_TURN], free[WORLD_PLACE] = False, False
+        free[OFFSET] = track.timed
+        free[METRE] = 'scale' in self._stated and self._stated['scale'][1] > 0
+        self._free = free
+        self._vague = np.zeros(COUNT + k)
+        for columns, limit in ((T, VAGUE_M), (TURN, VAGUE_RAD), (SCALE, VAGUE_LOG),
+                               (OFFSET, VAGUE_S), (METRE, VAGUE_LOG)):
+            self._vague[columns] = 1 / limit**2
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which unknowns are free, shape (15 + k,)."""
+        return self._free
+
+    def predict(self, state: State) -> Prediction:
+        """Hold a state against the poses."""
+        body = self._track.at(state.offset, self._rows)
+        return predict(state, self._camera, body, self._track.odometry)
+
+    def with_facts(self, state: State) -> State:
+        """Return a state that obeys the facts on the scale of the poses and the clocks."""
+        step = np.zeros(COUNT + len(state.w))
+        if 'scale' in self._stated:
+            step[METRE] = np.log(self._stated['scale'][0]) - state.log_metre
+            if not self._camera.is_metric:
+                step[SCALE] = step[METRE]
+        if 'time_offset' in self._stated and self._track.timed:
+            step[OFFSET] = self._stated['time_offset'][0] - state.offset
+        return state.moved(step)
+
+    def _priors(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Return misfits (f,) of the facts in sigmas, and slopes (f, 15) of what they say."""
+        names = [name for name in self._stated
+                 if name != 'time_offset' or self._track.timed]
+        values = np.zeros(len(names))
+        slopes = np.zeros((len(names), COUNT))
+        angles = np.array(mount_angles(state.turn))
+        for row, name in enumerate(names):
+            value, sigma = self._stated[name]
+            index = NAMES.index(name)
+            if name == 'scale':
+                if not self._free[METRE]:
+                    continue
+                values[row], sigma = np.log(value) - state.log_metre, sigma / value
+                slopes[row, METRE] = 1
+            elif name == 'time_offset':
+                values[row], slopes[row, OFFSET] = value - state.offset, 1
+            elif index < 3:
+                values[row], slopes[row, index] = value - state.place[index], 1
+            else:
+                off = value - angles[index - 3]
+                values[row] = (off + np.pi) % (2 * np.pi) - np.pi
+                step = 1e-6
+                for axis in range(3):
+                    turned = rotation_matrix(step * np.eye(3)[axis]) @ state.turn
+                    slopes[row, TURN.start + axis] = (
+                        mount_angles(turned)[index - 3] - angles[index - 3]) / step
+            values[row] /= max(sigma, HELD)
+            slopes[row] /= max(sigma, HELD)
+        return values, slopes
+
+    def _system(self, state: State, prediction: Prediction, errors: PoseErrors,
+                weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the information matrix and minus the gradient, of all unknowns."""
+        roots = np.linalg.cholesky(np.linalg.inv(errors.covariances()))
+        roots = np.swapaxes(roots, 1, 2) * np.sqrt(weights)[:, None, None]
+        S = (roots @ prediction.slopes).reshape(-1, prediction.slopes.shape[2])
+        r = np.einsum('mij,mj->mi', roots, prediction.residual).ravel()
+        H, g = S.T @ S, S.T @ r
+        own = np.arange(COUNT, len(g))
+        H[own, own] += 1
+        g[own] -= state.w
+        values, slopes = self._priors(state)
+        H[:COUNT, :COUNT] += slopes.T @ slopes
+        g[:COUNT] += slopes.T @ values
+        return H, g
+
+    def _distances(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
+        """Return squared misfits in sigmas, shape (m,)."""
+        W = np.linalg.inv(errors.covariances())
+        r = prediction.residual
+        squares: np.ndarray = np.einsum('mi,mij,mj->m', r, W, r)
+        return squares
+
+    def descend(self, state: State, errors: PoseErrors, keep: np.ndarray | None = None,
+                moves_images: bool = True) -> tuple[State, float]:
+        """
+        Refine a state while the variances are held.
+
+        Parameters
+        ----------
+        state : State
+        errors : PoseErrors
+        keep : ndarray of bool, shape (m,), optional
+            Which misfits count, as normal ones. By default all do, with wide tails.
+        moves_images : bool
+            Whether poses of the camera may deviate.
+
+        Returns
+        -------
+        state : State
+        cost : float
+
+        """
+        free = self._free.copy()
+        free[COUNT:] &= moves_images
+
+        def cost_of(one: State, prediction: Prediction) -> float:
+            squares = self._distances(prediction, errors)
+            facts = self._priors(one)[0]
+            poses = (_TAIL + 6) * np.log1p(squares / _TAIL).sum() if keep is None else (
+                squares[keep].sum())
+            return float(poses + one.w @ one.w + facts @ facts)
+        prediction = self.predict(state)
+        cost, damping = cost_of(state, prediction), 1e-6
+        system = None
+        for _ in range(_STEPS):
+            if system is None:
+                weights = (_TAIL + 6) / (_TAIL + self._distances(prediction, errors)) \
+                    if keep is None else keep.astype(float)
+                H, g = self._system(state, prediction, errors, weights)
+                system = H[np.ix_(free, free)], g[free]
+            inner, right = system
+            damped = inner + np.diag(damping * np.diag(inner) + self._vague[free])
+            step = np.zeros(len(free))
+            step[free] = np.linalg.solve(damped, right)
+            new = state.moved(step)
+            ahead = self.predict(new)
+            new_cost = cost_of(new, ahead)
+            if not new_cost <= cost:
+                damping = max(10 * damping, 1e-6)
+                if damping > 1e6:
+                    break
+                continue
+            fall, state, prediction, cost = cost - new_cost, new, ahead, new_cost
+            system, damping = None, damping / 10
+            if fall < _LEVEL * max(1.0, cost):
+                break
+        return state, cost
+
+    def optimum(self, state: State, errors: PoseErrors) -> Optimum:
+        """
+        Estimate everything, the errors of the poses and which are wrong among it.
+
+        Parameters
+        ----------
+        state : State
+            Near.
+        errors : PoseErrors
+
+        Returns
+        -------
+        Optimum
+
+        """
+        count = len(self.predict(state).residual)
+        limit = float(chdtri(6, FALSE_ALARM / max(count, 1)))
+        keep = np.ones(count, bool)
+        # wide tails first: wrong poses must not set the measure by which they are found
+        for _ in range(4):
+            errors = errors.from_medians(self.predict(state).residual, keep)
+            state, cost = self.descend(state, errors)
+        keep = self._distances(self.predict(state), errors) < limit
+        freedom = np.full(len(errors.variances), np.inf)
+        for turn in range(_ROUNDS):
+            state, _ = self.descend(state, errors, keep)
+            prediction = self.predict(state)
+            information, _ = self._system(state, prediction, errors, keep.astype(float))
+            covariance = self._inverse(information)
+            spread = prediction.slopes @ covariance @ np.swapaxes(prediction.slopes, 1, 2)
+            before = errors
+            errors, freedom = errors.refined(prediction.residual, spread, keep)
+            near = self._distances(prediction, errors) < limit
+            settled = bool((np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all()
+                           and (near == keep).all())
+            # late changes of mind would go round in a circle
+            keep = near if turn < _ROUNDS // 2 else keep & near
+            if settled:
+                break
+        return Optimum(state, covariance, information, errors, freedom, keep, cost, prediction)
+
+    def _inverse(self, information: np.ndarray) -> np.ndarray:
+        """Return the covariance of all unknowns; see `Optimum`."""
+        free = self._free
+        H = (information + np.diag(self._vague))[np.ix_(free, free)]
+        root = np.sqrt(np.diag(H))
+        covariance = np.zeros_like(information)
+        covariance[np.ix_(free, free)] = np.linalg.inv(H / np.outer(root, root)) / np.outer(
+            root, root)
+        return covariance

@@ -1,0 +1,230 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Poses of the body at the instants of the images: matched by frame, or interpolated in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
+
+#: Poses that are farther apart than so many of their usual steps are not interpolated between.
+GAP_STEPS = 5.0
+#: Poses count as those of motion in a plane where their heights and tilts differ by less.
+FLAT_M, FLAT_RAD = 1e-6, 1e-6
+#: Step of the numerical rates, as a share of the usual step between poses.
+_RATE_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class BodyAt:
+    """
+    The body at some instants.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (V, 3, 3)
+        World from body.
+    position : ndarray, shape (V, 3)
+    turning : ndarray, shape (V, 3)
+        Angular velocity about the axes of the world, rad/s; zero for poses by frame.
+    velocity : ndarray, shape (V, 3)
+        Metres per second.
+
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    turning: np.ndarray
+    velocity: np.ndarray
+
+
+class BodyTrack:
+    """
+    Poses of the body that can be asked for at the images.
+
+    Parameters
+    ----------
+    poses : BodyPoses
+    frames : ndarray of int, shape (V,)
+        Of the images.
+    stamps_ns : mapping of int to int, optional
+        Instants of the frames by the camera's clock.
+
+    Attributes
+    ----------
+    timed : bool
+        Poses belong to instants, not to images.
+    flat : bool
+        Poses are those of motion in a plane: they say nothing of height and tilt.
+    odometry : bool
+
+    """
+
+    def __init__(self, poses: BodyPoses, frames: np.ndarray,
+                 stamps_ns: Mapping[int, int] | None = None):
+        self._poses = poses
+        self.timed = poses.frames is None
+        self.odometry = poses.kind == ODOMETRY
+        up = poses.rotation[:, :, 2]
+        self.flat = bool(len(poses) and (np.ptp(poses.position[:, 2]) < FLAT_M)
+                         and bool(np.all(np.ptp(up, axis=0) < FLAT_RAD))
+                         and up[0, 2] > 1 - FLAT_RAD)
+        self._rows = np.zeros(len(frames), int)
+        self._instants = np.zeros(len(frames))
+        self._times = np.arange(len(poses), dtype=float)
+        if poses.frames is not None:
+            rows = np.searchsorted(poses.frames, frames).clip(max=len(poses) - 1)
+            self._rows, self._known = rows, poses.frames[rows] == frames
+        elif poses.stamps_ns is not None:
+            stamps = {} if stamps_ns is None else stamps_ns
+            self._known = np.array([int(frame) in stamps for frame in frames], dtype=bool)
+            start = int(poses.stamps_ns[0])
+            self._times = (poses.stamps_ns - start) * 1e-9
+            self._instants = np.array([(int(stamps[int(frame)]) - start) * 1e-9 if known else 0.0
+                                       for frame, known in zip(frames, self._known)])
+        steps = np.diff(self._times)
+        self._usual = float(np.median(steps)) if len(steps) else 1.0
+        self._gap = GAP_STEPS * self._usual
+
+    @property
+    def instants(self) -> np.ndarray:
+        """Instants of the images, seconds from the first pose by the camera's clock, (V,)."""
+        return self._instants
+
+    @property
+    def usual_step_s(self) -> float:
+        """Median time between poses."""
+        return self._usual
+
+    def known(self, offset: float = 0.0, margin: float = 0.0) -> np.ndarray:
+        """Tell which images have a pose, and keep it if the offset moves by a margin; (V,)."""
+        if not self.timed:
+            return self._known
+        inside = self._known.copy()
+        for shift in (-margin, 0.0, margin):
+            when = self._instants - offset + shift
+            k = np.searchsorted(self._times, when, side='right').clip(1, len(self._times) - 1)
+            edge = 1e-5
+            inside &= (when >= self._times[0] - edge) & (when <= self._times[-1] + edge)
+            inside &= self._times[k] - self._times[k - 1] <= self._gap
+        return inside
+
+    def at(self, offset: float, rows: np.ndarray) -> BodyAt:
+        """
+        Return the body at images.
+
+        Parameters
+        ----------
+        offset : float
+            Camera clock minus body clock, seconds.
+        rows : ndarray of int, shape (V,)
+            Which of the images; all are among `known`.
+
+        Returns
+        -------
+        BodyAt
+
+        """
+        if not self.timed:
+            at, still = self._rows[rows], np.zeros((len(rows), 3))
+            return BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
+        when, step = self._instants[rows] - offset, _RATE_STEP * self._usual
+        rotation, position = self._interpolated(when)
+        before, after = self._interpolated(when - step), self._interpolated(when + step)
+        turned = after[0] @ np.swapaxes(before[0], 1, 2)
+        return BodyAt(rotation, position, rotation_vector(turned) / (2 * step),
+                      (after[1] - before[1]) / (2 * step))
+
+    def _interpolated(self, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Interpolate through the two poses before and the two after each instant.
+
+        Cubic polynomials of the four neighbours (Lagrange); of rotations, in the tangent space
+        of the pose before.
+        """
+        times, count = self._times, len(self._times)
+        k = (np.searchsorted(times, when, side='right') - 1).clip(0, max(count - 2, 0))
+        width = min(4, count)
+        first = (k - 1).clip(0, count - width)
+        nodes = first[:, None] + np.arange(width)
+        at = (times[nodes] - times[k][:, None]) / self._usual
+        asked = (when - times[k]) / self._usual
+        # a gap among the four would bend the curve: the two that enclose the instant remain
+        uneven = np.asarray((np.diff(times[nodes], axis=1) > self._gap).any(axis=1))
+        weights = np.ones((len(when), width))
+        for a in range(width):
+            for b in range(width):
+                if a != b:
+                    weights[:, a] *= (asked - at[:, b]) / (at[:, a] - at[:, b])
+        if uneven.any():
+            share = asked * self._usual / (times[(k + 1).clip(max=count - 1)] - times[k])
+            straight = (np.where(nodes == k[:, None], 1 - share[:, None], 0)
+                        + np.where(nodes == k[:, None] + 1, share[:, None], 0))
+            weights = np.where(uneven[:, None], straight, weights)
+        position = np.einsum('vn,vni->vi', weights, self._poses.position[nodes])
+        base = self._poses.rotation[k]
+        turns = rotation_vector(np.swapaxes(base, 1, 2)[:, None] @ self._poses.rotation[nodes])
+        return base @ rotation_matrix(np.einsum('vn,vni->vi', weights, turns)), position
+
+    def way_errors(self, offset: float, rows: np.ndarray) -> np.ndarray:
+        """
+        Return how errors of odometry add up between successive images, for unit variances.
+
+        The error of a small step is that of x, y, z, roll, pitch, yaw in the body, each with a
+        variance in proportion to the step's length (m) and turn (rad).
+
+        Parameters
+        ----------
+        offset : float
+        rows : ndarray of int, shape (V,)
+
+        Returns
+        -------
+        ndarray, shape (6, V - 1, 6, 6)
+            By the kind of error: covariances of the place of the later body and of its turn, in
+            the axes of the earlier body.
+
+        """
+        here = self.at(offset, rows)
+        R_back = np.swapaxes(here.rotation, 1, 2)
+        if self.timed:
+            when = self._instants[rows] - offset
+            lower, upper = np.searchsorted(self._times, when[:-1]), np.searchsorted(
+                self._times, when[1:])
+        else:
+            lower, upper = self._rows[rows][:-1] + 1, self._rows[rows][1:]
+        result = np.zeros((6, len(rows) - 1, 6, 6))
+        for k, (low, high) in enumerate(zip(lower, upper)):
+            R = np.concatenate([here.rotation[k:k + 1], self._poses.rotation[low:high],
+                                here.rotation[k + 1:k + 2]])
+            p = np.concatenate([here.position[k:k + 1], self._poses.position[low:high],
+                                here.position[k + 1:k + 2]])
+            turned = rotation_vector(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+            way = np.linalg.norm(np.diff(p, axis=0), axis=1) + np.linalg.norm(turned, axis=1)
+            # errors of a step arise about its middle
+            axes = R_back[k] @ R[:-1] @ rotation_matrix(turned / 2)
+            lever = (p[-1] - (p[:-1] + p[1:]) / 2) @ here.rotation[k]
+            for axis in range(3):
+                direction = axes[:, :, axis]
+                moved = np.cross(direction, lever)
+                placed = np.concatenate([direction, np.zeros_like(direction)], axis=1)
+                swung = np.concatenate([moved, direction], axis=1)
+                result[axis, k] = np.einsum('j,ja,jb->ab', way, placed, placed)
+                result[3 + axis, k] = np.einsum('j,ja,jb->ab', way, swung, swung)
+        return result

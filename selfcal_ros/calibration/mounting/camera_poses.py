@@ -1,0 +1,168 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What the images say of the camera's poses and of the lens, as one Gaussian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
+from selfcal_ros.calibration.reconstruction import PosePrecision
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.structure.camera_path import (
+    camera_path, OF_AN_OBJECT, TURNING, with_shared_errors)
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+#: Relative to the variances: keeps the factor of a covariance with dependent unknowns.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class CameraPoses:
+    """
+    Poses of the camera in a world of its own, and how they move together.
+
+    Deviations are linear in w, independent unknowns of unit variance: those of pose i are
+    `roots[i] @ w`, and those of the lens's unknowns `lens_root @ w`.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (V,)
+    rotation : ndarray, shape (V, 3, 3)
+        World from camera.
+    centre : ndarray, shape (V, 3)
+        In `unit`.
+    roots : ndarray, shape (V, 6, k)
+        Of the centre, then of a small turn about the axes of the world.
+    lens_root : ndarray, shape (n, k)
+        Of the unknowns of the lens block.
+    is_metric, has_path : bool
+        Lengths are metres; there are lengths at all.
+
+    """
+
+    frames: np.ndarray
+    rotation: np.ndarray
+    centre: np.ndarray
+    roots: np.ndarray
+    lens_root: np.ndarray
+    is_metric: bool
+    has_path: bool
+
+    def __len__(self) -> int:
+        """Count the poses."""
+        return len(self.frames)
+
+    def chosen(self, rows: np.ndarray) -> CameraPoses:
+        """Keep some of the poses."""
+        return replace(self, frames=self.frames[rows], rotation=self.rotation[rows],
+                       centre=self.centre[rows], roots=self.roots[rows])
+
+    def moved(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rotation (V, 3, 3) and centre (V, 3) after deviations w (k,)."""
+        steps = self.roots @ w
+        return rotation_matrix(steps[:, 3:]) @ self.rotation, self.centre + steps[:, :3]
+
+
+def camera_poses(calibration: Calibration) -> CameraPoses:
+    """
+    Take the poses of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its reconstruction.
+
+    Returns
+    -------
+    CameraPoses
+
+    Raises
+    ------
+    ArgumentError
+        If the calibration comes without its reconstruction.
+
+    """
+    path = camera_path(calibration)
+    precision = calibration.reconstructed.pose_precision
+    lens = Lens.of(calibration.camera)
+    if precision is None:
+        # poses without a covariance count as exact; what they err is told by the misfit
+        roots, lens_root = np.zeros((len(path), 6, 0)), np.zeros((len(lens), 0))
+    else:
+        roots, lens_root = _roots(precision, calibration.covariance, len(lens))
+    return CameraPoses(path.frames, path.rotation, path.centre, roots, lens_root,
+                       calibration.motion == OF_AN_OBJECT, calibration.motion != TURNING)
+
+
+def _roots(precision: PosePrecision, stated: np.ndarray,
+           count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return roots of the poses (V, 6, k) and of the lens (n, k)."""
+    root = _root(with_shared_errors(precision, stated))
+    known, places = len(precision.lens), Lens.of(precision.camera).places(precision.lens)
+    views = len(precision.by_unknowns)
+    roots = (precision.by_unknowns.reshape(6 * views, -1) @ root).reshape(views, 6, -1)
+    lens_root = np.zeros((count, root.shape[1]))
+    lens_root[places] = root[:known]
+    if precision.own is not None:
+        own = np.zeros((views, 6, views, 6))
+        own[np.arange(views), :, np.arange(views)] = [_root(one) for one in precision.own]
+        roots = np.concatenate([roots, own.reshape(views, 6, 6 * views)], axis=2)
+        lens_root = np.concatenate([lens_root, np.zeros((count, 6 * views))], axis=1)
+    return roots, lens_root
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Return L (k, k) with L Lᵀ the covariance, its negative part left out."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    scaled = covariance / np.outer(scale, scale)
+    scaled = (scaled + scaled.T) / 2
+    try:
+        root = np.linalg.cholesky(scaled + _ROUNDING * np.eye(len(scaled)))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        root = vectors * np.sqrt(values.clip(0))
+    return scale[:, None] * root
+
+
+def with_lens(calibration: Calibration, poses: CameraPoses, w: np.ndarray,
+              covariance: np.ndarray) -> Calibration:
+    """
+    Return the calibration with the lens that deviations of the poses pull along.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    poses : CameraPoses
+    w : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+        Of w.
+
+    Returns
+    -------
+    Calibration
+        Its camera and covariance are those of images and body together.
+
+    """
+    camera = calibration.camera
+    lens = Lens.of(camera).moved(poses.lens_root @ w)
+    if not len(w) or not lens.is_possible:
+        return calibration
+    L = poses.lens_root
+    gained = to_parameters(L @ (np.eye(len(w)) - covariance) @ L.T, Lens.of(camera))
+    narrowed = calibration.covariance - gained
+    return replace(calibration, camera=lens.camera(camera.width, camera.height),
+                   covariance=(narrowed + narrowed.T) / 2)

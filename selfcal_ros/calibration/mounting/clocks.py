@@ -1,0 +1,81 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A start for the offset of the clocks: by how much body and camera turned and moved, and when."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
+from selfcal_ros.calibration.mounting.starts import pairs_of
+
+#: Clocks that differ by more are not the same clock: seconds to both sides.
+REACH_S = 0.5
+#: Steps of the search, seconds.
+STEP_S = 0.01
+#: So many of the best minima are refined.
+_MINIMA = 3
+#: Fewer images than this tell nothing of clocks.
+LEAST_IMAGES = 4
+
+
+def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:
+    """
+    Return offsets at which body and camera turned and moved alike, the best first.
+
+    The angle of a relative rotation is the same for both, wherever the camera sits; lengths of
+    steps are in proportion, nearly.
+
+    Parameters
+    ----------
+    camera : CameraPoses
+    track : BodyTrack
+        Of the same images.
+
+    Returns
+    -------
+    list of float
+        Seconds; empty where too few images have poses.
+
+    """
+    if not track.timed:
+        return [0.0]
+    tried = np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S)
+    rows = np.flatnonzero(track.known(0.0, REACH_S))
+    if len(rows) < LEAST_IMAGES:
+        rows = np.flatnonzero(track.known())
+        tried = tried[[track.known(offset)[rows].all() for offset in tried]]
+    if len(rows) < LEAST_IMAGES or not len(tried):
+        return []
+    part = camera.chosen(rows)
+    cost = np.array([_disagreement(part, track, offset, rows) for offset in tried])
+    padded = np.concatenate([[np.inf], cost, [np.inf]])
+    lowest = np.flatnonzero((cost <= padded[:-2]) & (cost <= padded[2:]))
+    best = lowest[np.argsort(cost[lowest], kind='stable')][:_MINIMA]
+    return [float(one) for one in tried[best]]
+
+
+def _disagreement(camera: CameraPoses, track: BodyTrack, offset: float,
+                  rows: np.ndarray) -> float:
+    """Return how much turns and steps of body and camera differ, as logarithms."""
+    pairs = pairs_of(camera, track.at(offset, rows))
+    turns = np.linalg.norm(pairs.camera_turn, axis=1) - np.linalg.norm(pairs.body_turn, axis=1)
+    total = np.log(np.mean(np.abs(turns)) + 1e-6)
+    if camera.has_path:
+        ours = np.linalg.norm(pairs.camera_move, axis=1)
+        theirs = np.linalg.norm(pairs.body_move, axis=1)
+        unit = np.median(theirs / np.maximum(ours, 1e-9))
+        total += np.log(np.mean(np.abs(theirs - unit * ours)) + 1e-6)
+    return float(total)

@@ -1,0 +1,196 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`mount_camera`: from a calibration and poses of the body to where the camera sits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount
+from selfcal_ros.calibration.mounting.adjustment import Adjustment, Optimum
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
+from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, offsets
+from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
+from selfcal_ros.calibration.mounting.open_freedoms import degrees_of_freedom, missing_motion
+from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
+from selfcal_ros.calibration.mounting.starts import pairs_of, starts
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.values.body_poses import BodyPoses
+
+#: Images keep their poses while the offset moves by this, seconds.
+_MARGIN_S = 0.05
+#: A body that moved and turned by less than this, stood still: metres, radians.
+STILL_M, STILL_RAD = 1e-3, 2e-3
+#: Poses that disagree with the images by this share of what moved belong to another motion.
+CONTRADICTION = 0.3
+#: More wrong poses than this are no few.
+MOST_WRONG = 0.4
+
+
+def mount_camera(calibration: Calibration, poses: BodyPoses,
+                 stamps_ns: Mapping[int, int] | None = None,
+                 facts: MountFacts = MountFacts()) -> Calibration:
+    """
+    Find where a calibrated camera sits on its robot.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With its reconstruction, from images that the moving camera took.
+    poses : BodyPoses
+        Of the body that carries it.
+    stamps_ns : mapping of int to int, optional
+        Instants of the frames by the camera's clock, where poses are by instants.
+    facts : MountFacts
+        What is known beforehand.
+
+    Returns
+    -------
+    Calibration
+        With `mount` set, to a `Mount` or a `NoMount` with its reason; camera and covariance are
+        those of images and poses together.
+
+    Raises
+    ------
+    ArgumentError
+        If the calibration comes without its reconstruction.
+
+    """
+    camera = camera_poses(calibration)
+    track = BodyTrack(poses, camera.frames, stamps_ns)
+    refusal = _too_little(camera, track, poses)
+    if refusal is not None:
+        return replace(calibration, mount=refusal)
+    known_offset = facts.time_offset
+    tried = [known_offset[0]] if known_offset is not None and track.timed else offsets(
+        camera, track)
+    found = [one for offset in tried for one in _from_start(camera, track, poses, facts, offset)]
+    if not found:
+        return replace(calibration, mount=NoEstimate('no_mount_fits', count=len(poses)))
+    adjustment, optimum, rows = min(found, key=lambda one: one[1].cost / len(one[2]))
+    part = camera.chosen(rows)
+    refusal = _contradiction(part, track, optimum, rows)
+    if refusal is not None:
+        return replace(calibration, mount=refusal)
+    mount = _mount(part, track, poses, facts, adjustment, optimum, rows)
+    improved = with_lens(calibration, camera, optimum.state.w,
+                         optimum.covariance[COUNT:, COUNT:])
+    return replace(improved, mount=mount,
+                   findings=(*calibration.findings, *_findings(mount, track, facts)))
+
+
+def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses) -> NoMount | None:
+    """Tell why poses of the body cannot say anything, or None."""
+    known = int(track.known().sum())
+    if known < LEAST_IMAGES:
+        return NoEstimate('too_few_body_poses', needed=LEAST_IMAGES, found=known,
+                          images=len(camera))
+    turned = np.linalg.norm(poses.rotation - poses.rotation[0], axis=(1, 2)).max() / np.sqrt(2)
+    moved = np.linalg.norm(poses.position - poses.position[0], axis=1).max()
+    if turned < STILL_RAD and moved < STILL_M:
+        return NoEstimate('body_stood_still', body=poses.body_frame)
+    return None
+
+
+def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
+                offset: float) -> list[tuple[Adjustment, Optimum, np.ndarray]]:
+    """Refine the best of the starts at an offset of the clocks; none, or one."""
+    margin = _MARGIN_S if track.timed else 0.0
+    rows = np.flatnonzero(track.known(offset, margin))
+    if len(rows) < LEAST_IMAGES:
+        return []
+    part = camera.chosen(rows)
+    adjustment = Adjustment(part, track, rows, facts)
+    errors = PoseErrors.of(poses, track, offset, rows, camera.has_path)
+    tried = []
+    for start in starts(part, track.at(offset, rows), offset):
+        state = adjustment.with_facts(start)
+        every = np.ones(errors.shapes.shape[1], bool)
+        coarse = errors.from_medians(adjustment.predict(state).residual, every)
+        for _ in range(3):
+            state, _ = adjustment.descend(state, coarse, moves_images=False)
+            coarse = errors.from_medians(adjustment.predict(state).residual, every)
+        # the determinant stands for the size of the misfits, whichever their kind
+        size = np.linalg.slogdet(coarse.covariances())[1].sum()
+        tried.append((adjustment.descend(state, coarse, moves_images=False)[1] + size, state))
+    if not tried:
+        return []
+    best = min(tried, key=lambda one: one[0])[1]
+    return [(adjustment, adjustment.optimum(best, errors), rows)]
+
+
+def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
+                   rows: np.ndarray) -> NoMount | None:
+    """Tell in what poses of body and camera disagree, or None."""
+    wrong = 1 - optimum.keep.mean()
+    if wrong > MOST_WRONG:
+        return NoEstimate('body_poses_wrong', share=float(wrong))
+    body = track.at(optimum.state.offset, rows)
+    pairs = pairs_of(camera, body)
+    ours, theirs = (np.linalg.norm(one, axis=1) for one in (pairs.camera_turn, pairs.body_turn))
+    apart = float(np.median(np.abs(ours - theirs)))
+    usual = float(np.median(np.maximum(ours, theirs)))
+    if usual > 5 * STILL_RAD and apart > CONTRADICTION * usual:
+        return NoEstimate('body_turns_otherwise', camera_deg=float(np.rad2deg(np.median(ours))),
+                          body_deg=float(np.rad2deg(np.median(theirs))))
+    return None
+
+
+def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
+           adjustment: Adjustment, optimum: Optimum, rows: np.ndarray) -> Mount:
+    """Put an optimum in the form of a result."""
+    state = optimum.state
+    body = track.at(state.offset, rows)
+    turns = pairs_of(camera, body).body_turn
+    status = degrees_of_freedom(optimum, adjustment.free, track, facts)
+    columns = np.r_[T, TURN, SCALE, OFFSET]
+    # a factor of the poses' metres goes to the scale and the place alike, as the state has it
+    unit = np.ones(len(NAMES))
+    scale = float(np.exp(state.log_scale))
+    unit[NAMES.index('scale')] = scale
+    covariance = optimum.covariance[np.ix_(columns, columns)] * np.outer(unit, unit)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = state.turn, state.place
+    for index, name in enumerate(NAMES):
+        if status[name] != 'estimated':
+            covariance[index], covariance[:, index] = 0, 0
+        if status[name] == 'unobservable':
+            covariance[index, index] = np.inf
+            if index < 3:
+                pose[index, 3] = np.nan
+    if any(status[name] == 'unobservable' for name in ('roll', 'pitch', 'yaw')):
+        pose[:3, :3] = np.nan
+    if status['scale'] == 'unobservable':
+        scale = np.nan
+    offset = state.offset if status['time_offset'] != 'unobservable' else np.nan
+    return Mount(poses.body_frame, pose, covariance, status, scale, float(offset),
+                 missing_motion(status, track, turns), len(rows),
+                 int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3))
+
+
+def _findings(mount: Mount, track: BodyTrack, facts: MountFacts) -> tuple[Finding, ...]:
+    """Tell what a user should know of a mount."""
+    found = []
+    if mount.outlier_count:
+        found.append(Finding('body_poses_set_aside', count=mount.outlier_count,
+                             of=mount.pose_count))
+    if track.odometry and facts.scale is None:
+        found.append(Finding('metre_of_odometry'))
+    return tuple(found)

@@ -1,0 +1,154 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How large the errors of the body's poses are, by kinds that add up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.values.body_poses import BodyPoses
+
+#: No pose is better than this, metres and radians: what is smaller is rounding.
+LEAST_M, LEAST_RAD = 1e-6, 1e-6
+#: Fewer poses than this have errors of two kinds, those of place and of turn.
+FEW = 12
+#: A camera that only turns has no place; errors of this size let it be anywhere.
+ANYWHERE_M = 1e4
+#: Even a robot that stands has a way, as noise: metres and radians.
+_STANDING = 1e-3
+#: Median of the size of a standard normal variable.
+_MEDIAN = 0.6745
+
+_Kinds = tuple[tuple[int, ...], ...]
+#: Kinds of errors of absolute poses, of those in a plane, and of odometry: components of a
+#: misfit (x, y, z, roll, pitch, yaw) that share a variance.
+_WHOLE: _Kinds = ((0, 1, 2), (3, 4, 5))
+_IN_A_PLANE: _Kinds = ((0, 1), (2,), (3, 4), (5,))
+_ALONG: _Kinds = ((0,), (1,), (2,), (3, 4), (5,))
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """
+    Covariances of misfits, sums of kinds with a variance each.
+
+    Attributes
+    ----------
+    axes : tuple of tuple of int
+        Per kind, the components whose errors it is of.
+    shapes : ndarray, shape (K, m, 6, 6)
+        Covariances for unit variances.
+    variances : ndarray, shape (K,)
+    stated : ndarray of bool, shape (K,)
+        Which are not to be estimated.
+
+    """
+
+    axes: tuple[tuple[int, ...], ...]
+    shapes: np.ndarray
+    variances: np.ndarray
+    stated: np.ndarray
+
+    @classmethod
+    def of(cls, poses: BodyPoses, track: BodyTrack, offset: float, rows: np.ndarray,
+           has_path: bool) -> PoseErrors:
+        """Choose the kinds of errors; variances are those stated, or the smallest."""
+        if track.odometry:
+            single = track.way_errors(offset, rows)
+            axes = _ALONG if single.shape[1] >= FEW else _WHOLE
+            single = single + _STANDING * np.array(
+                [np.diag(one) for one in np.eye(6)])[:, None]
+        else:
+            axes = _IN_A_PLANE if track.flat else _WHOLE
+            single = np.broadcast_to(np.array([np.diag(one) for one in np.eye(6)])[:, None],
+                                     (6, len(rows), 6, 6))
+        shapes = np.array([single[list(kind)].sum(axis=0) for kind in axes])
+        sigmas = [poses.sigma_position_m, poses.sigma_rotation_rad]
+        # a plane is not measured: neither is how well it holds
+        known = [sigmas[kind[0] // 3] if not (track.flat and set(kind) & {2, 3, 4}
+                                              and len(axes) > 2) else None for kind in axes]
+        least = [LEAST_M if kind[0] < 3 else LEAST_RAD for kind in axes]
+        variances = np.array([max(one or 0.0, low)**2 for one, low in zip(known, least)])
+        stated = np.array([one is not None for one in known])
+        if not has_path:
+            places = np.array([kind[0] < 3 for kind in axes])
+            variances, stated = np.where(places, ANYWHERE_M**2, variances), stated | places
+        return cls(axes, shapes, variances, stated)
+
+    @property
+    def floors(self) -> np.ndarray:
+        """Smallest variances, shape (K,)."""
+        return np.array([LEAST_M if kind[0] < 3 else LEAST_RAD for kind in self.axes])**2
+
+    def covariances(self) -> np.ndarray:
+        """Return the covariance of every misfit, shape (m, 6, 6)."""
+        total: np.ndarray = np.einsum('k,kmij->mij', self.variances, self.shapes)
+        return total
+
+    def from_medians(self, residual: np.ndarray, keep: np.ndarray) -> PoseErrors:
+        """Estimate variances from misfits (m, 6) of which a minority may be wrong."""
+        found = []
+        for kind, shape in zip(self.axes, self.shapes):
+            own = list(kind)
+            spread = np.sqrt(np.diagonal(shape[keep], axis1=1, axis2=2)[:, own])
+            found.append((np.median(np.abs(residual[keep][:, own]) / spread) / _MEDIAN)**2)
+        return self._with(np.array(found))
+
+    def refined(self, residual: np.ndarray, spread: np.ndarray,
+                keep: np.ndarray) -> tuple[PoseErrors, np.ndarray]:
+        """
+        Estimate variances from the misfits of an optimum, and the degrees of freedom of each.
+
+        Those that the unknowns take up are regarded (variance components, Förstner 1979).
+
+        Parameters
+        ----------
+        residual : ndarray, shape (m, 6)
+        spread : ndarray, shape (m, 6, 6)
+            Covariance of what is predicted.
+        keep : ndarray of bool, shape (m,)
+
+        Returns
+        -------
+        errors : PoseErrors
+        freedom : ndarray, shape (K,)
+
+        """
+        W = np.linalg.inv(self.covariances()[keep])
+        weighted = np.einsum('mij,mj->mi', W, residual[keep])
+        shapes = self.shapes[:, keep]
+        squares = np.einsum('mi,kmij,mj->k', weighted, shapes, weighted)
+        whole = np.einsum('mij,kmji->k', W, shapes)
+        taken = np.einsum('kmij,mji->k', shapes, W @ spread[keep] @ W)
+        left = np.maximum(whole - taken, 1e-3 * whole)
+        freedom: np.ndarray = self.variances * left
+        return self._with(self.variances * squares / left), freedom
+
+    def _with(self, variances: np.ndarray) -> PoseErrors:
+        """Replace variances that are not stated."""
+        return replace(self, variances=np.where(
+            self.stated, self.variances, np.maximum(variances, self.floors)))
+
+    def scaled(self, factors: np.ndarray) -> PoseErrors:
+        """Multiply all variances."""
+        return replace(self, variances=self.variances * factors)
+
+    def sigma(self, component: int) -> float:
+        """Return the mean standard deviation of place (0) or turn (3)."""
+        among = [(len(kind), variance) for kind, variance in zip(self.axes, self.variances)
+                 if kind[0] // 3 == component // 3]
+        return float(np.sqrt(sum(n * v for n, v in among) / sum(n for n, _ in among)))

@@ -1,0 +1,93 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Where the camera sits on the robot: known mounts are found, with sigmas that are true."""
+
+from bench import mount_worlds as worlds
+import numpy as np
+import pytest
+from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
+from selfcal_ros.calibration.mounting.mounting import mount_camera
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.values.body_poses import BodyPoses
+
+VIEWS = 25
+SIGMA_M, SIGMA_RAD = 1e-3, 1e-3
+
+
+def _hand(seed):
+    rng = np.random.default_rng(seed)
+    T = worlds.mount_of(rng)
+    world = worlds.World(*worlds.hand(0.5 * np.arange(VIEWS)), T, False)
+    return rng, world, worlds.calibrated(rng, world)
+
+
+def _in_sigmas(mount, errors):
+    use = [k for k, name in enumerate(NAMES) if mount.status[name] == 'estimated']
+    return errors[use] @ np.linalg.solve(mount.covariance[np.ix_(use, use)], errors[use]), len(use)
+
+
+def test_angles_are_those_of_a_camera_that_looks_ahead():
+    assert mount_angles(mount_rotation(0.1, -0.2, 0.3)) == pytest.approx((0.1, -0.2, 0.3))
+    # a positive pitch looks down
+    assert mount_rotation(0, 0.2, 0)[2, 2] < 0
+
+
+def test_poses_by_frame_give_the_mount_within_its_sigmas():
+    squares = 0.0
+    for seed in range(4):
+        rng, world, calibration = _hand(seed)
+        poses = worlds.measured(rng, world.rotation, world.position, SIGMA_M, SIGMA_RAD,
+                                frames=np.arange(VIEWS))
+        mount = mount_camera(calibration, poses).mount
+        assert mount.status['time_offset'] == 'held'
+        errors = worlds.mount_errors(mount, world.T_body_camera,
+                                     worlds.true_scale(world, calibration))
+        square, count = _in_sigmas(mount, errors)
+        assert count == 7
+        squares += square
+        assert mount.sigma_position_m == pytest.approx(SIGMA_M, rel=0.3)
+    # 28 degrees of freedom: beyond by chance once in a thousand
+    assert 10 < squares < 57
+
+
+def test_a_few_wrong_poses_are_set_aside_and_told():
+    rng, world, calibration = _hand(1)
+    position = world.position.copy()
+    position[[4, 11]] += [0.2, -0.1, 0.1]
+    poses = worlds.measured(rng, world.rotation, position, SIGMA_M, SIGMA_RAD,
+                            frames=np.arange(VIEWS))
+    result = mount_camera(calibration, poses)
+    assert result.mount.outlier_count == 2
+    assert 'body_poses_set_aside' in [one.kind for one in result.findings]
+    errors = worlds.mount_errors(result.mount, world.T_body_camera,
+                                 worlds.true_scale(world, calibration))
+    assert _in_sigmas(result.mount, errors)[0] < 24.3
+
+
+def test_a_robot_that_stood_still_is_refused():
+    _, _, calibration = _hand(2)
+    poses = BodyPoses(np.tile(np.eye(3), (VIEWS, 1, 1)), np.zeros((VIEWS, 3)),
+                      frames=np.arange(VIEWS))
+    assert mount_camera(calibration, poses).mount.kind == 'body_stood_still'
+
+
+def test_too_few_poses_are_refused():
+    _, world, calibration = _hand(2)
+    poses = BodyPoses(world.rotation[:3], world.position[:3], frames=np.arange(3))
+    assert mount_camera(calibration, poses).mount.kind == 'too_few_body_poses'
+
+
+def test_facts_that_cannot_be_are_refused():
+    with pytest.raises(ArgumentError, match='sigma'):
+        MountFacts(z=(0.3, -1.0))
