@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
     from selfcal_ros.calibration.reconstruction import Measured
     from selfcal_ros.calibration.result import Calibration, NotCalibrated
+    from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
     from selfcal_ros.calibration.structure.angular_measurement import ray_angles
     from selfcal_ros.calibration.structure.structure_measurement import (length_ratio,
                                                                          structure_angle)
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
     from selfcal_ros.values.tracks import Tracks
 
 __all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'Measured', 'NotCalibrated',
-           'Tracks', '__version__', 'calibrate', 'calibrate_known_object', 'length_ratio',
-           'ray_angles', 'structure_angle']
+           'Tracks', '__version__', 'calibrate', 'calibrate_known_object', 'calibrate_rig',
+           'length_ratio', 'ray_angles', 'structure_angle']
 
 _HOMES = {
     'Calibration': 'calibration.result',
@@ -47,6 +48,7 @@ _HOMES = {
     'Tracks': 'values.tracks',
     'calibrate': 'calibration.calibrate',
     'calibrate_known_object': 'calibration.known_object.point_calibration',
+    'calibrate_rig': 'calibration.rigs.rig_calibration',
     'length_ratio': 'calibration.structure.structure_measurement',
     'ray_angles': 'calibration.structure.angular_measurement',
     'structure_angle': 'calibration.structure.structure_measurement',

@@ -326,4 +326,34 @@ REFUSALS: dict[str, Phrase] = {
         'The process of the estimate ended unexpectedly (out of memory?).',
         'The operating system ended the process, or it crashed.',
         'The next estimate starts another one.'),
+    # cameras that move together
+    'rig_cameras_refused': Phrase(
+        'No camera of the rig can be calibrated by itself. Of {camera}: {why}.',
+        'The rig starts from at least one camera whose images determine it.',
+        'Drive curves both ways, or state what is known of the cameras.'),
+    'rig_path_unknown': Phrase(
+        'The images of {camera} show a camera that only turns, so that nothing tells how far the '
+        'cameras are apart.',
+        'The poses of cameras to each other follow from ways that they go together.',
+        'Move the rig along, in curves, while it records.'),
+    'rig_camera_refused': Phrase(
+        'The camera {camera} cannot be placed in the rig: {why}.',
+        'A camera that cannot be calibrated by itself needs points that another camera sees, '
+        'too.',
+        'Drive curves both ways, or let it see the same things as another camera.'),
+    'rig_not_simultaneous': Phrase(
+        'Too few images of {camera} are of the same instants as those of another camera: '
+        '{instants}, and {least} are needed.',
+        'Cameras of a rig are compared where their images are of one instant.',
+        'Trigger the cameras together, or check their stamps.'),
+    'rig_not_rigid': Phrase(
+        'The cameras do not move as one rigid body: together they leave {left_px:.2g} px where '
+        'each alone leaves {noise_px:.2g} px, and {rejected:percent} % contradict.',
+        'A pose between two cameras changed, or their images are not of the same instants.',
+        'Check the mounts, and that equal frames are of one instant.'),
+    'rig_lens_open': Phrase(
+        'The motion leaves {missing:and} of the camera {camera} open.',
+        'Cameras side by side that move along one line, or turn about one axis, do not show '
+        'their focal lengths.',
+        'Drive curves both ways, or state square pixels.'),
 }

@@ -389,4 +389,34 @@ REMARKS: dict[str, Phrase] = {
         'joint estimate they were calibrated with that one.',
         'Calibrations with different distortion models cannot be combined.',
         'State the distortion model.'),
+    # cameras that move together
+    'rig_overlap': Phrase(
+        '{points} scene points were seen by more than one camera.',
+        'What two cameras see at once ties them to each other.',
+        'Nothing; the more such points, the better.'),
+    'rig_no_overlap': Phrase(
+        'No scene point was seen by two cameras: how they sit to each other follows from their '
+        'paths.',
+        'Each camera tells how the rig moved. The poses that make all tell the same are found.',
+        'Drive curves both ways, and over a ramp if the height between the cameras matters.'),
+    'rig_height_open': Phrase(
+        'How high the camera {camera} sits over the others is open, and with it its {names:and}. '
+        'Motion over a ramp, or things that two cameras see at once, would show it.',
+        'Motion in a plane looks alike however high a camera rides.',
+        'Drive over a ramp, tilt the rig, or let two cameras see the same things.'),
+    'rig_circle_open': Phrase(
+        'Where on its circle the camera {camera} rides is open, and with it its {names:and}. '
+        'Curves of different radius with straight stretches between them would show it.',
+        'On one circle a camera sees the same from everywhere.',
+        'Drive curves of different radius, or let two cameras see the same things.'),
+    'rig_pose_open': Phrase(
+        'Of the pose of the camera {camera} the motion leaves open: {names:and}. Turns about two '
+        'different axes, with ways between them, would show it.',
+        'Where the rig hardly turns, a camera may sit anywhere on it.',
+        'Turn the rig about two axes while it moves, or let two cameras see the same things.'),
+    'rig_baseline_of_no_use': Phrase(
+        'The stated baseline gives no scale: the motion leaves open how far {camera} is from the '
+        'first camera.',
+        'A length gives the scale where the images know it as a share of the path.',
+        'Record curves both ways, or let both cameras see the same things.'),
 }

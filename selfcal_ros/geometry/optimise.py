@@ -39,7 +39,8 @@ class PointBlocks:
     Parameters
     ----------
     point, view : ndarray of int, shape (N,)
-        Indices from zero, sorted by point, then view; every point occurs.
+        Indices from zero, sorted by point, then view; every point occurs. A view may see a point
+        more than once, as one of several cameras does.
 
     """
 
@@ -59,14 +60,19 @@ class PointBlocks:
         begin = np.minimum.reduceat(view, self.first)
         order = np.lexsort((last, begin))
         self._groups = []
+        # observations of one point in one view are added up before the points are eliminated
+        self._cells = np.flatnonzero(np.r_[True, (np.diff(point) > 0) | (np.diff(view) > 0)])
+        first = np.searchsorted(self._cells, self.first)
+        cells = np.diff(np.r_[first, len(self._cells)])
+        cell_view = view[self._cells]
         for start in range(0, self.point_count, GROUP_POINTS):
             members = order[start:start + GROUP_POINTS]
             low, high = int(begin[members].min()), int(last[members].max()) + 1
-            lengths = self.length[members]
-            rows = np.repeat(self.first[members], lengths) + (
+            lengths = cells[members]
+            rows = np.repeat(first[members], lengths) + (
                 np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths))
             slot = np.repeat(np.arange(len(members)), lengths)
-            self._groups.append((members, rows, slot, view[rows] - low, low, high))
+            self._groups.append((members, rows, slot, cell_view[rows] - low, low, high))
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
@@ -152,6 +158,8 @@ class PointBlocks:
         if v:
             H, shared = self._products_of_few(jac_point, jac_shared)
             cross = np.swapaxes(jac_point, 1, 2) @ jac_view                  # (N, p, v)
+            if len(self._cells) < len(cross):
+                cross = np.add.reduceat(cross, self._cells, axis=0)
         else:
             H, shared = self._products(jac_point, full)
         scale = np.einsum('pii->pi', H)

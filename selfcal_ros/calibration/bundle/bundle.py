@@ -29,7 +29,6 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
                                                         inverse_information, winsorised_square)
-from selfcal_ros.calibration.bundle.lens import intrinsic_names
 from selfcal_ros.calibration.bundle.model import Linearisation, Model
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
@@ -71,7 +70,7 @@ class Bundle:
         self.priors, self.sigma_px = priors, sigma_px
         self.blocks = PointBlocks(part, view)
         self.unknowns = _with_facts(
-            model.unknowns(self.blocks.view_count, intrinsic_names(priors.lens)), priors)
+            model.unknowns(self.blocks.view_count, priors.names), priors)
 
     # ------------------------------------------------------------------ the same with a difference
 

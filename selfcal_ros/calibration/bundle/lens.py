@@ -220,11 +220,16 @@ def to_parameters(covariance: np.ndarray, lens: Lens) -> np.ndarray:
         Of `Camera.parameter_names`.
 
     """
-    count = len(lens)
-    J = np.eye(count)
-    J[_ASPECT, _F], J[_ASPECT, _ASPECT] = lens['aspect'], lens['f']     # fy = ζ f
+    count, J = len(lens), to_parameters_slopes(lens)
     carried: np.ndarray = J @ covariance[:count, :count] @ J.T
     return carried
+
+
+def to_parameters_slopes(lens: Lens) -> np.ndarray:
+    """Differentiate the camera's parameters by `lens.names`, shape (k, k)."""
+    J = np.eye(len(lens))
+    J[_ASPECT, _F], J[_ASPECT, _ASPECT] = lens['aspect'], lens['f']     # fy = ζ f
+    return J
 
 
 def to_intrinsics(covariance: np.ndarray, lens: Lens) -> np.ndarray:

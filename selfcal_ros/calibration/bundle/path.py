@@ -177,7 +177,7 @@ class AxisPath:
             Where the derivatives go.
 
         """
-        out[:, :, :2] = _crossed(placed, J)[:, :, :2]
+        out[:, :, :2] = crossed(placed, J)[:, :, :2]
 
     def by_views(self, J: np.ndarray, turned: np.ndarray, weight: np.ndarray,
                  view: np.ndarray, planar: bool) -> np.ndarray:
@@ -203,7 +203,7 @@ class AxisPath:
         """
         own = np.empty((*J.shape[:2], len(VIEW_NAMES)))
         axis = self._swings[:, :, 2]
-        across = _crossed(turned, J)
+        across = crossed(turned, J)
         own[:, :, 0] = np.einsum('nki,ni->nk', across, np.take(axis, view, axis=0))
         own[:, :, 1] = J[:, :, 0] * weight
         own[:, :, 2] = J[:, :, 1] * weight
@@ -216,7 +216,7 @@ class AxisPath:
         return own
 
 
-def _crossed(vector: np.ndarray, J: np.ndarray) -> np.ndarray:
+def crossed(vector: np.ndarray, J: np.ndarray) -> np.ndarray:
     """Cross vectors (N, 3) with the rows of J (N, m, 3): J (a × vector) is this times a."""
     x, y, z = (vector[:, k, None] for k in range(3))
     crossed = np.empty_like(J)

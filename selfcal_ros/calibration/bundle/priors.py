@@ -101,10 +101,14 @@ class Priors(Mapping[str, Prior]):
         return {name: one for name, one in self.of.items() if one.is_soft}
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns that may be measured."""
+        return intrinsic_names(self.lens)
+
+    @property
     def free(self) -> np.ndarray:
         """Which unknowns of the lens are not fixed, in the order of the block, shape (k,)."""
-        return np.array([name not in self.of or self.of[name].sigma > 0
-                         for name in intrinsic_names(self.lens)])
+        return np.array([name not in self.of or self.of[name].sigma > 0 for name in self.names])
 
     def soft_information(self) -> np.ndarray:
         """Information (k, k) about the unknowns of the lens that all this is, 1 / sigma²."""

@@ -28,6 +28,7 @@ from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.rig_model import RigModel
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -67,6 +68,8 @@ class Observations:
         Displacements by the rows' delay, where that is estimated.
     neighbours : ndarray, shape (N, 2, 3), optional
         Of a video: pixels just before and after, and intervals from here to there.
+    camera : ndarray of int, shape (N,), optional
+        Of a rig: which camera made each observation.
 
     """
 
@@ -77,6 +80,7 @@ class Observations:
     clock: Clock | None = None
     shutter: RowShifts | None = None
     neighbours: np.ndarray | None = None
+    camera: np.ndarray | None = None
 
     def select(self, mask: np.ndarray, least: int = 2) -> tuple[Observations, np.ndarray]:
         """
@@ -94,7 +98,8 @@ class Observations:
         points, index = np.unique(self.point[mask], return_inverse=True)
         return Observations(self.view[mask], index, self.xy[mask], self.track[points], self.clock,
                             self.shutter and self.shutter.select(mask),
-                            None if self.neighbours is None else self.neighbours[mask]), points
+                            None if self.neighbours is None else self.neighbours[mask],
+                            None if self.camera is None else self.camera[mask]), points
 
     def read_in_rows(self) -> Observations:
         """Return the same, with the line delay as another unknown."""
@@ -206,8 +211,10 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
 def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
               sigma_px: float) -> Bundle:
     """Set up the adjustment of observations of a scene."""
-    return Bundle(SceneModel(motion, observations.shutter), observations.view,
-                  observations.point, observations.xy, priors=priors, sigma_px=sigma_px)
+    model = (SceneModel(motion, observations.shutter) if observations.camera is None
+             else RigModel(motion, camera=observations.camera))
+    return Bundle(model, observations.view, observations.point, observations.xy, priors=priors,
+                  sigma_px=sigma_px)
 
 
 def fit_robustly(observations: Observations, state: SceneState, motion: MotionModel,

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -187,7 +187,4 @@ class SceneModel:
 
 def rescaled(state: SceneState) -> SceneState:
     """Scale the world so that successive views are one unit apart (root mean square)."""
-    factor = 1 / state.path.step_length()
-    points = state.points * np.array([factor, factor, factor, 1])
-    return replace(state, path=state.path.scaled(factor),
-                   points=points / np.linalg.norm(points, axis=1, keepdims=True))
+    return state.scaled(1 / state.path.step_length())

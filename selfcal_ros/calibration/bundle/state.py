@@ -74,6 +74,12 @@ class SceneState(BundleState):
         return replace(self, path=self.path.of_views(kept), points=self.points[points],
                        zoom=self.zoom and self.zoom.of_views(kept))
 
+    def scaled(self, factor: float) -> SceneState:
+        """Return the state in a world that is larger by a factor."""
+        points = self.points * np.array([factor, factor, factor, 1])
+        return replace(self, path=self.path.scaled(factor),
+                       points=points / np.linalg.norm(points, axis=1, keepdims=True))
+
     def unzoomed(self, xy: np.ndarray, view: np.ndarray) -> np.ndarray:
         """Return pixels (N, 2) of views (N,) as the camera of `lens` would see them."""
         return xy if self.zoom is None else self.zoom.unzoomed(xy, view, self.lens)

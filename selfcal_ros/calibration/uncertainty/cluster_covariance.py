@@ -75,7 +75,8 @@ def segment_findings(ratio: float) -> tuple[Finding, ...]:
 
 
 def cluster_robust_covariance(information: Information, track: np.ndarray, xy: np.ndarray,
-                              size: tuple[int, int]) -> ClusterCovariance:
+                              size: tuple[int, int], camera: np.ndarray | int = 0,
+                              ) -> ClusterCovariance:
     """
     Widen a covariance by the dependence that the residuals show.
 
@@ -88,6 +89,8 @@ def cluster_robust_covariance(information: Information, track: np.ndarray, xy: n
         Pixels.
     size : (int, int)
         Width and height of the image.
+    camera : ndarray of int, shape (N,)
+        Whose image it is, where there are several cameras.
 
     Returns
     -------
@@ -104,7 +107,8 @@ def cluster_robust_covariance(information: Information, track: np.ndarray, xy: n
     # unequal noise counts with the tracks, and must not count again with the regions
     for name, label, part, against in (
             ('track', track, of_tracks, np.eye(len(whiten))),
-            ('region', _regions(xy, size), effects, effects.T @ effects)):
+            ('region', _regions(xy, size) + REGIONS[0] * REGIONS[1] * camera, effects,
+             effects.T @ effects)):
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return ClusterCovariance(ratios, widened)

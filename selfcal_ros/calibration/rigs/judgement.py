@@ -1,0 +1,290 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What an optimum of a rig says: each lens and pose, what is open, in which unit; or a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.lens import to_parameters_slopes
+from selfcal_ros.calibration.bundle.rig import name_in_rig, POSE_NAMES, Rig
+from selfcal_ros.calibration.bundle.rig_model import RigState
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
+from selfcal_ros.calibration.reconstruction import Reconstruction
+from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
+from selfcal_ros.calibration.rigs.start import RigObservations
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
+                                                                    ClusterCovariance)
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.version import __version__
+
+#: A larger share of outliers than this, and the rest proves nothing.
+MAX_OUTLIERS = 1 / 3
+#: Cameras that are rigid to each other leave less than so many times what each leaves alone.
+RIGID = 2.0
+#: A place counts as open where its sigma is more than this share of the spread of the path, a
+#: turn beyond so many radians.
+OPEN_PLACE, OPEN_TURN_RAD = 0.25, np.radians(5.0)
+#: A length that is stated gives the scale where the images know its share of the path so well.
+BASELINE_SIGMA = 0.2
+
+
+@dataclass(frozen=True)
+class RigOptimum:
+    """
+    An optimum, and what it came from.
+
+    Attributes
+    ----------
+    fit : RobustFit
+        Its state is a `RigState`.
+    found : RigObservations
+    facts : mapping of str to CameraFacts
+        Of every camera, the lens chosen.
+    sizes : mapping of str to (int, int)
+        Width and height of the images.
+    motion : str
+    noise_px : float
+        What single cameras leave.
+    shared : bool
+        Whether the cameras may share points.
+
+    """
+
+    fit: RobustFit
+    found: RigObservations
+    facts: Mapping[str, CameraFacts]
+    sizes: Mapping[str, tuple[int, int]]
+    motion: str
+    noise_px: float
+    shared: bool
+
+    @property
+    def state(self) -> RigState:
+        """The values of all blocks."""
+        assert isinstance(self.fit.state, RigState)
+        return self.fit.state
+
+    @property
+    def camera(self) -> np.ndarray:
+        """Which camera made each observation, (N,)."""
+        assert self.fit.observations.camera is not None
+        return self.fit.observations.camera
+
+    def dependence(self) -> ClusterCovariance:
+        """Assess how far the residuals are from independent, each camera in its own image."""
+        sizes = np.array([self.sizes[name] for name in self.found.cameras], float)
+        # all images side by side, each of the first one's size
+        xy = self.fit.observations.xy * (sizes[0] / sizes)[self.camera]
+        return cluster_robust_covariance(self.fit.information, self.fit.observations.point, xy,
+                                         self.sizes[self.found.cameras[0]], self.camera)
+
+    def shared_points(self) -> np.ndarray:
+        """Count the points that each camera shares with another, (C,)."""
+        cameras = len(self.found.cameras)
+        seen = np.zeros((int(self.fit.observations.point.max()) + 1, cameras), bool)
+        seen[self.fit.observations.point, self.camera] = True
+        count: np.ndarray = np.sum(seen & (seen.sum(axis=1) > 1)[:, None], axis=0)
+        return count
+
+
+def refused(optimum: RigOptimum) -> NoEstimate | None:
+    """Refuse what is not one rigid body, or is no explanation."""
+    fit = optimum.fit
+    rejected = fit.outliers / max(fit.outliers + len(fit.observations.view), 1)
+    if fit.bundle.sigma_px > RIGID * optimum.noise_px or rejected > MAX_OUTLIERS:
+        return NoEstimate('rig_not_rigid', left_px=float(fit.bundle.sigma_px),
+                          noise_px=optimum.noise_px, rejected=float(rejected),
+                          motion=optimum.motion)
+    return None
+
+
+def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
+          baseline: tuple[float, float] | None) -> RigCalibration | NoEstimate:
+    """
+    Judge an optimum, and put it into the terms of users.
+
+    Parameters
+    ----------
+    optimum : RigOptimum
+    alone : mapping of str to Calibration or NotCalibrated
+        What the images of each camera say by themselves.
+    baseline : (float, float), optional
+        Distance of the first two cameras and its sigma, metres.
+
+    Returns
+    -------
+    RigCalibration or NoEstimate
+
+    """
+    refusal = refused(optimum)
+    if refusal is not None:
+        return refusal
+    state, rig = optimum.state, optimum.state.lens
+    dependence = optimum.dependence()
+    unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
+    findings: tuple[Finding, ...] = dependence.findings()
+    inner = dependence.covariance
+    more = np.zeros(len(slopes))
+    if baseline is not None:
+        if _knows_baseline(rig, inner):
+            unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
+            slopes = _carried_by_baseline(rig, slopes)
+            for k in range(1, len(rig.cameras)):
+                more[rig.of_pose(k)][:3] = rig.place(k) * scale * baseline[1] / baseline[0]
+        else:
+            findings += (Finding('rig_baseline_of_no_use', camera=rig.cameras[1]),)
+    for k in range(1, len(rig.cameras)):
+        slopes[rig.of_pose(k)][:3] *= scale
+    covariance = slopes @ inner @ slopes.T + np.outer(more, more)
+    spread = scale * _spread(state.path.centres())
+    cameras, poses, parameters = {}, {}, []
+    shared = optimum.shared_points()
+    for k, name in enumerate(rig.cameras):
+        one = _camera(optimum, k, covariance, scale)
+        missing = tuple(n for n in MATRIX_PARAMETERS if one.status[n] == 'unobservable')
+        if missing:
+            return NoEstimate('rig_lens_open', camera=name, missing=missing,
+                              motion=optimum.motion, status=one.status)
+        cameras[name] = one
+        parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
+        covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
+        poses[name] = _pose(optimum, k, covariance, scale, spread, int(shared[k]))
+        remark = poses[name].remark
+        findings += () if remark is None else (remark,)
+    for k, name in enumerate(rig.cameras[1:], 1):
+        parameters += [name_in_rig(name, one) for one in POSE_NAMES]
+        _open(covariance, rig.of_pose(k), poses[name])
+    findings = (Finding('rig_overlap', points=int(shared.max())) if shared.any()
+                else Finding('rig_no_overlap'), *findings)
+    fit = optimum.fit
+    residuals = fit.linearisation.residual[fit.linearisation.ahead]
+    return RigCalibration(
+        cameras=cameras, poses=poses, parameter_names=tuple(parameters), covariance=covariance,
+        unit=unit, scale=scale * state.path.step_length(), motion=optimum.motion,
+        frames=tuple(int(frame) for frame in optimum.found.frames),
+        noise_sigma_px=fit.bundle.sigma_px,
+        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        observation_count=len(fit.observations.view), outlier_count=fit.outliers,
+        reconstruction=next(iter(cameras.values())).reconstructed, alone=dict(alone),
+        findings=findings, software=f'selfcal_ros {__version__}')
+
+
+def _spread(centres: np.ndarray) -> float:
+    """Root mean square distance of places (V, 3) from their middle."""
+    return float(np.sqrt(np.mean(np.sum((centres - centres.mean(axis=0))**2, axis=1))))
+
+
+def _slopes(rig: Rig) -> np.ndarray:
+    """Derivatives of the cameras' parameters and poses by the unknowns of the block, (n, n)."""
+    slopes = np.eye(len(rig.names))
+    for k in range(len(rig.cameras)):
+        slopes[rig.of_lens(k), rig.of_lens(k)] = to_parameters_slopes(rig.lens(k))
+    return slopes
+
+
+def _knows_baseline(rig: Rig, inner: np.ndarray) -> bool:
+    """Tell whether the images know the first two cameras' distance as a share of the path."""
+    place = rig.place(1)
+    length, rows = float(np.linalg.norm(place)), rig.of_pose(1)
+    along = place / max(length, 1e-300)
+    of_place = inner[rows, rows][:3, :3]
+    return bool(length > 0 and along @ of_place @ along < (BASELINE_SIGMA * length)**2)
+
+
+def _carried_by_baseline(rig: Rig, slopes: np.ndarray) -> np.ndarray:
+    """Let all places follow the scale that one length states: p_k / |p_1| |p_1| held."""
+    carried, first, at = slopes.copy(), rig.place(1), rig.of_pose(1).start
+    for k in range(1, len(rig.cameras)):
+        rows = rig.of_pose(k).start + np.arange(3)
+        carried[rows[:, None], at + np.arange(3)] -= np.outer(rig.place(k),
+                                                              first) / (first @ first)
+    return carried
+
+
+def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -> Calibration:
+    """Return a camera as if it had been calibrated by itself."""
+    state, rig, fit = optimum.state, optimum.state.lens, optimum.fit
+    name = rig.cameras[k]
+    facts, part = optimum.facts[name], rig.of_lens(k)
+    camera = rig.lens(k).camera(*optimum.sizes[name])
+    own = without_held(covariance[part, part], camera, facts)
+    rows = (optimum.camera == k) & fit.linearisation.ahead
+    residuals = fit.linearisation.residual[rows]
+    path = state.path.cam_from_world()
+    path[:, :, 3] -= rig.place(k)
+    path = rig.rotations[k].T @ path
+    path[:, :, 3] *= scale
+    seen, at = np.unique(fit.observations.view[rows], return_index=False), np.unique(
+        fit.observations.point[rows])
+    points = state.points[at] * [scale, scale, scale, 1.0]
+    frames = optimum.found.frames[seen]
+    return Calibration(
+        camera=camera, covariance=own,
+        status=parameter_status(camera, own, facts, fit.bundle.sigma_px),
+        held_by=held_facts(facts), motion=optimum.motion, facts=facts,
+        frames=tuple(int(frame) for frame in frames),
+        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        noise_sigma_px=fit.bundle.sigma_px, observation_count=int(rows.sum()),
+        outlier_count=fit.outliers, software=f'selfcal_ros {__version__}',
+        reconstruction=Reconstruction(
+            frames, path[seen], fit.observations.track[at],
+            points / np.linalg.norm(points, axis=1, keepdims=True)),
+        residuals=residuals)
+
+
+def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spread: float,
+          shared: int) -> CameraInRig:
+    """Return where a camera sits, and what of it is open."""
+    rig = optimum.state.lens
+    T = np.eye(4)
+    if k == 0:
+        return CameraInRig(T, np.zeros((6, 6)), dict.fromkeys((*PLACE, *TURN), 'held'),
+                           shared)
+    own = covariance[rig.of_pose(k), rig.of_pose(k)].copy()
+    sigma = np.sqrt(np.diag(own))
+    is_open = sigma > np.r_[[OPEN_PLACE * spread] * 3, [OPEN_TURN_RAD] * 3]
+    T[:3, :3], T[:3, 3] = rig.rotations[k], rig.place(k) * scale
+    T[:3, 3][is_open[:3]] = np.nan
+    if is_open[3:].any():
+        T[:3, :3] = np.nan
+    own[is_open] = own[:, is_open] = 0
+    own[is_open, is_open] = np.inf
+    status = {name: 'unobservable' if one else 'estimated'
+              for name, one in zip(POSE_NAMES, is_open)}
+    return CameraInRig(T, own, status, shared, _remark(optimum, rig.cameras[k], status))
+
+
+def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, str]) -> Finding | None:
+    """Say what is open, and which motion would show it."""
+    names = tuple(name for name, how in status.items() if how == 'unobservable')
+    if not names:
+        return None
+    kind = ('rig_circle_open' if optimum.motion == 'circular' else
+            'rig_height_open' if optimum.fit.motion.keeps_plane else 'rig_pose_open')
+    return Finding(kind, camera=camera, names=names)
+
+
+def _open(covariance: np.ndarray, rows: slice, pose: CameraInRig) -> None:
+    """Make the covariance of all agree with what of a pose is open."""
+    is_open = rows.start + np.flatnonzero(np.isinf(np.diag(pose.covariance)))
+    covariance[is_open] = covariance[:, is_open] = 0
+    covariance[is_open, is_open] = np.inf

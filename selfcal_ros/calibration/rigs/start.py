@@ -1,0 +1,249 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What all cameras of a rig saw, and where their joint adjustment starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+import itertools
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.motion import MotionModel
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.rig import Rig, RigPriors
+from selfcal_ros.calibration.bundle.rig_model import RigState
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.rigs.alignment import align
+from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.resection import decompose, resect
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.values.tracks import of_longest, Tracks
+
+#: Tracks per instant and camera that the estimate uses, and that starts are compared on.
+TRACKS_PER_VIEW, START_TRACKS_PER_VIEW = 400, 60
+#: Shared points that a camera needs which cannot be calibrated by itself.
+MIN_SHARED = 30
+
+
+@dataclass(frozen=True)
+class RigObservations:
+    """
+    All observations by index, and whose they are.
+
+    Attributes
+    ----------
+    observations : Observations
+        Their tracks are numbers of `track`.
+    frames : ndarray of int, shape (V,)
+        Frame of each view.
+    cameras : tuple of str
+
+    """
+
+    observations: Observations
+    frames: np.ndarray
+    cameras: tuple[str, ...]
+
+
+def observations_of(tracks: Mapping[str, Tracks], used: Mapping[str, np.ndarray | None],
+                    frames: np.ndarray, shared: bool) -> RigObservations:
+    """
+    Put the observations of all cameras together.
+
+    Parameters
+    ----------
+    tracks : mapping of str to Tracks
+    used : mapping of str to ndarray of int or None
+        Tracks of each camera that its own calibration has kept; None: all.
+    frames : ndarray of int, shape (V,)
+    shared : bool
+        Equal numbers in two cameras are the same point.
+
+    Returns
+    -------
+    RigObservations
+
+    """
+    seen_by_two = _shared_tracks(tracks) if shared else np.empty(0, int)
+    parts = []
+    for k, (name, one) in enumerate(tracks.items()):
+        kept, of_camera = np.isin(one.frame, frames), used[name]
+        if of_camera is not None:
+            kept &= np.isin(one.track, of_camera) | np.isin(one.track, seen_by_two)
+        identity = one.track if shared else one.track * len(tracks) + k
+        parts.append((one.frame[kept], identity[kept], one.xy[kept],
+                      np.full(int(kept.sum()), k)))
+    frame, track, xy, camera = (np.concatenate(columns) for columns in zip(*parts))
+    view = np.searchsorted(frames, frame)
+    names, point = np.unique(track, return_inverse=True)
+    order = np.lexsort((camera, view, point))
+    everything = Observations(view[order], point[order], xy[order], names, camera=camera[order])
+    most = of_longest(everything.view, everything.point, TRACKS_PER_VIEW * len(tracks))
+    return RigObservations(everything.select(most)[0], frames, tuple(tracks))
+
+
+def _shared_tracks(tracks: Mapping[str, Tracks]) -> np.ndarray:
+    """Return the tracks that more than one camera has."""
+    names, count = np.unique(np.concatenate([np.unique(one.track) for one in tracks.values()]),
+                             return_counts=True)
+    return names[count > 1]
+
+
+def priors_of(calibration: Calibration, facts: CameraFacts) -> Priors:
+    """Return what is stated of a camera, and the lens that a calibration has chosen."""
+    chosen = replace(facts, distortion=calibration.facts.distortion)
+    return replace(priors_from_facts(chosen), population=calibration.population)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A camera with its lens, at [R | p] (3, 4) before the reference camera."""
+
+    camera: Camera
+    pose: np.ndarray
+
+
+def places_by_path(reference: Calibration, other: Calibration) -> list[Placed]:
+    """Return where the paths of two cameras put the other; see `align`."""
+    common, i, k = np.intersect1d(reference.reconstructed.frames, other.reconstructed.frames,
+                                  return_indices=True)
+    found = align(reference.reconstructed.cam_from_world[i],
+                  other.reconstructed.cam_from_world[k]) if len(common) else []
+    return [Placed(other.camera, one.pose) for one in found]
+
+
+def place_by_points(reference: Calibration, seen: Tracks) -> list[Placed]:
+    """
+    Return a camera that the points of a reconstruction are seen by.
+
+    All points before the reference camera, at whatever instant, are one object to a camera that
+    moves with it.
+    """
+    path = reference.reconstructed
+    rows = np.isin(seen.frame, path.frames) & np.isin(seen.track, path.tracks)
+    if rows.sum() < MIN_SHARED:
+        return []
+    by_track = np.argsort(path.tracks)
+    X = path.points[by_track[np.searchsorted(path.tracks[by_track], seen.track[rows])]]
+    poses = path.cam_from_world[np.searchsorted(path.frames, seen.frame[rows])]
+    before = np.einsum('nij,nj->ni', poses, X)
+    points, xy = np.column_stack([before, X[:, 3]]), seen.xy[rows]
+    found = resect(points, xy, huber_sigmas=2.0)
+    parts = found if isinstance(found, NoEstimate) else decompose(found.P)
+    if isinstance(parts, NoEstimate):
+        return []
+    K = parts.K
+    # the lens is bent like the other's, for a start
+    middle = reference.camera
+    camera = Camera(K, middle.distortion, *(seen.image_size or (0, 0)), middle.model)
+    return [Placed(camera, np.column_stack([parts.R.T, parts.centre]))]
+
+
+def start_state(observations: RigObservations, reference: Calibration, placed: Sequence[Placed],
+                ) -> RigState | None:
+    """
+    Put the rig on the path of the reference camera, and intersect all points.
+
+    Parameters
+    ----------
+    observations : RigObservations
+    reference : Calibration
+    placed : sequence of Placed
+        All cameras before the reference, the reference among them.
+
+    Returns
+    -------
+    RigState or None
+        None where a pixel has no ray.
+
+    """
+    R_0, p_0 = placed[0].pose[:, :3], placed[0].pose[:, 3]
+    poses = np.stack([np.column_stack([R_0.T @ one.pose[:, :3],
+                                       R_0.T @ (one.pose[:, 3] - p_0)]) for one in placed])
+    rig = Rig.of_cameras(observations.cameras, [Lens.of(one.camera) for one in placed], poses)
+    path = reference.reconstructed
+    of_reference = path.cam_from_world[np.searchsorted(path.frames, observations.frames)]
+    first = R_0.T @ (of_reference - np.concatenate([np.zeros((3, 3)), p_0[:, None]], axis=1))
+    # the world's origin is where the rig is first
+    origin = -first[0, :, :3].T @ first[0, :, 3]
+    first[:, :, 3] += first[:, :, :3] @ origin
+    start = RigState(rig, AxisPath.of_poses(first[0, :, :3], first))
+    return with_all_points(start, observations.observations)
+
+
+def with_all_points(state: RigState, observations: Observations) -> RigState | None:
+    """Intersect the points of all observations from the cameras of a state."""
+    camera, view, rig, path = observations.camera, observations.view, state.lens, state.path
+    assert camera is not None, 'observations of a rig'
+    rays, place = np.empty((len(view), 3)), np.empty((len(view), 3))
+    for k in range(len(rig.cameras)):
+        rows = camera == k
+        rays[rows] = all_rays(rig.lens(k).camera(), observations.xy[rows]) @ rig.rotations[k].T
+        place[rows] = rig.place(k)
+    if not np.isfinite(rays).all():
+        return None
+    # every camera at every instant is a station of its own
+    count = len(rig.cameras)
+    stations = PointBlocks(observations.point, view * count + camera)
+    turns = path.rotations()
+    directions = np.einsum('nji,nj->ni', turns[view], rays @ path.mount)
+    places = np.stack([rig.place(k) for k in range(count)]) @ path.mount
+    centres = np.einsum('vji,vcj->vci', turns, places[None] - path.translation[:, None])
+    return replace(state, points=points_from_centres(stations, directions,
+                                                     centres.reshape(-1, 3)))
+
+
+def best_start(found: RigObservations, reference: Calibration,
+               choices: Sequence[Sequence[Placed]], priors: RigPriors, motion: MotionModel,
+               sigma_px: float) -> RigState | None:
+    """
+    Choose among what the cameras' places may be, by how well a share of the tracks fits.
+
+    Parameters
+    ----------
+    found : RigObservations
+    reference : Calibration
+    choices : sequence of sequences of Placed
+        Of every camera.
+    priors : RigPriors
+    motion : MotionModel
+    sigma_px : float
+
+    Returns
+    -------
+    RigState or None
+
+    """
+    cameras = len(found.cameras)
+    few, _ = found.observations.select(found.observations.longest(
+        START_TRACKS_PER_VIEW * cameras))
+    best, least = None, np.inf
+    for placed in itertools.product(*choices):
+        start = start_state(replace(found, observations=few), reference, placed)
+        if start is None:
+            continue
+        bundle = bundle_of(few, motion, priors, sigma_px)
+        state = bundle.refine_points(with_fixed(start, priors))
+        state = bundle.optimise(state, iterations=12, tolerance=1.0)
+        cost = bundle.cost(state)
+        if cost < least:
+            best, least = state, cost
+    return None if best is None else with_all_points(best, found.observations)

@@ -1,0 +1,185 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Cameras that move together: derivatives of the rig block, the start, truth and refusals."""
+
+import numpy as np
+import pytest
+from selfcal_ros import CameraFacts
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.rig import Rig, RigPriors
+from selfcal_ros.calibration.bundle.rig_model import RigState
+from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.rigs.alignment import align
+from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.lenses.catalogue import lens_model
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.synthetic.rig_scenes import driven_path, hand_path, RIG_CAMERAS, rig_scene
+
+FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
+VIEWS, POINTS = 4, 9
+
+
+@pytest.fixture
+def problem():
+    """A rig of a perspective and a fisheye camera, and a state away from its optimum."""
+    rng = np.random.default_rng(0)
+    lenses = [Lens(np.array([500, 1.01, 320, 240, 1.0, -0.1, 0.02, 0.001, 0.002, 0.01]),
+                   lens_model('plumb_bob')),
+              Lens(np.array([300, 1.0, 330, 250, 0.0, 0.01, 0.002, 0.001, 0.002]),
+                   lens_model('equidistant'))]
+    poses = np.stack([np.eye(3, 4), np.column_stack([rotation_matrix(np.array([0.1, 0.2, 0.1])),
+                                                     [0.5, 0.1, 0.2]])])
+    rig = Rig.of_cameras(('left', 'right'), lenses, poses)
+    path = AxisPath(rotation_matrix(0.1 * rng.normal(size=3)), 0.1 * rng.normal(size=VIEWS),
+                    0.1 * rng.normal(size=(VIEWS, 2)), 0.2 * rng.normal(size=(VIEWS, 3)))
+    points = np.column_stack([rng.uniform(-1, 1, (POINTS, 2)), rng.uniform(4, 6, POINTS),
+                              np.ones(POINTS)])
+    points[:, :3] = points[:, :3] @ path.mount
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points[:3] *= -1
+    point, view, camera = (index.ravel() for index in np.meshgrid(
+        np.arange(POINTS), np.arange(VIEWS), [0, 1], indexing='ij'))
+    priors = RigPriors.of_cameras({name: Priors({}, lens.model)
+                                   for name, lens in zip(rig.cameras, lenses)})
+    seen = Observations(view, point, rng.uniform(0, 400, (len(view), 2)), np.arange(POINTS),
+                        camera=camera)
+    return bundle_of(seen, GENERAL, priors, 1.0), RigState(rig, path, points)
+
+
+def test_derivatives_of_the_rig(problem):
+    bundle, state = problem
+    at, size, h = bundle.linearise(state), len(bundle.unknowns), 1e-5
+
+    def difference(step, points=None):
+        ahead, back = (bundle.linearise(bundle.moved(
+            state, sign * step, None if points is None else sign * points), False).residual
+            for sign in (1, -1))
+        return (ahead - back) / (2 * h)
+
+    for k in np.flatnonzero(bundle.unknowns.free):
+        view, own = divmod(k - bundle.unknowns.shared.stop, 6)
+        analytic = at.shared[:, :, k] if view < 0 else np.where(
+            (bundle.blocks.view == view)[:, None], at.view[:, :, own], 0)
+        numeric = difference(h * np.eye(size)[k])
+        assert np.abs(analytic - numeric).max() < 1e-6 * max(np.abs(numeric).max(), 1)
+    for k in range(3):
+        numeric = difference(np.zeros(size), np.tile(h * np.eye(3)[k], (POINTS, 1)))
+        assert np.abs(at.eliminated[:, :, k] - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_points_that_a_view_sees_twice_are_eliminated_as_the_dense_equations_say(problem):
+    bundle, state = problem
+    at, size = bundle.linearise(state), len(bundle.unknowns)
+    rows = np.zeros((len(bundle.view), 2, size + 3 * POINTS))
+    rows[:, :, bundle.unknowns.shared] = at.shared
+    for n, (view, point) in enumerate(zip(bundle.view, bundle.part)):
+        rows[n][:, bundle.unknowns.by_view[view]] = at.view[n]
+        rows[n, :, size + 3 * point:size + 3 * point + 3] = at.eliminated[n]
+    N = np.einsum('nij,nik->jk', rows, rows)
+    dense = N[:size, :size] - N[:size, size:] @ np.linalg.solve(N[size:, size:], N[size:, :size])
+    reduced = bundle.blocks.reduce(at.shared, at.view, at.eliminated, at.residual).matrix
+    assert np.abs(reduced - dense).max() < 1e-9 * np.abs(dense).max()
+
+
+@pytest.mark.parametrize('in_plane', [False, True])
+def test_paths_are_laid_over_each_other(in_plane):
+    rng = np.random.default_rng(1)
+    turns = 0.3 * rng.normal(size=(10, 3)) * ([0, 0, 1] if in_plane else 1)
+    centres = np.cumsum(rng.normal(size=(10, 3)) * ([1, 1, 0] if in_plane else 1), axis=0)
+    mount, R = rotation_matrix(np.array([[0.7, 0.2, 0.1], [0.3, 1.2, -0.5]]))
+    place, scale = np.array([0.3, 0.2, -0.4]), 2.3
+    turned = mount @ rotation_matrix(turns)
+    first = np.concatenate([turned, -turned @ centres[:, :, None]], axis=2)
+    world, shift = rotation_matrix(rng.normal(size=3)), rng.normal(size=3)
+    turned = R.T @ turned
+    moved = turned @ shift + (first[:, :, 3] - place) @ R
+    second = np.concatenate([turned @ world, moved[:, :, None] / scale], axis=2)
+    found = align(first, second)[0]
+    assert np.allclose(found.rotation, R) and np.isclose(found.scale, scale)
+    off = found.place - place
+    # what lies along the one axis of all turns stays open
+    along = mount[:, 2] if in_plane else np.zeros(3)
+    assert np.allclose(off - along * (along @ off), 0)
+    assert np.allclose(found.first_from(second), first)
+
+
+def _errors(result, scene):
+    """Errors over sigmas of focal lengths and poses that are estimated."""
+    pose = result.poses['right']
+    T = scene.T_rig_camera['right'].copy()
+    T[:3, 3] *= 1 if result.unit == 'm' else result.scale / scene.step_m
+    place = pose.T_rig_camera[:3, 3] - T[:3, 3]
+    turn = rotation_vector(pose.T_rig_camera[:3, :3] @ T[:3, :3].T)
+    focal = [(result.cameras[name].camera.K[0, 0] - camera.K[0, 0])
+             / result.cameras[name].sigma['fx'] for name, camera in scene.cameras.items()]
+    return np.r_[focal, np.r_[place, turn] / list(pose.sigma.values())]
+
+
+def test_cameras_side_by_side_are_found_with_their_scale():
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
+                      overlap=True, points=120)
+    result = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS,
+                           baseline=(scene.baseline_m, 0.0005))
+    assert result.unit == 'm' and np.isclose(result.scale, scene.step_m, rtol=0.02)
+    assert np.abs(_errors(result, scene)).max() < 3.5
+    pose = result.poses['right']
+    assert np.isclose(pose.baseline, scene.baseline_m) and pose.sigma['x'] < 0.001
+    assert set(pose.status.values()) == {'estimated'} and pose.shared_points > 100
+    for name, one in result.cameras.items():
+        assert one.sigma['fx'] < result.alone[name].sigma['fx']
+    assert result.parameter_names[0] == 'left.fx' and result.parameter_names[-1] == 'right.yaw'
+    assert result.covariance.shape == (len(result.parameter_names),) * 2
+    # a camera that refuses by itself is placed by what both see
+    nothing = NotCalibrated.of(NoEstimate('no_parallax', parallax_ratio=1.0))
+    again = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS,
+                          alone={**result.alone, 'right': nothing})
+    assert np.abs(_errors(again, scene)).max() < 3.5
+    assert again.unit == 'path' and np.isclose(again.poses['right'].baseline * result.scale,
+                                               scene.baseline_m, rtol=0.01)
+    # without what both see it is not, and the reason is its own
+    refused = calibrate_rig(scene.tracks, facts=FACTS, alone={**result.alone, 'right': nothing})
+    assert not refused and refused.kind == 'rig_camera_refused' and 'rotated' in str(refused)
+
+
+def test_a_drive_without_overlap_leaves_the_height_open_and_says_so():
+    scene = rig_scene(np.random.default_rng(5), driven_path(10), overlap=False, points=100)
+    result = calibrate_rig(scene.tracks, facts=FACTS)
+    pose = result.poses['right']
+    assert result.unit == 'path' and result.motion == 'planar'
+    # the camera looks down: up is a mixture of its y and z
+    assert pose.status == {'x': 'estimated', 'y': 'unobservable', 'z': 'unobservable',
+                           'roll': 'estimated', 'pitch': 'estimated', 'yaw': 'estimated'}
+    assert np.isnan(pose.T_rig_camera[1:3, 3]).all() and np.isinf(pose.sigma['y'])
+    errors = _errors(result, scene)
+    assert np.abs(errors[np.isfinite(errors)]).max() < 3.5
+    assert pose.remark.kind == 'rig_height_open' and 'ramp' in pose.remark.sentence
+    assert pose.remark.sentence in result.notes
+
+
+def test_a_rig_needs_two_cameras_and_a_length():
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 4),
+                      overlap=True, points=20)
+    with pytest.raises(ArgumentError, match='two or more'):
+        calibrate_rig({'left': scene.tracks['left']})
+    with pytest.raises(ArgumentError, match='length'):
+        calibrate_rig(scene.tracks, baseline=(0.0, 0.1))
+    nothing = NotCalibrated.of(NoEstimate('no_parallax', parallax_ratio=1.0))
+    refused = calibrate_rig(scene.tracks, facts=FACTS, alone=dict.fromkeys(RIG_CAMERAS, nothing))
+    assert not refused and refused.kind == 'rig_cameras_refused' and 'left' in str(refused)
