@@ -11,19 +11,32 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Draw the README's picture from the recorded drive: `python docs/make_images.py`."""
+"""
+Draw pictures of the recorded drive: `python docs/make_images.py`.
+
+That of the report is drawn where the browser Chromium is installed.
+"""
 
 from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
 
+import cv2
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
+from PIL import Image
 
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.pipeline.feature_session import read_tracks
 from selfcal_ros.pipeline.sources import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
+BROWSER = 'chromium'
+#: Size of what is shown of the page, and of its scene; what is left of it in the picture.
+WIDTH_PX, HEAD_PX, SCENE_PX, SHRUNK = 1100, 1145, 775, 0.8
 
 
 def main() -> None:
@@ -60,6 +73,39 @@ def main() -> None:
     right.legend(loc='upper left', fontsize='small')
     figure.savefig(ROOT / 'docs' / 'images' / 'agv_drive.png', dpi=80,
                    metadata={'Software': None})
+    if shutil.which(BROWSER):
+        picture_of_the_page(bag)
+
+
+def picture_of_the_page(bag: Path) -> None:
+    """Show the head of the report, and its scene below."""
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / 'report.html'
+        subprocess.run([sys.executable, '-c', 'from selfcal_ros.cli.main import main; main()',
+                        'calibrate', str(bag), '--aspect-ratio', '1', '--skew', '0', '--quiet',
+                        '--report', str(page), '--output', f'{folder}/camera.yaml'], check=True)
+        text = page.read_text(encoding='utf-8')
+        alone = page.with_name('scene.html')
+        alone.write_text(text.replace(
+            '</head>', '<style>header,nav,main>*:not(#scene),footer{display:none}</style></head>',
+            1),
+            encoding='utf-8')
+        parts = [_shown(page, HEAD_PX), _shown(alone, SCENE_PX)]
+    small = cv2.resize(np.concatenate(parts), None, fx=SHRUNK, fy=SHRUNK,
+                       interpolation=cv2.INTER_AREA)
+    # few colours make a small file
+    Image.fromarray(small[..., ::-1]).quantize(255).save(
+        ROOT / 'docs' / 'images' / 'report.png', optimize=True)
+
+
+def _shown(page: Path, height: int) -> np.ndarray:
+    """Return how a browser shows the top of a page."""
+    picture = page.with_suffix('.png')
+    subprocess.run([BROWSER, '--headless=new', '--no-sandbox', '--disable-gpu',
+                    '--hide-scrollbars', f'--window-size={WIDTH_PX},{height}',
+                    '--virtual-time-budget=3000', f'--screenshot={picture}', page.as_uri()],
+                   check=True, stderr=subprocess.DEVNULL)
+    return cv2.imread(str(picture))
 
 
 if __name__ == '__main__':

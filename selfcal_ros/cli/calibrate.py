@@ -176,6 +176,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     from selfcal_ros.cli.motion_text import motion_text
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.progress import Progress
+    from selfcal_ros.cli.time_left import CALIBRATION
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.pipeline.calibrate_input import calibrate_input
     from selfcal_ros.pipeline.sources import open_source
@@ -186,7 +187,7 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     # before the long work, so that a mistyped folder costs a second and not the result
     outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
     check_outputs((), (path,), args.force, (args.view,))
-    with Progress.of(args) as progress:
+    with Progress.of(args, CALIBRATION) as progress:
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)
         else:

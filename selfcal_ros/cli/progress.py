@@ -21,6 +21,8 @@ import sys
 import time
 from typing import Any, TextIO
 
+from selfcal_ros.cli.time_left import TimeLeft
+
 #: Nothing is said of work that takes no longer, seconds.
 PATIENCE_S = 10.0
 #: Time between two lines, seconds.
@@ -44,23 +46,27 @@ class Progress:
         By default standard error.
     clock : callable
         Returns seconds.
+    courses : tuple
+        Courses of stages, as of `time_left.TimeLeft`: the time that is left is that of all.
 
     """
 
     def __init__(self, wanted: bool = True, stages: bool = False, stream: TextIO | None = None,
-                 clock: Callable[[], float] = time.monotonic):
+                 clock: Callable[[], float] = time.monotonic, courses: tuple = ()):
         self._stream = sys.stderr if stream is None else stream
         self._bar = _Bar(self._stream) if wanted and not stages and self._stream.isatty() else None
         self._lines = wanted and self._bar is None
         self._stages, self._clock = stages, clock
         self._text = ''
         self._told = False
+        self._whole = TimeLeft(courses)
         self._start = self._began = self._last = clock()
 
     @classmethod
-    def of(cls, args: argparse.Namespace) -> Progress:
+    def of(cls, args: argparse.Namespace, courses: tuple = ()) -> Progress:
         """Return what -q and -v ask for."""
-        return cls(not getattr(args, 'quiet', False), bool(getattr(args, 'verbose', 0)))
+        return cls(not getattr(args, 'quiet', False), bool(getattr(args, 'verbose', 0)),
+                   courses=courses)
 
     def __enter__(self) -> Progress:
         return self
@@ -72,26 +78,31 @@ class Progress:
 
     def __call__(self, text: str, done: float = 0, total: float | None = None) -> None:
         """Tell that so much of a stage is done; `total` is None where it is not known."""
+        now = self._clock()
+        whole_s = self._whole.seconds(text, done, total, now)
         if self._bar is not None:
-            self._bar.show(text, done, total)
+            self._bar.show(text, done, total, '' if whole_s is None else
+                           f'about {_duration(whole_s)} left in all')
         if not self._lines:
             return
-        now = self._clock()
         if text != self._text:
             self._end_stage(now)
             self._text, self._began, self._told = text, now, False
             if self._stages or now - self._start >= PATIENCE_S:
                 self._say(now, f'{text} ...')
         elif done and now - self._start >= PATIENCE_S and now - self._last >= PERIOD_S:
-            self._say(now, f'{text}: {_share(done, total)}{self._left(now, done, total)}')
+            self._say(now, f'{text}: {_share(done, total)}'
+                      f'{self._left(now, done, total, whole_s)}')
 
     def _end_stage(self, now: float) -> None:
         if self._told:
             self._say(now, f'{self._text}: done in {_duration(now - self._began)}')
         self._told = False
 
-    def _left(self, now: float, done: float, total: float | None) -> str:
-        """Say how long the stage will take from here, if it goes on as it went."""
+    def _left(self, now: float, done: float, total: float | None, whole_s: float | None) -> str:
+        """Say how long all or else the stage will take from here, if it goes on as it went."""
+        if whole_s is not None:
+            return f', about {_duration(whole_s)} left in all'
         if not total or done >= total:
             return ''
         return f', about {_duration((now - self._began) * (total - done) / done)} left'
@@ -123,16 +134,17 @@ class _Bar:
         self._bar: Any = None
         self._text = ''
 
-    def show(self, text: str, done: float, total: float | None) -> None:
+    def show(self, text: str, done: float, total: float | None, left: str) -> None:
         if self._bar is None or text != self._text:
             from tqdm import tqdm
             self.close()
             self._text = text
-            kind = ('{desc} [{elapsed}]' if not total and not done else
-                    '{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}]'
+            kind = ('{desc} [{elapsed}{postfix}]' if not total and not done else
+                    '{desc}: {percentage:3.0f}%|{bar}| [{elapsed}<{remaining}{postfix}]'
                     if isinstance(total, float) else None)
             self._bar = tqdm(desc=text, total=total, leave=False, file=self._stream,
                              dynamic_ncols=True, bar_format=kind)
+        self._bar.set_postfix_str(left, refresh=False)
         self._bar.update(done - self._bar.n)
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ import re
 import pytest
 from selfcal_ros.cli import progress as module
 from selfcal_ros.cli.progress import Progress
+from selfcal_ros.cli.time_left import TimeLeft
 from test_support.command_line import selfcal, SIZE
 
 
@@ -57,6 +58,21 @@ def test_a_log_has_lines_with_stages_their_times_and_what_is_left(work):
     assert lines[4] == '[  50.0 s] tracking: 51 of 240 (21 %), about 3 min left'
     assert lines[5] == '[  59.0 s] tracking: done in 59 s'
     assert lines[-1].endswith('estimating: done in 7.0 s')
+
+
+def test_what_is_left_counts_the_stages_to_come(work):
+    course = ((('tracking', None), ('estimating', 60), ('writing', 60)),)
+    lines = work(io.StringIO(), 60, courses=course).splitlines()
+    # 11 of 240 images in 10 s; 229 more, and what is worth 120
+    assert lines[0] == '[  10.0 s] tracking: 11 of 240 (5 %), about 5 min left in all'
+    left = TimeLeft(course)
+    left.seconds('tracking', 0, 100, 0.0)
+    assert left.seconds('tracking', 100, 100, 50.0) == pytest.approx(60.0)
+    # 20 s into a stage that should take 30, before one that should, too
+    left.seconds('estimating', 0, None, 50.0)
+    assert left.seconds('estimating', 0, None, 70.0) == pytest.approx(40.0)
+    # nobody knows of other stages
+    assert left.seconds('waiting', 1, 10, 80.0) is None
 
 
 def test_short_work_is_silent_unless_v_asks_for_its_stages(work):
