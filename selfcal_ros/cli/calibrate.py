@@ -26,6 +26,7 @@ from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.parsing import add_seed_argument
+from selfcal_ros.cli.robot_options import add_mount_outputs, add_robot_arguments, robot_from
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -86,6 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_excerpt_arguments(parser)
     add_seed_argument(parser)
     add_fact_arguments(parser)
+    add_robot_arguments(parser)
     add_many_arguments(parser)
     output = parser.add_argument_group('output')
     output.add_argument('--output', type=Path, metavar='CAMERA.YAML',
@@ -95,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument('--report', type=Path, metavar='REPORT.HTML',
                         help='everything, for a person')
     add_scene_arguments(output)
+    add_mount_outputs(output)
     output.add_argument('--view', type=Path, nargs='?', const=VIEWER, metavar='SCENE.RRD',
                         help='open the Rerun viewer with images, path and structure, or write '
                              'SCENE.RRD for it (extra: view)')
@@ -109,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.pipeline.many_inputs import find_recordings
     _check_options(args)
     _check_track(args)
+    robot, known = robot_from(args)
     settings = CalibrationSettings(
         # a known object determines the aspect ratio, and cameras are square to 0.1 % only; the
         # edges of a small object do not
@@ -119,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         max_keyframes=args.max_keyframes,
         image_size=tuple(args.image_size) if args.image_size else None,
         mask=args.mask, seed=args.seed,
-        excerpt=excerpt_from(args),
+        excerpt=excerpt_from(args), robot=robot, mount_facts=known,
         # whoever says how many wants no choice made
         **({} if args.every is None else {'long': None}))
     if args.mask is not None:
@@ -130,6 +134,8 @@ def run(args: argparse.Namespace) -> int:
     if many:
         if args.track:
             raise ArgumentError('--track takes a single recording.')
+        if args.robot:
+            raise ArgumentError('--robot takes a single recording.')
         return run_many(args, paths, settings)
     for name in ('output_dir', 'jobs', 'scheduler'):
         if getattr(args, name):
@@ -183,9 +189,11 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
                       report=args.report, scene=SceneOutputs.of(args),
                       camera_name=args.camera_name, seed=args.seed,
+                      mount=args.mount_output, camera_frame=args.camera_frame,
                       command=getattr(args, 'command_line', ()), inputs=(path,))
     # before the long work, so that a mistyped folder costs a second and not the result
-    outputs.check(path, args.mask, args.model, args.camera, args.object, force=args.force)
+    outputs.check(path, args.mask, args.model, args.camera, args.object,
+                  settings.robot and settings.robot.table, force=args.force)
     check_outputs((), (path,), args.force, (args.view,))
     with Progress.of(args, CALIBRATION) as progress:
         if args.track:
@@ -199,7 +207,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
 
         why = (motion_text(result, args.motion),) if result and not known else ()
         notes = (*why, *reading.notes)
-        text = result_text(result, notes=notes)
+        text = result_text(result, notes=notes,
+                           mount_facts=frozenset(settings.mount_facts.stated))
         progress('writing')
         written, left_out = outputs.write(result, text, reading.description, reading.tracks,
                                           open_frames, (*why, *reading.findings),

@@ -32,7 +32,8 @@ _FOCAL = ('fx', 'fy', 'skew')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal compare`."""
     kinds = ('camera file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or result.json, whose '
-             'covariance is then used')
+             'covariance is then used; or the transform of a camera on a robot (.urdf, .yaml, '
+             '.launch.py, .calib)')
     parser.add_argument('first', metavar='A', help=kinds)
     parser.add_argument('second', metavar='B', help='the same, of the same image size')
     for letter in 'ab':
@@ -59,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.report.camera_files.formats import read_camera
     from selfcal_ros.report.comparison import compare_cameras
     _check_options(args)
+    mounts = _mounts(args)
+    if mounts is not None and not _hold_cameras(args):
+        return _run_mounts(args, mounts)
     size = tuple(args.image_size) if args.image_size else None
     a = read_camera(args.first, args.camera_a, image_size=size)
     b = read_camera(args.second, args.camera_b, image_size=size)
@@ -71,14 +75,53 @@ def run(args: argparse.Namespace) -> int:
     found = compare_cameras(a.camera, b.camera, *covariances)
     rows = _rows(a.camera, b.camera, covariances)
     if args.json:
-        write_json(args.json, _content(args, found, rows))
+        write_json(args.json, _content(args, found, rows) | (
+            {} if mounts is None else {'mount': mounts.as_dict()}))
     if args.picture:
         _draw(args, found, a.camera)
     beyond = args.sigmas is not None and bool(found.beyond(args.sigmas))
     if not (args.quiet or is_standard_output(args.json)):
-        print(_text(args, found, rows, covariances))
+        print('\n'.join([_text(args, found, rows, covariances),
+                         *(() if mounts is None else ('', *mounts.sentences()))]))
     elif beyond:
         print(_judged(args, found), file=sys.stderr)
+    return EXIT_DIFFER if beyond else EXIT_DONE
+
+
+def _mounts(args):
+    """Compare where the cameras sit on their robots; None unless both files tell."""
+    from selfcal_ros.report.mounts.comparison import compare_mounts, placed_camera
+    from selfcal_ros.report.mounts.transform_reading import is_transform_file
+    a, b = (placed_camera(path) for path in (args.first, args.second))
+    for path, found in ((args.first, a), (args.second, b)):
+        if found is None and any(map(is_transform_file, (args.first, args.second))):
+            raise InputError(f'{path} has no transform of a camera, and the other file has '
+                             'nothing else; give result.json of a calibration with --robot.')
+    return None if a is None or b is None else compare_mounts(a, b)
+
+
+def _hold_cameras(args) -> bool:
+    """Tell whether both files hold cameras, too."""
+    from selfcal_ros.report.mounts.transform_reading import is_transform_file
+    return not any(map(is_transform_file, (args.first, args.second)))
+
+
+def _run_mounts(args, found) -> int:
+    """Compare two transforms, without cameras; returns the exit status."""
+    if args.picture:
+        raise ArgumentError('--picture shows cameras, and these files hold transforms; leave it '
+                            'out.')
+    if args.sigmas is not None and found.joint_sigmas is None:
+        raise InputError('Neither file tells the uncertainty of its transform, so that --sigmas '
+                         'cannot be judged; give result.json of one.')
+    beyond = args.sigmas is not None and found.joint_sigmas > args.sigmas
+    if args.json:
+        write_json(args.json, {'a': str(args.first), 'b': str(args.second),
+                               'mount': found.as_dict()})
+    if not (args.quiet or is_standard_output(args.json)):
+        print('\n'.join([f'A {args.first}', f'B {args.second}', '', *found.sentences()]))
+    elif beyond:
+        print(found.sentences()[-1], file=sys.stderr)
     return EXIT_DIFFER if beyond else EXIT_DONE
 
 

@@ -32,6 +32,8 @@ from selfcal_ros.errors import ArgumentError, InputError
 
 #: Kinds of camera file that can be written.
 KINDS = ('ros', 'opencv', 'kalibr', 'colmap', 'mrcal')
+#: Kinds of file that hold where a camera is on a robot.
+TRANSFORMS = ('urdf', 'tf', 'moveit', 'easy_handeye2', 'easy_handeye')
 DEFAULT_TOPIC = '/camera/image_raw'
 
 
@@ -41,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='image folder, video or bag; or a camera file: ROS camera_info YAML, '
                              'OpenCV YAML, XML or JSON, Kalibr camchain, COLMAP cameras.txt or '
                              'cameras.bin (or their folder), .cameramodel of mrcal, result.json '
-                             'of selfcal')
+                             'of selfcal; or where a camera is on a robot: result.json, a URDF, '
+                             'YAML of static_transform_publisher, files of easy_handeye and '
+                             'MoveIt')
     parser.add_argument('output', type=Path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
     parser.add_argument('--topic', help=f'topic to write (default {DEFAULT_TOPIC})')
@@ -57,10 +61,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                           'camera_optical_frame)')
     add_excerpt_arguments(parser)
     file = parser.add_argument_group('camera files')
-    file.add_argument('--to', choices=KINDS,
+    file.add_argument('--to', choices=(*KINDS, *TRANSFORMS),
                       help='kind to write (default: by the name of OUTPUT; .xml is OpenCV, .txt '
                            'and .bin are COLMAP, camchain*.yaml is Kalibr, other .yaml is ROS, '
-                           '.cameramodel is mrcal)')
+                           '.cameramodel is mrcal; .urdf, .launch.py (MoveIt) and .calib '
+                           '(easy_handeye2) are transforms of a camera on a robot, and so is '
+                           '.yaml from one of these: tf, of static_transform_publisher)')
+    file.add_argument('--camera-frame', metavar='FRAME', default='camera_optical_frame',
+                      help='frame of the camera, where INPUT is a result.json (default '
+                           'camera_optical_frame)')
     file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
     file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
@@ -74,11 +83,41 @@ def run(args: argparse.Namespace) -> int:
     """Convert; returns the exit status."""
     from selfcal_ros.report.camera_files.formats import is_camera_file
     excerpt = excerpt_from(args)
+    if _is_transform(args):
+        return _convert_transform(args)
     if args.to or args.camera or args.fisheye or is_camera_file(args.input):
         if not excerpt.is_whole:
             raise ArgumentError('--start, --duration and --every are for images; leave them out.')
         return _convert_camera(args)
     return _convert_images(args, excerpt)
+
+
+def _is_transform(args: argparse.Namespace) -> bool:
+    """Tell whether a transform is to be written."""
+    from selfcal_ros.report.mounts.transform_reading import is_transform_file
+    if args.to:
+        return args.to in TRANSFORMS
+    # our own result has a camera, too, and that is what a .yaml is of
+    return args.output.name.lower().endswith(('.urdf', '.launch.py', '.calib')) or (
+        is_transform_file(args.input) and Path(args.input).is_file())
+
+
+def _convert_transform(args: argparse.Namespace) -> int:
+    """Write where a camera is on a robot in another way."""
+    from selfcal_ros.report.mounts.transform_files import (FORMATS, kind_of_name,
+                                                           write_transform)
+    from selfcal_ros.report.mounts.transform_reading import read_transform
+    check_outputs((args.output,), (args.input,), args.force)
+    kind = args.to or kind_of_name(args.output)
+    source_kind, stored = read_transform(args.input, args.camera_frame)
+    if kind == source_kind and not args.to:
+        raise ArgumentError(f'{args.input} and {args.output} are both files of '
+                            f'{FORMATS[kind].title}; say with --to what to make.')
+    write_transform(args.output, stored, kind)
+    if not args.quiet:
+        print(f'{stored.child} on {stored.parent} of {args.input} written to {args.output} for '
+              f'{FORMATS[kind].title}.')
+    return EXIT_DONE
 
 
 def _convert_camera(args: argparse.Namespace) -> int:

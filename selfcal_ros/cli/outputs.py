@@ -23,6 +23,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.scene_outputs import SceneOutputs
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.page import write_page
@@ -49,6 +50,10 @@ class Outputs:
         What is read, for the report.
     seed : int, optional
         What was drawn at random was drawn from it.
+    mount : Path or None
+        The transform from the robot to the camera.
+    camera_frame : str or None
+        Its child; by default that of the images.
 
     """
 
@@ -60,6 +65,8 @@ class Outputs:
     command: tuple[str, ...] = ()
     inputs: tuple[str | Path, ...] = ()
     seed: int | None = None
+    mount: Path | None = None
+    camera_frame: str | None = None
 
     def check(self, *inputs: str | Path | None, force: bool = True) -> None:
         """
@@ -79,7 +86,11 @@ class Outputs:
 
         """
         check_camera_name(self.camera_name)
-        check_outputs((self.camera_yaml,), inputs, force,
+        if self.mount:
+            from selfcal_ros.report.mounts.transform_files import check_frame, kind_of_name
+            kind_of_name(self.mount)
+            check_frame(self.camera_frame or 'camera')
+        check_outputs((self.camera_yaml, self.mount), inputs, force,
                       (self.result_json, self.report, *self.scene.files))
         self.scene.check(inputs[0] if inputs else None, force)
 
@@ -142,7 +153,30 @@ class Outputs:
                                       made=Provenance.of_this_run(self.command, self.inputs)))
         more, left_out = (self.scene.write(result, source, tracks, open_frames, stamps_ns)
                           if result and tracks is not None else ([], []))
+        if self.mount and result:
+            try:
+                written.append(_write_mount(self, result, source, open_frames))
+            except ArgumentError as error:
+                left_out = [*left_out, f'{self.mount} was not written: {error}']
         return written + more, left_out
+
+
+def _write_mount(outputs: Outputs, result: Calibration, source: str,
+                 open_frames: Callable | None) -> Path:
+    """Write the transform from the robot to the camera."""
+    from selfcal_ros.calibration.mount import Mount
+    from selfcal_ros.report.mounts.transform_files import (CAMERA_FRAME, stored_mount,
+                                                           write_transform)
+    assert outputs.mount is not None
+    if not isinstance(result.mount, Mount):
+        raise ArgumentError(result.mount.reason if result.mount is not None
+                            else 'no robot was given.')
+    frame = outputs.camera_frame
+    if frame is None and open_frames is not None:
+        with open_frames() as frames:
+            frame = frames.frame_id
+    about = f'{result.software}: {source}' if source else result.software
+    return write_transform(outputs.mount, stored_mount(result.mount, frame or CAMERA_FRAME, about))
 
 
 def _shutter_comments(result: Calibration) -> list[str]:

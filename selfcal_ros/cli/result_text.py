@@ -18,6 +18,7 @@ from __future__ import annotations
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.structure.angular_measurement import measurement_sentences
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.report.mounts.words import mount_lines
 
 #: Parameters in pixels get three decimals, the distortion coefficients five.
 _PIXELS = ('fx', 'fy', 'cx', 'cy', 'skew')
@@ -48,7 +49,7 @@ def facts_text(facts) -> str:
 
 
 def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
-                notes: tuple[str, ...] = ()) -> str:
+                notes: tuple[str, ...] = (), mount_facts: frozenset[str] = frozenset()) -> str:
     """
     Return the result for a person.
 
@@ -59,6 +60,8 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         True value of each parameter, to be shown beside the estimate and in sigmas.
     notes : tuple of str
         Further sentences.
+    mount_facts : set of str
+        What was stated of the mount.
 
     """
     if not result:
@@ -87,7 +90,7 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
     if result.identifiability is not None:
         lines += result.identifiability.sentences()
     lines += measurement_sentences(result.camera, result.covariance, result.measured)
-    return '\n'.join(lines)
+    return '\n'.join(lines + mount_lines(result, mount_facts))
 
 
 def _beside(value, sigma, true, decimals) -> str:

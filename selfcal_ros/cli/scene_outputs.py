@@ -33,7 +33,7 @@ def add_scene_arguments(group) -> None:
     """Add the options of path and structure."""
     group.add_argument('--ply', type=Path, metavar='STRUCTURE.PLY',
                        help='the points of the scene with their colours, and the cameras; the '
-                            'median step between views is 1')
+                            'median step between views is 1, or in metres with --robot')
     group.add_argument('--poses', type=Path, metavar='FILE',
                        help='where the camera was in every image that was used: .tum or .txt '
                             '(stamp tx ty tz qx qy qz qw), or .csv with covariances')
@@ -204,7 +204,8 @@ def _is_photographs(source: str | Path | None) -> bool:
 
 def _write_ply(path: Path, scene, images, about: str, _) -> list[Path]:
     from selfcal_ros.report.ply import camera_frusta, write_ply
-    frusta = camera_frusta(scene.camera, scene.path.rotation, scene.path.centre)
+    frusta = camera_frusta(scene.camera, scene.path.rotation, scene.path.centre,
+                           scene.path.metres_a_step or 1.0)
     return [write_ply(path, scene.points, images.colours, [
         *_comments(scene, about), f'the first {len(scene.points)} vertices are points; then come '
         f'{len(frusta)} cameras of 5 vertices, the centre first (track -1)',

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -155,6 +155,8 @@ class BagSource(FrameSource):
             self.clock = 'header' if stamp_ns(msg.header.stamp) else 'log'
             break
         self._see_first()
+        # what carries no images may go on for longer
+        self.ended_ns = self.began_ns + int(self._reader.duration)
 
     def _messages(self) -> Iterator[tuple[int, Any]]:
         """Yield log time and message; raise InputError if fewer come than the bag announces."""
@@ -215,6 +217,50 @@ def image_topics(path) -> list[str]:
     # the same images in another coding would count twice
     return sorted(name for name in names
                   if not (name.endswith('/compressed') and name[:-len('/compressed')] in names))
+
+
+class OpenBag:
+    """
+    A bag whose messages of any topic are read; made by `open_bag`.
+
+    Attributes
+    ----------
+    connections : list
+        Of rosbags: topic, msgtype, msgcount and id of each.
+
+    """
+
+    def __init__(self, path: Path, reader, deserialize: Callable) -> None:
+        """Keep what reads."""
+        self._path, self._reader, self._deserialize = path, reader, deserialize
+        self.connections = list(reader.connections)
+
+    def messages(self, connections: list) -> Iterator[tuple[Any, Any]]:
+        """Yield connection and message in the order of recording."""
+        with _readable(self._path):
+            for connection, _, data in self._reader.messages(connections):
+                yield connection, self._deserialize(data, connection.msgtype)
+
+
+@contextmanager
+def open_bag(path: str | Path) -> Iterator[OpenBag]:
+    """
+    Open a bag for messages other than images.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
+
+    """
+    path = Path(path)
+    _check_files(path)
+    with _readable(path):
+        reader, deserialize = _opened(path)
+    try:
+        yield OpenBag(path, reader, deserialize)
+    finally:
+        reader.close()
 
 
 def _opened(path: Path) -> tuple:

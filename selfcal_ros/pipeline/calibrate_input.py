@@ -25,12 +25,14 @@ from typing import Any
 
 import numpy as np
 
+from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.long_policy import LongRecordings
+from selfcal_ros.pipeline.robot.robot_source import RobotSource
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -65,6 +67,10 @@ class CalibrationSettings:
         What is drawn at random is drawn from it: the same one gives the same result.
     long : LongRecordings, optional
         When a recording is long, and followed in parts; None: never.
+    robot : RobotSource, optional
+        Where the poses of the robot are, to find where the camera sits on it.
+    mount_facts : MountFacts
+        Known parts of that.
 
     """
 
@@ -82,6 +88,8 @@ class CalibrationSettings:
     excerpt: Excerpt = field(default_factory=Excerpt)
     seed: int = 0
     long: LongRecordings | None = field(default_factory=LongRecordings)
+    robot: RobotSource | None = None
+    mount_facts: MountFacts = field(default_factory=MountFacts)
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -108,6 +116,18 @@ def calibrate_input(path, settings: CalibrationSettings, progress: Callable | No
         If the input cannot be used; the sentence says what to do.
 
     """
+    if settings.robot is None:
+        return _calibrated(path, settings, progress)
+    from selfcal_ros.pipeline.robot.robot_mount import read_robot
+    robot = read_robot(path, settings.robot, settings.mount_facts, topic=settings.topic,
+                       image_size=settings.image_size, excerpt=settings.excerpt)
+    result, reading = _calibrated(path, settings, progress)
+    return robot.mounted(result, reading, progress) if result else result, reading
+
+
+def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
+                ) -> tuple[Calibration | NotCalibrated, ExtractedTracks]:
+    """Calibrate from the images alone; see `calibrate_input`."""
     shared: dict[str, Any] = {
         'topic': settings.topic, 'max_keyframes': settings.max_keyframes,
         'image_size': settings.image_size, 'progress': progress, 'excerpt': settings.excerpt}

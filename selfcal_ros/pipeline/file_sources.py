@@ -86,6 +86,11 @@ class ImageFolderSource(FrameSource):
         self._cut(NOMINAL_RATE_HZ)
         self._see_first()
 
+    @property
+    def names(self) -> list[str]:
+        """File names of all images, in the order of their frames."""
+        return [file.name for file in self._files]
+
     def _nothing_here(self, entries) -> str:
         """Say what the folder holds instead of images."""
         if not entries:

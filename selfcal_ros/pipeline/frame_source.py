@@ -95,6 +95,8 @@ class FrameSource(ABC):
         The part of the recording that is used.
     began_ns : int
         Stamp of the first image of the recording, whatever the excerpt.
+    ended_ns : int or None
+        About that of the last one, where it is known.
     clock : {'header', 'log', 'video', 'nominal', 'none'}
         Where the stamps come from: the header of the message, the recorder's log (where headers
         are zero), the video's frame rate, or made up at 30 Hz because image files have no clock.
@@ -113,6 +115,7 @@ class FrameSource(ABC):
         self._colour = colour
         self.excerpt = excerpt
         self.began_ns = 0
+        self.ended_ns: int | None = None
         self.description = ''
         self.topic = ''
         self.frame_id = ''

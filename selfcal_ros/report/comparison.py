@@ -121,14 +121,7 @@ class Comparison:
         """
         if self.p_value is None or self.chi2 is None:
             return None
-        if self.p_value > 1e-200:
-            return float(normal_limit(self.p_value / 2))
-        # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
-        # and of the normal distribution (DLMF 7.12.1)
-        half = self.freedom / 2
-        log_p = (half - 1) * np.log(self.chi2 / 2) - self.chi2 / 2 - gammaln(half)
-        x = np.sqrt(-2 * log_p)
-        return float(np.sqrt(-2 * log_p - 2 * np.log(x * np.sqrt(np.pi / 2))))
+        return in_sigmas(self.chi2, self.p_value, self.freedom)
 
     def beyond(self, sigmas: float) -> bool | None:
         """
@@ -169,6 +162,18 @@ class Comparison:
                     f'at most, which {size}.')
         return (f'The calibrations agree within their uncertainties ({chance}): {most:.2g} px at '
                 f'most, which {size}.')
+
+
+def in_sigmas(statistic: float, p_value: float, freedom: int) -> float:
+    """Say a statistic in sigmas: as improbable as so many of one normal number."""
+    if p_value > 1e-200:
+        return float(normal_limit(p_value / 2))
+    # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
+    # and of the normal distribution (DLMF 7.12.1)
+    half = freedom / 2
+    log_p = (half - 1) * np.log(statistic / 2) - statistic / 2 - gammaln(half)
+    x = np.sqrt(-2 * log_p)
+    return float(np.sqrt(-2 * log_p - 2 * np.log(x * np.sqrt(np.pi / 2))))
 
 
 def compare_cameras(a, b, covariance_a: np.ndarray | None = None,

@@ -24,6 +24,7 @@ from selfcal_ros.report.board_figure import board_figure
 from selfcal_ros.report.fixed_point_figure import fixed_points_figure
 from selfcal_ros.report.focal_figure import focal_figure
 from selfcal_ros.report.lens_curve import lens_figure
+from selfcal_ros.report.mounts.figure import mount_figure, mount_table
 from selfcal_ros.report.object_views import object_views_figure
 from selfcal_ros.report.observations import observations
 from selfcal_ros.report.page_table import PageTable
@@ -67,7 +68,7 @@ def draw_figures(result: Calibration | NotCalibrated,
                     focal_figure(result), lens_figure(result, seen), sigma_figure(result),
                     residual_figure(result, seen), radial_figure(result, seen),
                     images_figure(result, seen), path_figure(result), pose_figure(result, tracks),
-                    object_views_figure(result), board_figure(result),
+                    object_views_figure(result), board_figure(result), mount_figure(result),
                     None if seen is None else coverage_figure(seen.xy[seen.used], size)]
     return [drawing for drawing in drawings if drawing is not None]
 
@@ -77,6 +78,7 @@ def draw_tables(result: Calibration | NotCalibrated,
     """Return what is better read than seen; see `draw_figures` for the parameters."""
     if not result:
         return []
-    ranges = ranges_table(result)
+    ranges, mount = ranges_table(result), mount_table(result)
     seen = None if tracks is None else observations(result, tracks)
-    return [*([] if ranges is None else [ranges]), *worst_tables(result, seen)]
+    return [*(table for table in (ranges, mount) if table is not None),
+            *worst_tables(result, seen)]

@@ -30,11 +30,13 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import camera_yaml
 from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.mounts.words import no_mount_sentence
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
@@ -94,6 +96,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     said = ranked_notes(shown, notes)
     page = _environment().get_template('page.html.j2').render(
         calibrated=bool(shown), result=result, text=text, source=source, grade=result.grade,
+        no_mount=_no_mount(shown),
         drawings=drawings, of=lambda section: [name for name, drawing in drawings.items()
                                                if drawing['section'] == section],
         tables=lambda section: [table for table in tables if table.section == section],
@@ -179,6 +182,13 @@ def _environment() -> Environment:
                               lstrip_blocks=True)
     environment.filters['base64'] = lambda data: base64.b64encode(data).decode('ascii')
     return environment
+
+
+def _no_mount(result: Calibration | NotCalibrated) -> str:
+    """Say why it is not known where the camera sits, where a robot was given."""
+    if not result or result.mount is None or isinstance(result.mount, Mount):
+        return ''
+    return no_mount_sentence(result.mount)
 
 
 def _lens(result: Calibration | NotCalibrated) -> str:

@@ -36,7 +36,8 @@ _EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1
 NO_TRACK = -1
 
 
-def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray,
+                  step: float = 1.0) -> np.ndarray:
     """
     Draw cameras as pyramids: the centre, and the corners of the image in front of it.
 
@@ -46,6 +47,8 @@ def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray) -> n
     rotation : ndarray, shape (V, 3, 3)
         World from camera.
     centre : ndarray, shape (V, 3)
+    step : float
+        Length of a usual step between views.
 
     Returns
     -------
@@ -60,7 +63,8 @@ def camera_frusta(camera: Camera, rotation: np.ndarray, centre: np.ndarray) -> n
     local = np.zeros((1 + _CORNERS, 3))
     local[1:, :2] = (corners - K[:2, 2]) / np.diag(K)[:2]
     local[1:, 2] = 1
-    placed: np.ndarray = FRUSTUM_DEPTH * local @ np.swapaxes(rotation, 1, 2) + centre[:, None]
+    depth = FRUSTUM_DEPTH * step
+    placed: np.ndarray = depth * local @ np.swapaxes(rotation, 1, 2) + centre[:, None]
     return placed
 
 

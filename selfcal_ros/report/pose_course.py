@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import metric_path
+from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_path
 from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, new_panel, ORANGE, styled
 from selfcal_ros.values.tracks import Tracks
 
@@ -41,9 +41,11 @@ class PoseCourse:
         Seconds since the first view, or image numbers.
     in_seconds : bool
     position : ndarray, shape (V, 3)
-        x forward, y left, z up; the median step between views is 1.
+        x forward, y left, z up; the median step between views is 1, unless `in_metres`.
     angles_deg : ndarray, shape (V, 3)
         Roll, pitch and yaw of the camera's body axes (REP 103), without jumps of a turn.
+    in_metres : bool
+        The poses of a robot tell the scale.
 
     """
 
@@ -51,6 +53,7 @@ class PoseCourse:
     in_seconds: bool
     position: np.ndarray
     angles_deg: np.ndarray
+    in_metres: bool = False
 
 
 def roll_pitch_yaw(rotations: np.ndarray) -> np.ndarray:
@@ -104,7 +107,8 @@ def pose_course(result: Calibration, tracks: Tracks | None = None) -> PoseCourse
     in_seconds = len(known) == len(frames) and len(set(known)) > 1
     if in_seconds:
         time = np.array([stamp - known[0] for stamp in known]) / 1e9
-    return PoseCourse(time, in_seconds, position, np.degrees(angles))
+    return PoseCourse(time, in_seconds, position, np.degrees(angles),
+                      metres_a_step(result) is not None)
 
 
 def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | None:
@@ -127,8 +131,8 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
         return None
     parts = [(course.angles_deg, ('roll', 'pitch', 'yaw'), 'angle / degrees', 'Angles')]
     if result.motion != 'rotation':
-        parts.insert(0, (course.position, ('x, forward', 'y, left', 'z, up'), 'position / steps',
-                         'Position'))
+        parts.insert(0, (course.position, ('x, forward', 'y, left', 'z, up'),
+                         f'position / {"m" if course.in_metres else "steps"}', 'Position'))
     dots = '.' if len(course.time) <= _MOST_DOTS else ''
     panels = []
     with styled():
@@ -143,8 +147,9 @@ def pose_figure(result: Calibration, tracks: Tracks | None = None) -> Drawing | 
             axes.spines[['top', 'right']].set_visible(False)
             axes.legend(loc='best', handlelength=1.4)
             panels.append(axes.figure)
-    return Drawing('course', 'Position and angles over time', 'In the frame of the first view; '
-                   'the median step between views is 1. Yaw is positive to the left, pitch '
-                   'downwards, roll to the right (REP 103). Photographs jump; a robot that drives '
-                   'does not, and a course that it did not take is a wrong calibration.',
-                   tuple(panels), 'scene')
+    unit = ('lengths are by the poses of the robot' if course.in_metres
+            else 'the median step between views is 1')
+    return Drawing('course', 'Position and angles over time', f'In the frame of the first view; '
+                   f'{unit}. Yaw is positive to the left, pitch downwards, roll to the right '
+                   '(REP 103). Photographs jump; a robot that drives does not, and a course that '
+                   'it did not take is a wrong calibration.', tuple(panels), 'scene')

@@ -33,6 +33,7 @@ from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.board_shape import board_shape
 from selfcal_ros.report.files import atomic_write
+from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
 
 #: Version of what is written; the first had none.
 SCHEMA = 2
@@ -71,11 +72,11 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
         'notes', 'software', 'schema'; and, only where there are any, 'kind' (of a refusal),
         'findings' (each with its 'kind' and its values; a refusal is the first of its own),
         'focal' ('frame', 'fx' and 'sigma' of each, where the focal length varies), 'shutter'
-        (`RowReadout`), 'board' (`board_shape`: how it bends), 'segments' (what was followed of a
-        long recording), 'labels' (tracks by what they are, where something moves by itself,
-        jumps, or stands still in the image), and
-        'hint' (what the images suggest where the status
-        is 'hint': 'camera', 'lens', 'sigma', 'covariance', 'parameter_names').
+        (`RowReadout`), 'board' (`board_shape`: how it bends), 'mount' (where poses of a robot were
+        given; see `selfcal_ros.report.mounts.record`), 'segments' (what was followed of a long
+        recording), 'labels' (tracks by what they are, where something moves by itself, jumps, or
+        stands still in the image), and 'hint' (what the images suggest where the status is 'hint':
+        'camera', 'lens', 'sigma', 'covariance', 'parameter_names').
 
     """
     fixed = result.fixed_points if result else None
@@ -124,6 +125,8 @@ def result_to_dict(result: Calibration | NotCalibrated) -> dict:
     board = board_shape(result) if result else None
     if board is not None:
         found['board'] = board
+    if result and result.mount is not None:
+        found['mount'] = mount_to_dict(result.mount)
     if result and result.labels is not None:
         found['labels'] = {name: result.labels.of(name) for name in result.labels.names}
     if not result and result.hint is not None:
@@ -237,7 +240,8 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         software=software,
         findings=_findings(content.get('findings', ()), content['notes']),
         focal=_focal(content.get('focal')),
-        shutter=RowReadout(**content['shutter']) if 'shutter' in content else None)
+        shutter=RowReadout(**content['shutter']) if 'shutter' in content else None,
+        mount=mount_from_dict(content.get('mount')))
 
 
 def _focal(stored: list[dict] | None) -> FocalCourse | None:

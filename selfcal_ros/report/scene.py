@@ -22,7 +22,7 @@ import json
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import metric_structure
+from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
 from selfcal_ros.values.tracks import Tracks
 
 #: More points than this make the page large and not clearer.
@@ -114,7 +114,8 @@ def scene_of(result: Calibration, tracks: Tracks,
     else:
         structure = metric_structure(result, tracks)
         poses, points, ids = structure.cam_from_world, structure.points, structure.tracks
-        unit, path = 'steps between views', True
+        unit = 'steps between views' if metres_a_step(result) is None else 'm'
+        path = True
     chosen = _near(poses, points)
     if len(chosen) > MAX_POINTS:
         chosen = chosen[np.linspace(0, len(chosen) - 1, MAX_POINTS).astype(int)]

@@ -64,8 +64,8 @@ class Drawing:
     panels : tuple of matplotlib.figure.Figure
         Side by side where there is room, else one below the other.
     section : str
-        Part of the page that it stands in: 'seen', 'certainty', 'fit', 'scene', 'geometry', or
-        'still' for what a page without scripts shows.
+        Part of the page that it stands in: 'seen', 'certainty', 'fit', 'scene', 'robot',
+        'geometry', or 'still' for what a page without scripts shows.
 
     """
 

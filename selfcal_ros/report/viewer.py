@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import metric_structure
+from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.values.tracks import Tracks
@@ -81,8 +81,9 @@ def view(calibration: Calibration, tracks: Tracks, open_frames: Callable | None 
         check_writable(recording)
         rr.save(str(recording))
     scene, camera = metric_structure(calibration, tracks), calibration.camera
+    step = metres_a_step(calibration) or 1.0
     rr.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    rr.log('world/structure', rr.Points3D(scene.points, radii=0.03), static=True)
+    rr.log('world/structure', rr.Points3D(scene.points, radii=0.03 * step), static=True)
     centres = -np.einsum('vji,vj->vi', scene.cam_from_world[:, :, :3],
                          scene.cam_from_world[:, :, 3])
     rr.log('world/path', rr.LineStrips3D([centres]), static=True)
@@ -94,7 +95,7 @@ def view(calibration: Calibration, tracks: Tracks, open_frames: Callable | None 
                                               mat3x3=pose[:, :3].T))
         rr.log('world/camera/image', rr.Pinhole(
             image_from_camera=camera.K, width=camera.width, height=camera.height,
-            image_plane_distance=_FRUSTUM))
+            image_plane_distance=_FRUSTUM * step))
         if image is not None:
             rr.log('world/camera/image', rr.Image(image))
         rr.log('world/camera/image/tracks', rr.Points2D(tracks.xy[tracks.frame == number],

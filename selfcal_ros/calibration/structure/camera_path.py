@@ -16,8 +16,8 @@ The path of the camera as others read it: where it was, and how well that is kno
 
 Poses are those of the camera's optical frame in the world (world_T_camera). World and unit are
 those of `metric_structure`: the body frame of the first view, z up, and the median step between
-successive views. A known object is its own world, in metres. A camera that only turns has the
-body frame of its first view, and no unit.
+successive views, or the metre where the poses of a robot tell the scale. A known object is its
+own world, in metres. A camera that only turns has the body frame of its first view, and no unit.
 
 A covariance is that of the pose relative to the first view, whose own is zero; before a known
 object, relative to the object.
@@ -32,7 +32,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.reconstruction import PosePrecision
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE, world_and_scale
+from selfcal_ros.calibration.structure.metric_structure import (
+    IN_A_PLANE, metres_a_step, world_and_scale)
 from selfcal_ros.calibration.structure.structure_measurement import regression
 
 #: Motion before a known object, and without a path.
@@ -56,6 +57,9 @@ class CameraPath:
         known.
     motion : str
         See `Calibration.motion`; it says what the world is.
+    metres_a_step : float, optional
+        Of the median step between successive views, where the poses of a robot tell: then
+        lengths are in metres. Its own error, common to all of them, is not in `covariance`.
 
     """
 
@@ -64,6 +68,7 @@ class CameraPath:
     centre: np.ndarray
     covariance: np.ndarray | None
     motion: str
+    metres_a_step: float | None = None
 
     def __len__(self) -> int:
         """Count the poses."""
@@ -72,7 +77,8 @@ class CameraPath:
     @property
     def unit(self) -> str:
         """Of length: 'm', 'step', or '' where there is no length."""
-        return {OF_AN_OBJECT: 'm', TURNING: ''}.get(self.motion, 'step')
+        return {OF_AN_OBJECT: 'm', TURNING: ''}.get(self.motion,
+                                                    'step' if self.metres_a_step is None else 'm')
 
 
 def camera_path(calibration: Calibration) -> CameraPath:
@@ -98,16 +104,22 @@ def camera_path(calibration: Calibration) -> CameraPath:
     poses = np.asarray(shape.cam_from_world, float)
     rotation = np.swapaxes(poses[:, :, :3], 1, 2)
     centre = -np.einsum('vij,vj->vi', rotation, poses[:, :, 3])
+    metres = None
     if calibration.motion != OF_AN_OBJECT:
+        metres = metres_a_step(calibration)
         world, scale = world_and_scale(poses, calibration.motion in IN_A_PLANE)
         rotation = world[:, :3] @ rotation
-        centre = scale * (centre - centre[0]) @ world[:, :3].T
+        centre = scale * (metres or 1.0) * (centre - centre[0]) @ world[:, :3].T
     if calibration.motion == TURNING:
         centre = np.zeros_like(centre)
     precision = shape.pose_precision
     covariance = None if precision is None else pose_covariances(precision,
                                                                  calibration.covariance)
-    return CameraPath(np.asarray(shape.frames), rotation, centre, covariance, calibration.motion)
+    if covariance is not None and metres is not None:
+        unit = np.repeat([metres, 1.0], 3)
+        covariance = covariance * np.outer(unit, unit)
+    return CameraPath(np.asarray(shape.frames), rotation, centre, covariance, calibration.motion,
+                      metres)
 
 
 def pose_covariances(precision: PosePrecision, stated: np.ndarray) -> np.ndarray:

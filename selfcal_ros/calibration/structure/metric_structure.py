@@ -14,9 +14,10 @@
 """
 Metric structure: from a calibration, or step by step from a projective frame (thesis 2.2).
 
-Images fix a scene up to its scale. Here the median step between successive views is 1, and the
-world is the body frame (x forward, y left, z up) of the first view; planar motion, which knows the
-vertical of its plane, puts z along its rotation axis.
+Images fix a scene up to its scale. Here the median step between successive views is 1, unless
+the poses of a robot tell the scale: then lengths are in metres. The world is the body frame
+(x forward, y left, z up) of the first view; planar motion, which knows the vertical of its plane,
+puts z along its rotation axis.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
+from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.upgrade import affine_upgrade, metric_upgrade
 from selfcal_ros.errors import ArgumentError
@@ -50,7 +52,7 @@ class Structure:
     ----------
     frames : ndarray of int, shape (V,)
     cam_from_world : ndarray, shape (V, 3, 4)
-        [R | t] of each frame; the unit of length is the median step between successive views.
+        [R | t] of each frame; the unit of length is that of the heading.
     tracks : ndarray of int, shape (P,)
         Of the points kept.
     points : ndarray, shape (P, 3)
@@ -122,10 +124,19 @@ def _upright(calibration: Calibration) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the poses in the frame of the heading, that frame as [R | t], and its scale."""
     poses = np.asarray(calibration.reconstructed.cam_from_world, float)
     world, scale = world_and_scale(poses, calibration.motion in IN_A_PLANE)
+    scale *= metres_a_step(calibration) or 1.0
     # X_new = scale * (R X + t) for world = [R | t]
     rotations = poses[:, :, :3] @ world[:, :3].T
     translations = scale * (poses[:, :, 3] - rotations @ world[:, 3])
     return np.concatenate([rotations, translations[:, :, None]], axis=2), world, scale
+
+
+def metres_a_step(calibration: Calibration) -> float | None:
+    """Return the metres in a median step, where the poses of a robot tell; else None."""
+    mount = calibration.mount
+    if not isinstance(mount, Mount) or not np.isfinite(mount.scale):
+        return None
+    return mount.scale
 
 
 def _centres(poses: np.ndarray) -> np.ndarray:

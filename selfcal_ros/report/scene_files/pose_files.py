@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from selfcal_ros.calibration.structure.camera_path import CameraPath
+from selfcal_ros.calibration.structure.camera_path import CameraPath, OF_AN_OBJECT
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
@@ -115,7 +115,7 @@ def euroc_text(poses: CameraPath, stamps_ns: Mapping[int, int] | None, source: s
 
 def table_text(poses: CameraPath, stamps_ns: Mapping[int, int] | None, source: str = '') -> str:
     """Return the table of `COLUMNS`; cells of what is not known are empty."""
-    about = 'the known object' if poses.unit == 'm' else 'the first image'
+    about = 'the known object' if poses.motion == OF_AN_OBJECT else 'the first image'
     lines = [*_head(poses, stamps_ns, source),
              '# covariance: row by row, of x y z and of turns about the x y z axes of the world '
              f'(rad), relative to {about}', ','.join(COLUMNS)]

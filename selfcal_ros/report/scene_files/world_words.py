@@ -30,5 +30,7 @@ def world_in_words(path: CameraPath) -> str:
 
 def unit_in_words(path: CameraPath) -> str:
     """Say what the unit of length is."""
+    if path.metres_a_step is not None:
+        return 'metre, by the poses of the robot'
     return {'m': 'metre', '': 'none, for the camera only turned'}.get(
         path.unit, 'median step between successive images, for images show no metres')

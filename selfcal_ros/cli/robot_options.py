@@ -1,0 +1,166 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The robot on the command line: where its poses are, and what is known of the mount."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import re
+from typing import TYPE_CHECKING
+
+from selfcal_ros.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.mount import MountFacts
+    from selfcal_ros.pipeline.robot.robot_source import RobotSource
+
+#: Parts of a mount that can be stated, with their units on the command line.
+PARTS = {'x': 'm', 'y': 'm', 'z': 'm', 'roll': 'degrees', 'pitch': 'degrees', 'yaw': 'degrees',
+         'scale': '', 'time_offset': 's'}
+_ANGLES = ('roll', 'pitch', 'yaw')
+_FACT = re.compile(r'^(\w+)=([^:]+)(?::(.+))?$')
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the robot to `selfcal calibrate`."""
+    group = parser.add_argument_group(
+        'the camera on the robot', 'Poses of the robot beside the images tell where the camera '
+        'sits on it, the scale in metres, and how far the two clocks are apart.')
+    group.add_argument('--robot', metavar='POSES',
+                       help='poses.csv (its header says what: stamp_ns, frame or image; '
+                            'tx,ty,tz with qw,qx,qy,qz or rx,ry,rz; or x,y,theta), or of the '
+                            'same bag a topic of Odometry or poses, such as /odom, or '
+                            '/tf:FIXED:BODY, such as /tf:odom:base_link')
+    group.add_argument('--robot-kind', choices=('absolute', 'odometry'),
+                       help='whether each pose errs by itself, or the way from one to the next '
+                            '(default: odometry for Odometry, x,y,theta and TF from odom)')
+    group.add_argument('--robot-sigma', metavar='M:DEGREES',
+                       help='standard deviation of a pose, such as 0.001:0.05; of odometry, that '
+                            'of one metre and of one degree turned, such as 0.02:0.03 (default: '
+                            'found from the misfit)')
+    group.add_argument('--robot-unit', type=float, metavar='METRES',
+                       help='metres in a unit of the positions: 0.001 for millimetres')
+    group.add_argument('--robot-frame', metavar='FRAME',
+                       help='name of the frame whose poses these are (default: what messages '
+                            'call it, else base_link)')
+    group.add_argument('--mount-fact', action='append', default=[], metavar='NAME=VALUE:SIGMA',
+                       help='a known part of the mount: x, y, z (metres), roll, pitch, yaw '
+                            '(degrees), scale (of odometry), time_offset (seconds); z=0.52:0.01 '
+                            'is known to a centimetre, roll=0 exactly; may be repeated')
+
+
+def add_mount_outputs(group) -> None:
+    """Add the files of the mount to the outputs of `selfcal calibrate`."""
+    group.add_argument('--mount-output', type=Path, metavar='FILE',
+                       help='where the camera is on the robot: .urdf (a joint), .yaml '
+                            '(parameters of static_transform_publisher), .launch.py (as MoveIt '
+                            'writes it) or .calib (easy_handeye2)')
+    group.add_argument('--camera-frame', metavar='FRAME',
+                       help='frame of the camera in that file (default: that of the images, or '
+                            'camera_optical_frame)')
+
+
+def robot_from(args: argparse.Namespace) -> tuple[RobotSource | None, MountFacts]:
+    """
+    Return where the poses of the robot are, and what is known of the mount.
+
+    Raises
+    ------
+    ArgumentError
+        If an option is impossible, or stands without --robot.
+
+    """
+    if args.robot is None:
+        given = [name for name in ('robot_kind', 'robot_sigma', 'robot_unit', 'robot_frame',
+                                   'mount_fact', 'mount_output', 'camera_frame')
+                 if getattr(args, name) not in (None, [])]
+        if given:
+            raise ArgumentError(f'--{given[0].replace("_", "-")} needs the poses of a robot: '
+                                '--robot poses.csv, or a topic of the bag.')
+        return None, mount_facts([])
+    if args.track:
+        raise ArgumentError('--robot is for images of a scene or of an --object; --track follows '
+                            'an object that moves. Leave one of them out.')
+    if args.motion == 'repeated':
+        raise ArgumentError('--robot needs an image for every view, and equal objects are in '
+                            'one; leave it out.')
+    from selfcal_ros.pipeline.robot.pose_checks import PoseReading
+    from selfcal_ros.pipeline.robot.robot_source import RobotSource
+    if args.mount_output is not None:
+        from selfcal_ros.report.mounts.transform_files import kind_of_name
+        kind_of_name(args.mount_output)
+    if args.robot_unit is not None and not 0 < args.robot_unit < float('inf'):
+        raise ArgumentError('--robot-unit is the metres in a unit, such as 0.001 for '
+                            'millimetres.')
+    position, rotation = _sigmas(args.robot_sigma)
+    reading = PoseReading(args.robot_kind, position, rotation, args.robot_unit, args.robot_frame)
+    return RobotSource.parse(args.robot, reading), mount_facts(args.mount_fact)
+
+
+def _sigmas(text: str | None) -> tuple[float | None, float | None]:
+    """Read metres and degrees."""
+    if text is None:
+        return None, None
+    from math import radians
+    words = text.split(':')
+    numbers = [_number(word) for word in words]
+    if len(numbers) != 2 or any(number is None or number <= 0 for number in numbers):
+        raise ArgumentError(f'--robot-sigma takes metres and degrees, such as 0.001:0.05, not '
+                            f'{text!r:.40}.')
+    return numbers[0], radians(numbers[1] or 0.0)
+
+
+def mount_facts(texts: list[str]) -> MountFacts:
+    """
+    Return what is stated of the mount.
+
+    Parameters
+    ----------
+    texts : list of str
+        NAME=VALUE:SIGMA or NAME=VALUE each; angles in degrees.
+
+    Returns
+    -------
+    MountFacts
+
+    Raises
+    ------
+    ArgumentError
+        If one is no such fact.
+
+    """
+    from math import radians
+
+    from selfcal_ros.calibration.mount import MountFacts
+    stated: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        match = _FACT.match(text)
+        value = match and _number(match[2])
+        sigma = match and (0.0 if match[3] is None else _number(match[3]))
+        if not match or match[1] not in PARTS or value is None or sigma is None:
+            raise ArgumentError(f'--mount-fact takes NAME=VALUE or NAME=VALUE:SIGMA with one of '
+                                f'{", ".join(PARTS)}, such as z=0.52:0.01; got {text!r:.40}.')
+        if match[1] in stated:
+            raise ArgumentError(f'--mount-fact states {match[1]} twice; leave one out.')
+        turn = match[1] in _ANGLES
+        stated[match[1]] = (radians(value), radians(sigma)) if turn else (value, sigma)
+    return MountFacts(**stated)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,126 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Poses of a body as they were written, made into `BodyPoses`, or refused in a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.values.body_poses import BodyPoses
+
+#: Faster than this is no robot (250 km/h), but a millimetre called a metre.
+FASTEST_M_S = 70.0
+#: Farther than this from pose to pose, without a clock, is none either.
+LONGEST_STEP_M = 20.0
+#: A unit quaternion whose digits were cut off errs by less.
+UNIT_LENGTH = 5e-3
+#: Who writes no metres writes one of these, as a share of a metre.
+UNITS = {0.001: 'millimetres', 0.01: 'centimetres'}
+#: What a step from pose to pose, and a speed, are at most with the right unit.
+_LIKELY_STEP_M, _LIKELY_M_S = 2.0, 5.0
+
+
+@dataclass(frozen=True)
+class PoseReading:
+    """
+    How poses are to be taken.
+
+    Parameters
+    ----------
+    kind : {'absolute', 'odometry'}, optional
+        By default what the source is.
+    sigma_position_m, sigma_rotation_rad : float, optional
+        See `BodyPoses`.
+    unit_m : float, optional
+        Metres in a unit of the positions; given, it is not doubted.
+    body_frame : str, optional
+        What to call the body.
+
+    """
+
+    kind: str | None = None
+    sigma_position_m: float | None = None
+    sigma_rotation_rad: float | None = None
+    unit_m: float | None = None
+    body_frame: str | None = None
+
+    def applied(self, poses: BodyPoses, source: str) -> BodyPoses:
+        """
+        Take poses as stated.
+
+        Raises
+        ------
+        InputError
+            If the positions are hardly metres.
+
+        """
+        if self.unit_m is None:
+            check_metres(poses, source)
+        return replace(poses, position=poses.position * (self.unit_m or 1.0),
+                       kind=self.kind or poses.kind,
+                       body_frame=self.body_frame or poses.body_frame,
+                       sigma_position_m=self.sigma_position_m,
+                       sigma_rotation_rad=self.sigma_rotation_rad)
+
+
+def check_metres(poses: BodyPoses, source: str) -> None:
+    """
+    Refuse positions that are hardly in metres; the sentence suggests a factor.
+
+    Raises
+    ------
+    InputError
+        If a robot that moves like this would be too fast, or its steps too long.
+
+    """
+    steps = np.linalg.norm(np.diff(poses.position, axis=0), axis=1)
+    moved = steps > 1e-9
+    if moved.sum() < 2:
+        return
+    if poses.stamps_ns is None:
+        typical, limit, likely = float(np.median(steps[moved])), LONGEST_STEP_M, _LIKELY_STEP_M
+        what = f'{typical:.3g} m from pose to pose'
+    else:
+        seconds = np.diff(poses.stamps_ns)[moved] / 1e9
+        typical, limit, likely = float(np.median(steps[moved] / seconds)), FASTEST_M_S, _LIKELY_M_S
+        what = f'{typical:.3g} m/s'
+    if typical > limit:
+        factor = 0.01 if typical * 0.01 < likely else 0.001
+        factor = 0.001 if typical > 10 * limit else factor
+        raise InputError(f'The positions of {source} look like {UNITS[factor]}: as metres the '
+                         f'robot would move {what}; state --robot-unit {factor:g}, or 1 if they '
+                         'are metres.')
+
+
+def in_order(when: np.ndarray, what: str, source: str) -> None:
+    """
+    Refuse instants or frames that do not ascend.
+
+    Raises
+    ------
+    InputError
+        If one occurs twice, or stands before an earlier one.
+
+    """
+    steps = np.diff(when)
+    if (steps == 0).any():
+        twice = when[int(np.argmax(steps == 0))]
+        raise InputError(f'{source} has two poses of {what} {twice}; keep one of them.')
+    if (steps < 0).any():
+        at = int(np.argmax(steps < 0))
+        raise InputError(f'{source} goes back in {what} from {when[at]} to {when[at + 1]}; sort '
+                         'it, or cut it there.')

@@ -1,0 +1,134 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The mount of a camera as plain values, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from selfcal_ros.calibration.mount import Mount, NAMES, NoMount, PLACE, TURN
+from selfcal_ros.findings.finding import KINDS
+
+#: The degrees of freedom of the pose.
+POSE = (*PLACE, *TURN)
+
+
+def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
+    """
+    Return a mount, or why there is none, as values for JSON.
+
+    Both have the same keys; what is not known is NaN or None. A refusal has 'kind', 'values',
+    'reason' and 'advice' besides, and each of its degrees of freedom is unobservable.
+
+    Parameters
+    ----------
+    mount : Mount or NoMount
+
+    Returns
+    -------
+    dict
+        'frame', 'T_body_camera', 'angles' (roll, pitch and yaw against a level camera that looks
+        straight ahead, rad), 'sigma' (metres and rad), 'status', 'scale', 'scale_sigma',
+        'time_offset_s', 'time_offset_sigma_s', 'covariance' in the order of 'names', 'missing'
+        (what would show each open degree of freedom), 'poses', 'outliers', 'sigma_position_m',
+        'sigma_rotation_rad'.
+
+    """
+    if not isinstance(mount, Mount):
+        nothing = dict.fromkeys(POSE)
+        return {'frame': None, 'T_body_camera': None, 'angles': dict.fromkeys(TURN),
+                'sigma': nothing,
+                'status': dict.fromkeys(NAMES, 'unobservable'), 'scale': None,
+                'scale_sigma': None, 'time_offset_s': None, 'time_offset_sigma_s': None,
+                'covariance': None, 'names': NAMES, 'missing': {}, 'poses': None,
+                'outliers': None, 'sigma_position_m': None, 'sigma_rotation_rad': None,
+                'kind': mount.kind, 'values': dict(mount.values), 'reason': mount.reason,
+                'advice': mount.advice}
+    sigma = known_sigma(mount)
+    return {'frame': mount.frame, 'T_body_camera': known_matrix(mount),
+            'angles': known_angles(mount), 'sigma': {name: sigma[name] for name in POSE},
+            'status': {name: mount.status[name] for name in NAMES},
+            'scale': mount.scale, 'scale_sigma': sigma['scale'],
+            'time_offset_s': mount.time_offset_s, 'time_offset_sigma_s': sigma['time_offset'],
+            'covariance': mount.covariance, 'names': NAMES, 'missing': mount.missing,
+            'poses': mount.pose_count, 'outliers': mount.outlier_count,
+            'sigma_position_m': mount.sigma_position_m,
+            'sigma_rotation_rad': mount.sigma_rotation_rad}
+
+
+def known_sigma(mount: Mount) -> dict[str, float | None]:
+    """Return standard deviations by name: zero where held, None where unobservable."""
+    return {name: None if mount.status[name] == 'unobservable' else value
+            for name, value in mount.sigma.items()}
+
+
+def known_matrix(mount: Mount) -> np.ndarray:
+    """Return T_body_camera (4, 4) with NaN for coordinates that are not observable."""
+    matrix = np.array(mount.T_body_camera, float)
+    for row, name in enumerate(PLACE):
+        if mount.status[name] == 'unobservable':
+            matrix[row, 3] = np.nan
+    return matrix
+
+
+def known_angles(mount: Mount) -> dict[str, float | None]:
+    """Return roll, pitch and yaw (rad), None where unobservable."""
+    return {name: None if mount.status[name] == 'unobservable' else float(value)
+            for name, value in mount.angles.items()}
+
+
+def mount_from_dict(stored: dict | None) -> Mount | NoMount | None:
+    """
+    Turn what `mount_to_dict` gives back into a mount; None for None.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If the content is of another kind.
+
+    """
+    if stored is None:
+        return None
+    if 'kind' in stored:
+        if stored['kind'] not in KINDS:
+            # of another version
+            return NoMount('note', text=stored.get('reason', ''))
+        return NoMount(stored['kind'], **stored.get('values', {}))
+    names = tuple(stored['names'])
+    covariance = np.array([[np.inf if value is None and row == column else value
+                            for column, value in enumerate(line)]
+                           for row, line in enumerate(stored['covariance'])], float)
+    if names != NAMES or covariance.shape != (len(NAMES),) * 2:
+        raise ValueError(f'the covariance of the mount has the shape {covariance.shape}')
+    matrix = _numbers(stored['T_body_camera'])
+    if matrix.shape != (4, 4):
+        raise ValueError(f'the mount has the shape {matrix.shape}')
+    return Mount(
+        frame=str(stored['frame']), T_body_camera=matrix, covariance=covariance,
+        status={name: str(stored['status'][name]) for name in NAMES},
+        scale=_number(stored['scale']), time_offset_s=_number(stored['time_offset_s']),
+        missing={str(name): str(text) for name, text in stored.get('missing', {}).items()},
+        pose_count=int(stored['poses']), outlier_count=int(stored['outliers']),
+        sigma_position_m=_number(stored['sigma_position_m']),
+        sigma_rotation_rad=_number(stored['sigma_rotation_rad']))
+
+
+def _number(value) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _numbers(rows) -> np.ndarray:
+    return np.array([[_number(value) for value in row] for row in rows], float)

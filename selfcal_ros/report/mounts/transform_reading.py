@@ -1,0 +1,178 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The files of `transform_files`, read; and our result.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from selfcal_ros.calibration.mount import Mount, TURN
+from selfcal_ros.errors import ArgumentError, InputError, SelfcalError
+from selfcal_ros.report.mounts.record import mount_from_dict
+from selfcal_ros.report.mounts.transform_files import (CAMERA_FRAME, FORMATS, stored_mount,
+                                                       StoredTransform)
+from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
+
+
+def is_transform_file(path: str | Path) -> bool:
+    """Tell by name and content whether a file holds the transform of a camera on a robot."""
+    path = Path(path)
+    name = path.name.lower()
+    if name.endswith(('.urdf', '.launch.py', '.calib')):
+        return True
+    if not name.endswith(('.yaml', '.yml')) or not path.is_file():
+        return False
+    with path.open('rb') as stream:
+        head = stream.read(4000)
+    return (b'child_frame_id:' in head and b'translation:' in head or b'transformation:' in head
+            or b'robot_effector_frame:' in head)
+
+
+def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, StoredTransform]:
+    """
+    Read the transform of a camera on a robot.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any of `FORMATS`, or our result.json.
+    child : str
+        Frame of the camera, where the file names none.
+
+    Returns
+    -------
+    kind : str
+    StoredTransform
+
+    Raises
+    ------
+    InputError
+        If there is none.
+
+    """
+    path = Path(path)
+    source, name = str(path), path.name.lower()
+    text = decoded(read_bytes(path, MAX_BYTES), source)
+    try:
+        if name.endswith('.py'):
+            return 'moveit', _from_launch(text)
+        if text.lstrip().startswith('<'):
+            return 'urdf', _from_urdf(text)
+        if text.lstrip().startswith('{'):
+            return 'result', _from_result(text, source, child)
+        return _from_yaml(load_yaml(text, source))
+    except SelfcalError:
+        raise
+    except (ArithmeticError, AttributeError, ElementTree.ParseError, LookupError,
+            RecursionError, TypeError, ValueError):
+        raise InputError(f'{source} holds no transform of a camera that can be read; expected '
+                         f'{", ".join(one.title for one in FORMATS.values())}, or result.json of '
+                         '--robot.') from None
+
+
+def _pose(place, quaternion) -> np.ndarray:
+    """Return a matrix (4, 4)."""
+    place, quaternion = np.array(place, float), np.array(quaternion, float)
+    length = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(place).all() and abs(length - 1) < 0.01):
+        raise InputError(f'The transform has a quaternion of length {length:.3g} instead of 1, or '
+                         'a number that is not finite.')
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrix[:3, 3] = place
+    return matrix
+
+
+def _from_launch(text: str) -> StoredTransform:
+    """Take the arguments of static_transform_publisher out of a launch file."""
+    code = re.sub(r'#[^\n]*', '', text)
+    words = re.findall(r'["\'](--[a-z-]+)["\'],\s*["\']([^"\']*)["\']', code)
+    named = {name[2:]: value for name, value in words}
+    place = [float(named.get(name, 0)) for name in 'xyz']
+    if 'qw' in named:
+        turn = [float(named[name]) for name in ('qx', 'qy', 'qz', 'qw')]
+    else:
+        rpy = [float(named.get(name, 0)) for name in TURN]
+        turn = Rotation.from_euler('xyz', rpy).as_quat().tolist()
+    return StoredTransform(named['frame-id'], named['child-frame-id'], _pose(place, turn))
+
+
+def _from_urdf(text: str) -> StoredTransform:
+    """Take the joint of a camera out of a URDF: the only fixed one, or an optical frame's."""
+    if '<!DOCTYPE' in text or '<!ENTITY' in text:
+        raise InputError('A URDF with entities is not read; remove its DOCTYPE.')
+    joints = [one for one in ElementTree.fromstring(text).iter('joint')
+              if one.get('type') == 'fixed']
+    optical = [one for one in joints if re.search(r'_optical(_frame)?$', _link(one, 'child'))]
+    chosen = joints if len(joints) == 1 else optical
+    if len(chosen) != 1:
+        raise InputError(f'The URDF has {len(joints)} fixed joints, {len(optical)} of them to an '
+                         'optical frame; one is needed.')
+    joint = chosen[0]
+    origin = joint.find('origin')
+    at = {} if origin is None else origin.attrib
+    place = [float(word) for word in at.get('xyz', '0 0 0').split()]
+    rpy = [float(word) for word in at.get('rpy', '0 0 0').split()]
+    turn = Rotation.from_euler('xyz', rpy).as_quat()
+    return StoredTransform(_link(joint, 'parent'), _link(joint, 'child'), _pose(place, turn))
+
+
+def _link(joint, end: str) -> str:
+    """Return the name of the parent or the child of a joint."""
+    found = joint.find(end)
+    return '' if found is None else str(found.get('link', ''))
+
+
+def _from_yaml(document) -> tuple[str, StoredTransform]:
+    """Read easy_handeye's files, or the parameters of static_transform_publisher."""
+    if 'parameters' in document:
+        names = document['parameters']
+        # scalars are the strings that were written
+        in_hand = (names.get('calibration_type', 'eye_in_hand') == 'eye_in_hand'
+                   and names.get('eye_on_hand', 'true').lower() != 'false')
+        parent = names['robot_effector_frame' if in_hand else 'robot_base_frame']
+        child = str(names['tracking_base_frame'])
+        if 'transformation' in document:
+            at = document['transformation']
+            matrix = _pose([at[name] for name in 'xyz'],
+                           [at[name] for name in ('qx', 'qy', 'qz', 'qw')])
+            return 'easy_handeye', StoredTransform(str(parent), child, matrix)
+        at = document['transform']
+        kind = 'easy_handeye2'
+    else:
+        at = next(iter(document.values()))['ros__parameters']
+        parent, child, kind = at['frame_id'], str(at['child_frame_id']), 'tf'
+    matrix = _pose([at['translation'][name] for name in 'xyz'],
+                   [at['rotation'][name] for name in 'xyzw'])
+    return kind, StoredTransform(str(parent), child, matrix)
+
+
+def _from_result(text: str, source: str, child: str) -> StoredTransform:
+    """Take the mount out of our result.json."""
+    stored = json.loads(text)
+    mount = mount_from_dict(stored.get('mount'))
+    if mount is None:
+        raise InputError(f'{source} says nothing of a robot; calibrate with --robot.')
+    if not isinstance(mount, Mount):
+        raise InputError(f'{source} has no mount: {mount.reason}')
+    try:
+        return stored_mount(mount, child, stored.get('software', ''))
+    except ArgumentError as error:
+        raise InputError(f'{source}: {error}') from None
