@@ -35,6 +35,9 @@ from selfcal_ros.geometry.shared_division import shared_division
 
 #: Pairs with fewer matches have no say on the lens.
 _LEAST_MATCHES = 30
+#: One run finds the best F of a scene with a dominant plane half of the time; so many are made,
+#: unless more than this share of the matches agree with the first.
+_ATTEMPTS, _CLEAR = 4, 0.9
 
 
 @dataclass(frozen=True)
@@ -77,9 +80,10 @@ class EpipolarImages:
         return self.model.lifted(xy_a) @ F.T
 
     def off_curve(self, curve: np.ndarray, xy: np.ndarray) -> np.ndarray:
-        """Distance (N,) of pixels (N, 2) to curves (N, 3); NaN where a curve is NaN."""
+        """Distance (...) of pixels (..., 2) to curves (..., 3); NaN where a curve is NaN."""
         if self.model.straight:
-            return (curve[:, :2] * xy).sum(axis=1) + curve[:, 2]
+            near: np.ndarray = (curve[..., :2] * xy).sum(axis=-1) + curve[..., 2]
+            return near
         return self.model.curve_distance(curve, xy)
 
 
@@ -114,16 +118,24 @@ def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float
     settings.loIterations, settings.loSampleSize = 10, 50
     settings.threshold, settings.confidence = float(threshold_px), 0.9999
     settings.maxIterations = int(iterations)
-    settings.randomGeneratorState = int(seed)
     settings.isParallel = False
-    try:
-        F, _ = cv2.findFundamentalMat(np.ascontiguousarray(xy_a, dtype=np.float64),
-                                      np.ascontiguousarray(xy_b, dtype=np.float64), settings)
-    except cv2.error:
-        return None
-    if F is None or F.shape != (3, 3) or not np.isfinite(F).all() or not F.any():
-        return None
-    return _polished(F, xy_a, xy_b, threshold_px)
+    xy_a, xy_b = (np.ascontiguousarray(xy, dtype=np.float64) for xy in (xy_a, xy_b))
+    best, most = None, 0.0
+    for attempt in range(_ATTEMPTS):
+        settings.randomGeneratorState = int(seed) + attempt
+        try:
+            F, _ = cv2.findFundamentalMat(xy_a, xy_b, settings)
+        except cv2.error:
+            continue
+        if F is None or F.shape != (3, 3) or not np.isfinite(F).all() or not F.any():
+            continue
+        near = 1 - (sampson_distance(F, xy_a, xy_b) / threshold_px) ** 2
+        score = float(np.maximum(near, 0).sum())
+        if score > most:
+            best, most = F, score
+        if np.count_nonzero(near > 0) > _CLEAR * len(near):
+            break
+    return None if best is None else _polished(best, xy_a, xy_b, threshold_px)
 
 
 def _polished(F, xy_a, xy_b, threshold_px) -> np.ndarray:

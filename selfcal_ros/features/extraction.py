@@ -25,12 +25,13 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.curvature import curvature_bias, ideal_fisheye
+from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.epipolar import choose_division
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.matching import detect, Features, match_pairs
+from selfcal_ros.features.matching import match_pairs
 from selfcal_ros.features.moving_part import MovingPart, PART_STEP
 from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify

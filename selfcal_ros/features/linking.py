@@ -21,7 +21,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.features.curvature import curvature_bias
-from selfcal_ros.features.matching import Features, ImagePairMatches
+from selfcal_ros.features.detection import Features
+from selfcal_ros.features.matching import ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
 from selfcal_ros.features.registration import PatchRegistration
 from selfcal_ros.geometry.camera import Camera

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.features.matching import Features, RATIO
+from selfcal_ros.features.detection import Features, look_of
+from selfcal_ros.features.matching import RATIO
 
 
 def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3):
@@ -45,7 +46,7 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
     pairs = {(i, i + gap) for gap in range(1, neighbours + 1) for i in range(count - gap)}
     if count <= 8:
         return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    coarse = [feature.coarsest(300) for feature in features]
+    coarse = [look_of(feature.sift[:min(300, len(feature.xy))]) for feature in features]
     shared = np.zeros((count, count))
     for i in range(count):
         for j in range(i + neighbours + 1, count):

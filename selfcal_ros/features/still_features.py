@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.features.matching import Features
+from selfcal_ros.features.detection import Features, look_of
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.values.still_tracks import find_still_tracks
 from selfcal_ros.values.tracks import Tracks
@@ -110,8 +110,8 @@ def still_features(features: list[Features]) -> list[np.ndarray] | None:
         for other in others:
             apart, at = trees[other].query(one.xy, distance_upper_bound=_PLACE_PX)
             near = np.flatnonzero(np.isfinite(apart))
-            alike = np.einsum('ij,ij->i', one.descriptors[near],
-                              features[other].descriptors[at[near]])
+            alike = np.einsum('ij,ij->i', look_of(one.sift[near]),
+                              look_of(features[other].sift[at[near]]))
             times[near[alike > _ALIKE]] += 1
         holds.append(np.mean(times >= 0.5 * len(others)) > _MOST)
         still.append(times >= max(1, 0.15 * len(others)))

@@ -20,7 +20,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.features.klt import corners, KltTracker
 from selfcal_ros.features.mask import ImageMask, PATCH_PX, read_mask
-from selfcal_ros.features.matching import detect
+from selfcal_ros.features.detection import detect
 from test_support.feature_scenes import drive, Room, transfer_errors
 
 #: Where the logo is: columns and rows of the 400x300 images.

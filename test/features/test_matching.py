@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from selfcal_ros.features.epipolar import (choose_division, EpipolarImages, estimate_fundamental,
                                            sampson_distance)
-from selfcal_ros.features import matching
+from selfcal_ros.features import detection
+from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.linking import link
-from selfcal_ros.features.matching import (detect, Features, ImagePairMatches, match_pairs,
-                                           moving_part)
+from selfcal_ros.features.matching import ImagePairMatches, match_pairs, moving_part
 from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
 from selfcal_ros.features.pairs import propose_pairs
 from test_support.feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
@@ -42,7 +42,7 @@ def test_keypoints_lie_on_the_centres_of_blobs():
 
 @pytest.mark.parametrize('largest', [2_500_000, 200_000])
 def test_half_and_quarter_size_search_keep_the_coordinates(monkeypatch, largest):
-    monkeypatch.setattr(matching, '_LARGEST_SEARCH_PIXELS', largest)
+    monkeypatch.setattr(detection, '_LARGEST_SEARCH_PIXELS', largest)
     y, x = np.mgrid[:1100, :1200].astype(float)
     image = 30 + 180 * np.exp(-((x - 600.4) ** 2 + (y - 500.7) ** 2) / (2 * 7.0 ** 2))
     found = detect(np.round(image).astype(np.uint8)).xy
@@ -108,7 +108,7 @@ def test_static_background_does_not_vote():
 
 def _features(count):
     none = np.empty(0, int)
-    return Features(np.zeros((count, 2)), np.ones(count), np.zeros((count, 128), np.float32),
+    return Features(np.zeros((count, 2)), np.ones(count), np.zeros((count, 128), np.uint8),
                     none, (none, none, np.empty(0, np.float32)))
 
 

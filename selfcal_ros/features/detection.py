@@ -1,0 +1,255 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""SIFT keypoints of one image, evenly spread, and which of its places look alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from selfcal_ros.features.mask import ImageMask
+
+#: Similarity (cosine of Hellinger-normalised vectors) of a runner-up where none was found.
+USUAL_SIMILARITY = 0.8
+#: Along an epipolar line fewer candidates compete, so that the ratio may be milder.
+GUIDED_RATIO = 0.85
+#: Less alike than this cannot pass the guided ratio test against the usual runner-up.
+MIN_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - USUAL_SIMILARITY)
+#: Images larger than this are searched at half size; registration restores the accuracy.
+_FULL_SIZE_PIXELS = 1_200_000
+#: And smaller still where this would be more: the pyramid of SIFT takes some 200 bytes a pixel.
+_LARGEST_SEARCH_PIXELS = 2_500_000
+#: Rows of a product at a time: what stays in the cache of a processor costs half.
+_BLOCK = 256
+#: Not among the types that OpenCV states.
+_sift = cv2.SIFT_create             # type: ignore[attr-defined]
+
+
+@dataclass
+class Features:
+    """
+    Keypoints of one image, one row a place (a place may carry several orientations).
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Pixels; the largest blobs come first.
+    size_px : ndarray, shape (N,)
+        Standard deviation of the blob, full-resolution pixels.
+    sift : ndarray of uint8, shape (N + E, 128)
+        SIFT vectors: one for each place, then those of E places that have a second orientation.
+    second : ndarray of int, shape (E,)
+        The places that have a second one.
+    twins : tuple of ndarray (a, b, similarity)
+        Places of this image that look alike, by a: what tells one from the other is not in the
+        patch.
+
+    """
+
+    xy: np.ndarray
+    size_px: np.ndarray
+    sift: np.ndarray
+    second: np.ndarray
+    twins: tuple = ()
+
+    def described(self) -> Described:
+        """Return what the places look like, ready to be compared."""
+        return Described(look_of(self.sift), self.second)
+
+    def select(self, kept: np.ndarray) -> Features:
+        """Return the features of the places where kept (N,) is true."""
+        place = np.cumsum(kept) - 1
+        rows = kept[self.second]
+        a, b, alike = self.twins
+        both = kept[a] & kept[b]
+        main, further = np.split(self.sift, [len(self.xy)])
+        return Features(self.xy[kept], self.size_px[kept],
+                        np.concatenate([main[kept], further[rows]]), place[self.second[rows]],
+                        (place[a[both]], place[b[both]], alike[both]))
+
+    def coarsest(self, most: int) -> Features:
+        """Return the features of the largest blobs: a summary of the image."""
+        return self.select(np.arange(len(self.xy)) < most)
+
+    @property
+    def twin_similarity(self) -> np.ndarray:
+        """Similarity to the most alike other place of the same image, shape (N,)."""
+        most = np.full(len(self.xy), USUAL_SIMILARITY, np.float32)
+        np.maximum.at(most, self.twins[0], self.twins[2])
+        return most
+
+
+@dataclass(frozen=True)
+class Described:
+    """
+    Appearance of N places.
+
+    Parameters
+    ----------
+    vectors : ndarray of float32, shape (N + E, 128)
+        Square roots of L1-normalised SIFT vectors (Arandjelovic and Zisserman, 2012): one for
+        each place, then those of E places that have a second orientation.
+    second : ndarray of int, shape (E,)
+        The places that have a second one, ascending.
+
+    """
+
+    vectors: np.ndarray
+    second: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of places."""
+        return len(self.vectors) - len(self.second)
+
+    def part(self, places: slice | np.ndarray) -> Described:
+        """Return some places: a slice or ascending indices."""
+        count, second = self.count, self.second
+        if isinstance(places, slice):
+            begin, end, _ = places.indices(count)
+            first, last = np.searchsorted(second, [begin, end])
+            rows = np.r_[begin:end, count + first:count + last]
+            return Described(self.vectors[rows], second[first:last] - begin)
+        row = np.full(count, -1)
+        row[places] = np.arange(len(places))
+        extra = np.flatnonzero(row[second] >= 0)
+        return Described(self.vectors[np.concatenate([places, count + extra])],
+                         row[second[extra]])
+
+
+_ROOTS = np.sqrt(np.arange(256, dtype=np.float32))
+
+
+def look_of(sift: np.ndarray) -> np.ndarray:
+    """Turn SIFT vectors (N, 128) of bytes into what is compared by its cosine, float32."""
+    total = sift.sum(axis=1, dtype=np.float32, keepdims=True)
+    look: np.ndarray = _ROOTS[sift]
+    look /= np.sqrt(total + np.float32(1e-9))
+    return look
+
+
+def similarity(a: Described, b: Described) -> np.ndarray:
+    """Cosine between the best fitting descriptors of every two places, shape (N_a, N_b)."""
+    product = a.vectors @ b.vectors.T
+    places = product[:, :b.count]
+    if len(b.second):
+        places[:, b.second] = np.maximum(places[:, b.second], product[:, b.count:])
+    if len(a.second):
+        places[a.second] = np.maximum(places[a.second], places[a.count:])
+    return places[:a.count]
+
+
+def alike_in(product: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of what may match."""
+    return np.divmod(np.flatnonzero(product > MIN_SIMILARITY), product.shape[1])
+
+
+@lru_cache(maxsize=1)
+def _sift_offset_px() -> float:
+    """
+    Offset of SIFT positions, measured on a blob at a known place.
+
+    OpenCV doubles the image such that positions come out 0.25 px too large, or not, depending
+    on version and settings.
+    """
+    at = 31.0
+    x = np.arange(64) - at
+    blob = 30 + 200 * np.exp(-(x[:, None] ** 2 + x[None] ** 2) / (2 * 3.0 ** 2))
+    found = _sift().detect(np.round(blob).astype(np.uint8), None)
+    near = [point.pt for point in found if np.hypot(point.pt[0] - at, point.pt[1] - at) < 2]
+    if not near:
+        return 0.0
+    return float(np.round(4 * (np.median(near) - at)) / 4)
+
+
+def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
+           mask: ImageMask | None = None) -> Features:
+    """
+    Find SIFT keypoints, evenly spread.
+
+    Parameters
+    ----------
+    grey : ndarray of uint8, shape (H, W)
+    most : int
+        Keypoints kept at most.
+    cells : int
+        The image is divided into cells x cells; the strongest of each cell go first.
+    mask : ImageMask, optional
+        Blobs keep what describes them within.
+
+    Returns
+    -------
+    Features
+
+    """
+    scale = 2.0 if grey.size > _FULL_SIZE_PIXELS else 1.0
+    while grey.size > _LARGEST_SEARCH_PIXELS * scale**2:
+        scale *= 2
+    image = grey if scale == 1 else cv2.resize(grey, None, fx=1 / scale, fy=1 / scale,
+                                               interpolation=cv2.INTER_AREA)
+    sift = _sift(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
+    points, descriptors = sift.detectAndCompute(image, None)
+    at = np.array(cv2.KeyPoint.convert(points), dtype=float).reshape(-1, 2)
+    size = np.array([point.size for point in points])
+    keep = np.arange(len(points))
+    if mask is not None and len(points):
+        keep = np.flatnonzero(mask.allows_blobs(scale * at, scale / 2 * size))
+    if len(keep) > most:
+        strength = np.array([point.response for point in points])[keep]
+        column, row = (at[keep] * cells / np.array(image.shape[::-1])).astype(int).T
+        order = np.lexsort((-strength, row * cells + column))
+        cell = (row * cells + column)[order]
+        rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
+        keep = keep[order[np.argsort(rank, kind='stable')[:most]]]
+    if not len(keep):
+        none = np.empty(0, int)
+        return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8), none,
+                        (none, none, np.empty(0, np.float32)))
+    # the largest first, and all orientations of a place together
+    xy, size = at[keep] - _sift_offset_px(), size[keep] / 2
+    tenths = np.round(10 * xy).astype(np.int64) @ [1 << 20, 1]
+    _, start, place = np.unique(tenths, return_index=True, return_inverse=True)
+    coarsest = np.argsort(-size[start], kind='stable')
+    start = start[coarsest]
+    place = np.argsort(coarsest)[place.ravel()]
+    order = np.argsort(place, kind='stable')
+    place = place[order]
+    rank = np.arange(len(place)) - np.searchsorted(place, place)
+    sift_vectors = descriptors[keep[np.concatenate([start, order[rank == 1]])]].astype(np.uint8)
+    features = Features(scale * xy[start] + (scale - 1) / 2, scale * size[start], sift_vectors,
+                        place[rank == 1])
+    features.twins = _twins(features)
+    return features
+
+
+def _twins(features: Features) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places a, b of one image that look alike, and how much."""
+    whole, parts = features.described(), []
+    for begin in range(0, whole.count, _BLOCK):
+        rest = whole.part(slice(begin, None))
+        product = similarity(rest.part(slice(0, _BLOCK)), rest)
+        row, column = alike_in(product)
+        row, column = (part[column > row] for part in (row, column))
+        parts.append((begin + row, begin + column, product[row, column]))
+    a, b, alike = (np.concatenate(part) for part in zip(*parts))
+    # the same corner found at two scales is no twin
+    apart = (np.abs(features.xy[a] - features.xy[b]).max(axis=1)
+             > 1.5 * np.maximum(features.size_px[a], features.size_px[b]))
+    a, b = a[apart].astype(np.int32), b[apart].astype(np.int32)
+    a, b, alike = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(alike[apart], 2)
+    order = np.argsort(a, kind='stable')
+    return a[order], b[order], alike[order]
