@@ -25,6 +25,7 @@ from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
+from selfcal_ros.errors import ArgumentError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
                         help='calibration of the camera, as `selfcal calibrate` writes it, or '
                              'another program')
+    parser.add_argument('--init-sigma', type=float, metavar='METRES',
+                        help='standard deviation of the distance in --init, where it was '
+                             'measured: then a model of the wrong size is noticed, which images '
+                             'alone cannot tell')
     group = parser.add_argument_group('how to track')
     group.add_argument('--method', choices=('modern', 'rorapid', 'rapid'), default='modern',
                        help="RAPiD and RoRAPiD are the thesis's; modern adds what has been "
@@ -87,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
     options = TrackerOptions(method=args.method, camera_model=args.camera_model,
                              motion=args.motion,
                              plane_axis=tuple(args.plane_axis) if args.plane_axis else None)
+    if args.init_sigma is not None and not 0 < args.init_sigma < 1e6:
+        raise ArgumentError(f'--init-sigma takes some metres, not {args.init_sigma:g}.')
     excerpt = excerpt_from(args)
     check_outputs((), (args.input, args.model, args.camera, args.init), False,
                   (args.output, args.overlay))
@@ -98,7 +105,8 @@ def run(args: argparse.Namespace) -> int:
     with Progress.of(args) as progress:
         run, table = track_recording(args.input, model, camera, start, options,
                                      topic=args.topic, overlay=args.overlay, seed=args.seed,
-                                     progress=progress, excerpt=excerpt)
+                                     progress=progress, excerpt=excerpt,
+                                     distance_sigma_m=args.init_sigma)
     written = [table.write(args.output)] + ([args.overlay] if args.overlay else [])
     if not args.quiet:
         print(run.text())
@@ -109,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def track_recording(path, model, camera, start, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=(), excerpt=None):
+                    progress=None, listeners=(), excerpt=None, distance_sigma_m=None):
     """
     Track through a recording, and write the overlay where one is wished for.
 
@@ -132,6 +140,7 @@ def track_recording(path, model, camera, start, options=None, *, topic=None, ove
         if overlay:
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))
             listeners.append(drawing_into(video, model, camera))
-        run = track_sequence(source, model, camera, start, options, seed=seed, progress=progress,
+        run = track_sequence(source, model, camera, start, options, seed=seed,
+                             distance_sigma_m=distance_sigma_m, progress=progress,
                              listeners=listeners)
     return run, table

@@ -178,15 +178,16 @@ class RorapidNode(Node):
                 raise InputError(f'It is in the frame {frame!r:.60}, the images are in '
                                  f'{self._frame_id!r:.60}; give it in the frame of the images.')
             pose = pose_matrix(msg)
+            sigma_m = distance_sigma(pose[:3, 3], msg.pose.covariance)
         except InputError as error:
             self.get_logger().warning(f'initialpose dropped: {error}')
             return
-        self._begin(pose[:3, :3], pose[:3, 3])
+        self._begin(pose[:3, :3], pose[:3, 3], sigma_m)
 
-    def _begin(self, rotation, translation):
+    def _begin(self, rotation, translation, distance_sigma_m=None):
         def begin(session):
-            session.start(rotation, translation)
-            self._start = rotation, translation
+            session.start(rotation, translation, distance_sigma_m)
+            self._start = rotation, translation, distance_sigma_m
 
         self._worker.command(begin, anew=True)
 
@@ -284,6 +285,14 @@ class RorapidNode(Node):
                                 self.parameters.camera_name)
         header = header_message(self.get_clock().now().nanoseconds, '', self._types)
         self._diagnostics.publish(diagnostics_message([status], header, self._types))
+
+
+def distance_sigma(translation: np.ndarray, covariance) -> float | None:
+    """Standard deviation of a pose's distance (m) from its covariance (36,); None without any."""
+    place = np.reshape(covariance, (6, 6))[:3, :3]
+    away = translation / max(float(np.linalg.norm(translation)), 1e-12)
+    variance = float(away @ place @ away)
+    return variance**0.5 if np.isfinite(variance) and variance > 0 else None
 
 
 def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:

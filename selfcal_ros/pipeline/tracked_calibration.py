@@ -273,8 +273,8 @@ def _guess(size, share: float, facts: CameraFacts) -> Camera:
 
 def _trial(frame, model, camera: Camera, pose, seed):
     """Return how badly a camera fits the first image (the less, the better), camera and pose."""
-    session = TrackingSession(model, TrackerOptions(camera_model='zoom', recovery=False), camera,
-                              seed)
+    options = TrackerOptions(camera_model='zoom', recovery=False, doubt=False)
+    session = TrackingSession(model, options, camera, seed)
     session.start(*pose)
     for _ in range(TRIALS):
         tracked = session.add(frame.image)
@@ -294,7 +294,8 @@ def _with_focal(camera: Camera, focal_px: float) -> Camera:
 
 def _follow(source, model, camera, pose, most: int, seed, progress) -> _Passage:
     """Follow the object through all images, and keep some of them."""
-    session = TrackingSession(model, TrackerOptions(), camera, seed)
+    # that the camera is wrong is known here
+    session = TrackingSession(model, TrackerOptions(doubt=False), camera, seed)
     session.start(*pose)
     step = max(1, (source.count or 2 * most) // (2 * most))
     views, images, good, reason = [], 0, 0, 'no image could be used'

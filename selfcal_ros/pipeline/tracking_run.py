@@ -54,6 +54,8 @@ class TrackingRun:
     by_state : dict of str to int
     stretches : list of (int, int, str)
         Where the object was lost: first image, last image, reason.
+    doubts : list of (int, str)
+        What seemed wrong with the model, the camera or the start, and from which image on.
     remarks : list of str
         Images that were passed over, and why.
     rms_px : float
@@ -68,6 +70,7 @@ class TrackingRun:
     images: int = 0
     by_state: dict = field(default_factory=dict)
     stretches: list = field(default_factory=list)
+    doubts: list = field(default_factory=list)
     remarks: list = field(default_factory=list)
     rms_px: float = math.nan
     seconds: float = 0.0
@@ -96,6 +99,7 @@ class TrackingRun:
                   for first, last, reason in self.stretches[:MAX_REMARKS]]
         if len(self.stretches) > MAX_REMARKS:
             lines.append(f'... and {len(self.stretches) - MAX_REMARKS} times more.')
+        lines += [f'From image {first}: {doubt}' for first, doubt in self.doubts[:MAX_REMARKS]]
         lines += self.remarks[:MAX_REMARKS]
         if len(self.remarks) > MAX_REMARKS:
             lines.append(f'... and {len(self.remarks) - MAX_REMARKS} more images passed over.')
@@ -158,6 +162,7 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
 
 def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, start,
                    options: TrackerOptions | None = None, *, seed: int = 0,
+                   distance_sigma_m: float | None = None,
                    progress: Callable | None = None,
                    listeners: Iterable[Callable[[Frame, TrackedFrame], object]] = (),
                    ) -> TrackingRun:
@@ -174,6 +179,8 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
         Pose of the object in the first image, roughly.
     options : TrackerOptions, optional
     seed : int
+    distance_sigma_m : float, optional
+        Of the start, where its distance was measured.
     progress : callable, optional
         Called as progress(text, done, total).
     listeners : iterable of callable
@@ -191,7 +198,8 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
     """
     run, squares, edgels = TrackingRun(description=source.description), 0.0, 0
     session = TrackingSession(model, options, camera, seed)
-    session.start(*start)
+    rotation, translation = start
+    session.start(rotation, translation, distance_sigma_m)
     if source.kind == 'tracks':
         raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
     _check_size(source, camera)
@@ -246,6 +254,13 @@ def _count(run: TrackingRun, index: int, tracked) -> None:
     run.images += 1
     run.last_state = tracked.state.value
     run.by_state[run.last_state] = run.by_state.get(run.last_state, 0) + 1
+    if tracked.doubt:
+        # the amount is known better and better: the newest sentence of each kind stands
+        kind = tracked.doubt.partition(' seems ')[0]
+        if run.doubts and run.doubts[-1][1].startswith(kind):
+            run.doubts[-1] = run.doubts[-1][0], tracked.doubt
+        else:
+            run.doubts.append((index, tracked.doubt))
     if tracked.state is TrackerState.LOST:
         if run.stretches and run.stretches[-1][1] == index - 1:
             run.stretches[-1] = (run.stretches[-1][0], index, run.stretches[-1][2])

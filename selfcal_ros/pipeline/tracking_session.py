@@ -95,6 +95,7 @@ class TrackingSession:
         self._camera: Camera | None = None
         self._tracker: RorapidTracker | None = None
         self._start: tuple[np.ndarray, np.ndarray] | None = None
+        self._distance_sigma_m: float | None = None
         self._resets = -1
         self.reset(forget_pose=True)
         if camera is not None:
@@ -122,8 +123,12 @@ class TrackingSession:
             self._start = None
         if self._tracker is not None:
             self._tracker.reset()
-            if self._start is not None:
-                self._tracker.start(*self._start)
+            self._begin(self._tracker)
+
+    def _begin(self, tracker: RorapidTracker) -> None:
+        """Give a tracker the start pose."""
+        if self._start is not None:
+            tracker.start(*self._start, distance_sigma_m=self._distance_sigma_m)
 
     def set_camera(self, camera: Camera) -> bool:
         """
@@ -164,11 +169,11 @@ class TrackingSession:
             # of an object that is lost since it is the last good pose
             tracker.start(newest.rotation, newest.translation, focal_px=newest.focal_px,
                           lost=newest.state is TrackerState.LOST)
-        elif self._start is not None:
-            tracker.start(*self._start)
+        else:
+            self._begin(tracker)
         self._tracker, self._camera, self.options = tracker, camera, options
 
-    def start(self, rotation, translation) -> None:
+    def start(self, rotation, translation, distance_sigma_m: float | None = None) -> None:
         """
         Take a guess of the pose of the object in the camera's optical frame.
 
@@ -177,6 +182,9 @@ class TrackingSession:
         rotation : array_like, shape (3, 3)
         translation : array_like, shape (3,)
             Metres.
+        distance_sigma_m : float, optional
+            Standard deviation of the object's distance, where it was measured; with it a model of
+            the wrong size is noticed.
 
         Raises
         ------
@@ -192,7 +200,7 @@ class TrackingSession:
         camera = self._camera
         if camera is not None and camera.width and camera.height:
             _check_in_image(camera, points)
-        self._start = rotation, translation
+        self._start, self._distance_sigma_m = (rotation, translation), distance_sigma_m
         self.reset()
 
     def add(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:

@@ -76,6 +76,9 @@ class TrackerOptions:
         Points of the texture that are followed in a frame.
     recovery : bool
         Search for the object again after a loss ('modern').
+    doubt : bool
+        Confirm a start by a test of its own, and watch for a model or a camera that is wrong
+        ('modern').
     tracking_share, lost_share : float
         Two thresholds on the share of what should be visible and is confirmed: above the first
         the state is TRACKING, below the second the frame counts as a miss.
@@ -113,6 +116,7 @@ class TrackerOptions:
     texture: bool = True
     texture_points: int = 48
     recovery: bool = True
+    doubt: bool = True
     tracking_share: float = 0.5
     lost_share: float = 0.25
     frames_to_lost: int = 3
@@ -165,7 +169,12 @@ class TrackerOptions:
     def built_in(self) -> tuple:
         """What a tracker cannot change once it is made; the rest it reads from image to image."""
         return (self.method, self.camera_model, self.motion, self.plane_axis, self.texture_points,
-                self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)
+                self.doubt, self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)
+
+    @property
+    def doubts(self) -> bool:
+        """Whether starts are confirmed, and models and cameras doubted."""
+        return self.method == 'modern' and self.doubt
 
     @property
     def seeks(self) -> bool:

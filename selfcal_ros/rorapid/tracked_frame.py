@@ -77,6 +77,9 @@ class TrackedFrame:
     innovation : float
         Normalised innovation (Mahalanobis distance of the prediction per degree of freedom).
     stamp_ns : int or None
+    doubt : str
+        What seems wrong with the model, the camera or the start, and by how much; one sentence,
+        empty where nothing does. The covariance counts it.
 
     """
 
@@ -100,6 +103,7 @@ class TrackedFrame:
     share_found: float
     innovation: float
     stamp_ns: int | None = None
+    doubt: str = ''
 
     def __bool__(self) -> bool:
         """Whether the pose is confirmed by the image."""

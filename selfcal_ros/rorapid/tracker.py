@@ -23,10 +23,15 @@ from numpy.typing import ArrayLike
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.estimation.filter_start import (
+    checked_start, start_spread, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.estimation.model_doubt import ModelDoubt
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
+from selfcal_ros.rorapid.estimation.size_check import SizeCheck
+from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
@@ -38,22 +43,19 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Uncertainty of a first guess: share of the distance, diameters across, and radians.
-_START_FRACTION, _START_DIAMETERS, _START_RAD = 0.02, 0.1, 0.05
-#: Unknown first velocity: diameters of the object, and radians, per second.
-_START_SPEED, _START_TURN = 2.0, 1.0
 #: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
 _PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 #: Share of the velocity that is lost with each frame in which nothing is seen.
 _DAMPING = 0.3
-#: Random walk of what a restricted motion does not change, per square root of a second.
-_RANDOM_WALK_RAD, _RANDOM_WALK_DIAMETERS = 2e-3, 1e-3
 #: The plane of motion is learned when its normal is known so well, from so many poses.
 _PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
-#: Takes (theta, Delta) to (t, r), and back.
-_TURN_LAST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
+#: A start that is not confirmed after so many images is given up; in these images other poses
+#: are tried.
+_TRIES, _SEARCHES = 15, (0, 4, 9)
+#: Another pose is better if it is seen by so much more of its length.
+_BETTER = 0.05
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -90,7 +92,15 @@ class RorapidTracker:
         method = RobustTracker if options.method == 'modern' else RapidTracker
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
+        self._doubt: ModelDoubt | None = None
+        self._watch_for_doubt()
         self._state, self._stamp_ns = TrackerState.LOST, None
+
+    def _watch_for_doubt(self) -> None:
+        """Watch what the model gets wrong, where the camera model lets it be seen."""
+        self._doubt = None
+        if self.options.doubts and self._camera_model == 'perspective':
+            self._doubt = ModelDoubt(self._control, self._basis, self.options.least_contrast)
 
     def _lay_basis(self) -> None:
         """Lay out the corrections that motion and camera model allow."""
@@ -149,12 +159,13 @@ class RorapidTracker:
             self._visible = VisibleModel(self.model, *options.control_points)
             self._control = ControlModel(self._visible, self._projection, self._control.image_size)
         self.options = options
+        self._watch_for_doubt()
         self._method.adopt(options, self._control)
         return True
 
     def start(self, rotation: ArrayLike, translation: ArrayLike,
               covariance: ArrayLike | None = None, focal_px: float | None = None,
-              lost: bool = False) -> None:
+              lost: bool = False, distance_sigma_m: float | None = None) -> None:
         """
         Take a guess of the pose; the state becomes INITIALISING, or LOST.
 
@@ -169,6 +180,9 @@ class RorapidTracker:
             fx where a zoom stands; that of the camera by default.
         lost : bool
             The object was last seen there, and is to be sought.
+        distance_sigma_m : float, optional
+            Standard deviation of its distance, where that was measured: it tells the size of the
+            object, which images do not.
 
         Raises
         ------
@@ -176,30 +190,10 @@ class RorapidTracker:
             If it is no pose, or the object is behind the camera.
 
         """
-        rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
-        if rotation.shape != (3, 3) or translation.shape != (3,) or not (
-                np.isfinite(rotation).all() and np.isfinite(translation).all()):
-            raise ArgumentError('A start pose is a 3x3 rotation and three finite metres.')
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
-            raise ArgumentError('The rotation of the start pose is not a rotation matrix.')
-        U, _, Vt = np.linalg.svd(rotation)
-        rotation = U @ Vt
+        rotation, translation = checked_start(rotation, translation)
         centred = translation + rotation @ self._control.centre
-        if not centred[2] > 0:
-            raise ArgumentError('The start pose puts the object behind the camera (z is not '
-                                'positive).')
-        if covariance is None:
-            # a guess is right to some pixels, however far away the object is
-            depth = _START_FRACTION * centred[2]
-            lateral = min(depth, _START_DIAMETERS * self.model.diameter_m)
-            spread = np.diag(np.square([_START_RAD] * 3 + [lateral, lateral, depth]))
-        else:
-            spread = np.asarray(covariance, float)
-            if spread.shape != (6, 6) or not np.isfinite(spread).all():
-                raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
-            back = np.linalg.inv(recentring(rotation @ self._control.centre))
-            spread = back @ spread[_TURN_LAST] @ back.T
-            spread += np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+        spread = start_spread(rotation, centred, self._control.centre, self.model.diameter_m,
+                              covariance)
         state = self._projection.from_pose(rotation, centred)
         if focal_px is not None and self._camera_model == 'zoom':
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
@@ -207,41 +201,19 @@ class RorapidTracker:
         self._state = TrackerState.LOST if lost else TrackerState.INITIALISING
         self._misses, self._open, self._stamp_ns = 0.0, 0, None
         self._good: ObjectPose | None = None
+        self._size = SizeCheck(centred[2], distance_sigma_m)
+        self._sure = lost or not self.options.doubts
+        if self._doubt is not None:
+            self._doubt.forget()
+        self._tries, self._searches, self._rival = 0, 0, Support()
+        self._guess, self._guess_spread = self._filter.state, self._filter.spread.copy()
         if lost:
             self._filter.restart(state, self._wide(state))
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
-        options, size = self.options, self._projection.size
-        full = np.zeros((size, size))
-        turn, speed = np.zeros(size), np.zeros(size)
-        diameter = self.model.diameter_m
-        if size == 8:
-            scale = 1 / state.translation[2]
-            full[:6, :6] = np.eye(6) * (_START_RAD * scale)**2
-            full[6:, 6:] = np.eye(2) * (_START_FRACTION)**2
-            speed[:6], speed[6:] = _START_TURN * scale, _START_SPEED * diameter * scale
-            turn[:6] = options.acceleration_rad_s2 * scale
-            turn[6:] = options.acceleration_m_s2 * scale
-        else:
-            full[:6, :6] = spread
-            speed[:6] = [_START_TURN] * 3 + [_START_SPEED * diameter] * 3
-            turn[:6] = [options.acceleration_rad_s2] * 3 + [options.acceleration_m_s2] * 3
-            if size == 7:
-                full[6, 6] = 0.15**2
-                speed[6], turn[6] = options.zoom_rate_s, options.zoom_rate_s
-        B = self._basis
-        speed, turn = (np.sqrt(np.einsum('im,i->m', B**2, sigma**2)) for sigma in (speed, turn))
-        random_walk = np.zeros(B.shape[1])
-        if self._free < B.shape[1]:
-            wide = np.r_[[_RANDOM_WALK_RAD] * 3, [_RANDOM_WALK_DIAMETERS * diameter] * 3,
-                         [0.0] * (size - 6)]
-            if size == 8:
-                wide = np.full(8, _RANDOM_WALK_DIAMETERS * diameter * scale)
-            random_walk[self._free:] = np.sqrt(np.einsum('im,i->m', B**2, wide**2))[self._free:]
-            speed[self._free:] = turn[self._free:] = 0
-        self._kalman = ConstantVelocityFilter(self._projection, B, state, B.T @ full @ B, speed,
-                                              turn, random_walk)
+        self._kalman = started_filter(self._projection, self._basis, self._free, self.options,
+                                      self.model.diameter_m, state, spread)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
         """
@@ -273,17 +245,59 @@ class RorapidTracker:
         seconds = self._elapsed(stamp_ns)
         lost = self._state is TrackerState.LOST
         first = self._state is TrackerState.INITIALISING
-        if not (first or lost):
+        if not lost and not (first and not (self._tries and self.options.doubts)):
             self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
-        if first:
+        if first and not (self._tries and self.options.doubts):
             measured = self._method.initialise(image, predicted, spread)
         else:
             measured = self._method.measure(image, predicted, spread)
+        if first and self.options.doubts and isinstance(self._method, RobustTracker):
+            return self._confirm(self._method, image, measured, stamp_ns)
         if not first and self.options.seeks and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
             measured = self._relocalise(image, measured, lost)
-        return self._judge(measured, stamp_ns)
+        if lost and measured.recognised and self.options.doubts and isinstance(
+                self._method, RobustTracker):
+            check = self._method.check
+            if not check.found(check.support(image, measured.state), measured.by_texture):
+                measured = replace(measured, recognised=False)
+        return self._judge(measured, image, stamp_ns)
+
+    def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
+                 stamp_ns) -> TrackedFrame:
+        """Take a start for a pose once an independent test confirms it; else say what lacks."""
+        check = method.check
+        support = check.support(image, measured.state)
+        fair = check.fair(support) and self._searches < len(_SEARCHES)
+        if not check.plain(support) and (fair or self._tries in _SEARCHES):
+            self._searches += 1
+            state, self._rival = method.rival(image, self._guess, measured.state,
+                                              self._guess_spread)
+            # of nearly equal poses (a box turned by half a turn) that next to the guess is right
+            if self._rival.length > support.length + _BETTER:
+                wide = self._wide(state)
+                measured, self._rival = method.measure(image, state, wide), support
+                support = check.support(image, measured.state)
+                self._filter.restart(measured.state, wide)
+        self._tries += 1
+        good = measured.determined and measured.share >= self.options.lost_share
+        if good and check.confirms(support, self._rival):
+            self._sure = check.sure(support)
+            self._size.measure(measured.state.translation[2])
+            return self._judge(measured, image, stamp_ns)
+        if good:
+            self._misses = 0
+            self._filter.absorb(measured.state, measured.covariance)
+        else:
+            self._misses += 1
+        if self._tries >= _TRIES or self._misses >= self.options.frames_to_lost:
+            self._state = TrackerState.LOST
+            self._filter.restart(self._guess, self._wide(self._guess))
+        reason = measured.reason or (
+            f'The image does not confirm the start pose: {100 * support.lines:.0f} % of the '
+            'lines are seen along their length.')
+        return self._frame(measured, False, reason, float('nan'), stamp_ns)
 
     def _relocalise(self, image, measured: PoseMeasurement, lost: bool) -> PoseMeasurement:
         """Try other places for the object; return the measurement that is confirmed best."""
@@ -333,6 +347,7 @@ class RorapidTracker:
         self._projection.become(camera_model)
         self._lay_basis()
         self._method.switch(self._basis, camera_model)
+        self._watch_for_doubt()
         self._start_filter(kalman.state, full[:6, :6])
         B, size = self._basis, self._projection.size
         moving = B.T @ velocity[:size]
@@ -347,7 +362,7 @@ class RorapidTracker:
             return 1 / self.options.frame_rate_hz
         return min((stamp_ns - before) * 1e-9, _LONGEST_S)
 
-    def _judge(self, measured: PoseMeasurement, stamp_ns) -> TrackedFrame:
+    def _judge(self, measured: PoseMeasurement, image, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
         options = self.options
         lost = self._state is TrackerState.LOST
@@ -372,12 +387,14 @@ class RorapidTracker:
                 self._filter.update(measured.state, measured.covariance)
             self._adapt(measured)
             tracking = measured.share >= options.tracking_share
-            self._state = TrackerState.TRACKING if tracking else TrackerState.DEGRADED
+            doubt = self._in_doubt(image, measured, tracking)
+            self._state = (TrackerState.TRACKING if tracking and not doubt
+                           else TrackerState.DEGRADED)
             self._good = measured.state
             self._method.remember(measured, tracking or measured.recognised)
-            reason = '' if tracking else (
+            reason = doubt if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
-            if tracking and self._camera_model != options.camera_model:
+            if tracking and not doubt and self._camera_model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:
@@ -392,12 +409,37 @@ class RorapidTracker:
                 'the object was expected.')
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
+    def _in_doubt(self, image, measured: PoseMeasurement, tracking: bool) -> str:
+        """Look, now and then, whether this is the object; return what is in doubt."""
+        doubt, method = self._doubt, self._method
+        if tracking and doubt is not None and isinstance(method, RobustTracker) and doubt.due():
+            state = measured.state
+            doubt.look(image, state, measured.view)
+            self._sure = self._sure or method.check.sure(method.check.support(image, state))
+        return self._doubted()
+
+    def _doubted(self) -> str:
+        """Say what seems wrong with the model, the camera or the start."""
+        if self._doubt is not None and self._doubt.doubt is not None:
+            return self._doubt.doubt.text()
+        if not self._sure:
+            return ('Some lines of the model are not seen: something hides them, or it is another '
+                    'object.')
+        return self._size.text()
+
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Put the result into the object's own frame."""
         state = self._filter.state
         arm = state.rotation @ self._control.centre
         B = self._basis
         full = B @ self._filter.spread @ B.T
+        if accepted and len(full) == 6:
+            bias = None if self._doubt is None else self._doubt.bias()
+            if bias is not None:
+                full = full + np.outer(B @ bias, B @ bias)
+            if self._size.share:
+                away = np.r_[np.zeros(3), self._size.share * state.translation]
+                full = full + np.outer(away, away)
         carry = recentring(arm)
         pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
         view = measured.view if accepted and measured.with_prior else self._control.again(
@@ -409,9 +451,10 @@ class RorapidTracker:
         sigma = focal * float(np.sqrt(full[6, 6])) if len(full) == 7 else 0.0
         return TrackedFrame(
             state=self._state, reason=reason, rotation=state.rotation,
-            translation=state.translation - arm, covariance=pose[_TURN_LAST], focal_px=focal,
+            translation=state.translation - arm, covariance=pose[TURN_LAST], focal_px=focal,
             focal_sigma_px=sigma, camera_model=self._camera_model,
             image_px=view.projected.pixels, normal=view.normal, edge_px=edge, found=found,
             rejected=np.isfinite(edge) & ~found, hidden=~view.searched,
             primitive=view.primitive, texture_px=measured.texture_px, rms_px=rms,
-            share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns)
+            share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns,
+            doubt=self._doubted() if accepted else '')

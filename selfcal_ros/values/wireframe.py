@@ -261,6 +261,10 @@ class WireframeModel:
         """Unit vector (3,) in the plane of a face, from a line that bounds it to its inside."""
         return _into(self.vertices, self.faces[face], self.lines[line], self._same)
 
+    def same(self, vertex: int) -> np.ndarray:
+        """Which vertices lie where this one does, (V,) bool."""
+        return self._same == self._same[vertex]
+
     @cached_property
     def _same(self):
         return same_place(self.vertices)

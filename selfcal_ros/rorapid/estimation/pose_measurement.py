@@ -79,6 +79,8 @@ class PoseMeasurement:
         Whether the measurement determines all of the correction.
     recognised : bool
         Whether it would do to recognise an object that was lost.
+    by_texture : bool
+        Whether the texture recognised it.
     focal_sigma : float
         Relative standard deviation of the focal length from this image alone (zoom).
     reason : str
@@ -98,6 +100,7 @@ class PoseMeasurement:
     share: float
     determined: bool
     recognised: bool = False
+    by_texture: bool = False
     focal_sigma: float = 0.0
     reason: str = ''
     details: SearchDetails | None = None

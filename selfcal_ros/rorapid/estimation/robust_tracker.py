@@ -21,6 +21,8 @@ from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
+from selfcal_ros.rorapid.estimation.start_check import (
+    quartered, StartCheck, Support, turned)
 from selfcal_ros.rorapid.estimation.track_quality import (
     determines_pose, EDGES_SUFFICIENT, focal_sigma, RECOGNISED_CORNERS, RECOGNISED_FOLLOWED,
     track_quality)
@@ -44,6 +46,8 @@ _ATTEMPTS = ((1, False), (3, False), (2, True))
 _RELOCALISE_PX = 120.0
 #: Rounds of the search from each start around a first guess, the first of them wide.
 _START_ROUNDS, _WIDE_ROUNDS = 4, 2
+#: Of the turned starts so many are looked at more closely.
+_RIVALS = 6
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
 
@@ -81,12 +85,14 @@ class RobustTracker:
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._edges = EdgeSearch(control, basis, options, self._corners)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
+        self.check = StartCheck(control, options.least_contrast)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
         self._edges.forget()
         self.texture.forget()
         self._views.forget()
+        self.check.forget()
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
         """Go on with another basis of corrections, or another camera model."""
@@ -100,6 +106,7 @@ class RobustTracker:
         """Go on by other settings, and with control points that may lie elsewhere."""
         self._edges.adopt(options, control.visible_model.nearest_in(self.control.visible_model))
         self.options, self.control = options, control
+        self.check = StartCheck(control, options.least_contrast)
         self._use_texture = options.texture and options.camera_model != 'affine'
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool, spread):
@@ -245,21 +252,68 @@ class RobustTracker:
         shifts = vectors * np.sqrt(values)
         starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
         prior = np.linalg.inv(spread)
-        reach = int(np.ceil(self.options.search_most_px))
         best, best_score = guess, -1.0
         for start in starts:
             state = self.projection.moved(guess, self.basis @ start)
-            view = self.control.view(state)
-            for turn in range(_START_ROUNDS):
-                wide = turn < _WIDE_ROUNDS
-                state = self._edges.fit(
-                    image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
-                    self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
-                view = self.control.view(state)
+            state, view = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
             score = self._edges.score(image, view)
             if score > best_score:
                 best, best_score = state, score
         return best
+
+    def _drawn_in(self, image, state, guess, prior, rounds: int):
+        """Let the edges draw a start to themselves; returns state and view."""
+        reach = int(np.ceil(self.options.search_most_px))
+        view = self.control.view(state)
+        for turn in range(rounds):
+            wide = turn < _WIDE_ROUNDS
+            state = self._edges.fit(
+                image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
+                self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
+            view = self.control.view(state)
+        return state, view
+
+    def rival(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
+              spread: np.ndarray) -> tuple[ObjectPose, Support]:
+        """
+        Find the best pose that is turned from a guess, or by quarters from what was found.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        guess, found : ObjectPose
+        spread : ndarray, shape (m, m)
+            Covariance of the guess.
+
+        Returns
+        -------
+        ObjectPose
+        Support
+
+        """
+        prior = np.linalg.inv(spread)
+        state, support = self._best_of(image, turned(guess) + quartered(found), prior)
+        if not self.check.plain(support):
+            # what looks nearly right may be right but for a quarter of a turn
+            other, better = self._best_of(image, quartered(state), prior)
+            if better.length > support.length:
+                return other, better
+        return state, support
+
+    def _best_of(self, image, starts, prior) -> tuple[ObjectPose, Support]:
+        """Draw all starts in a little, the best ones wholly; return the best of these."""
+        drawn = []
+        for start in starts:
+            state, _ = self._drawn_in(image, start, start, prior, _WIDE_ROUNDS)
+            drawn.append((self.check.support(image, state), state))
+        drawn.sort(key=lambda pair: -pair[0].length)
+        best = Support(), starts[0]
+        for _, start in drawn[:_RIVALS]:
+            state, _ = self._drawn_in(image, start, start, prior, _START_ROUNDS)
+            support = self.check.support(image, state)
+            if support.length > best[0].length:
+                best = support, state
+        return best[1], best[0]
 
     def _conclude(self, region, fit, matches, agree):
         """Count what confirms the state."""
@@ -278,6 +332,7 @@ class RobustTracker:
             state=fit.state, covariance=np.linalg.inv(posterior), with_prior=True,
             view=self.control.again(fit.view, fit.state), edge_px=edge_px, found=found,
             texture_px=texture_px, share=share, determined=determined, recognised=recognised,
+            by_texture=bool(recognised and agree.sum() >= RECOGNISED_CORNERS),
             focal_sigma=focal, details=SearchDetails(region, fit, matches, agree, sums, edges))
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:

@@ -168,7 +168,7 @@ class VisibleModel:
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
-        self._ends, self._L = ends, L
+        self._ends, self._L, self._line = ends, L, n
         self._has_min_area = any(face.min_area_px2 > 0 for face in model.faces)
         self._min_length = np.maximum(model.line_min_length_px, min_length_px)
         self._sides = self._contour_sides()
@@ -192,6 +192,25 @@ class VisibleModel:
             for j, face in enumerate(around[1:], start=1):
                 sides[k, j] = self.model.into_face(k, face)
         return sides
+
+    def resting_points(self) -> np.ndarray:
+        """Control points (size, 3) of lines and conics; on silhouettes a point of the axis."""
+        axes = [0.5 * np.add(c.start, c.end) for c in self.model.cylinders]
+        return np.concatenate([self._points, np.repeat(np.reshape(axes, (-1, 3)), 2 * self._line,
+                                                       axis=0)])
+
+    @property
+    def free_points(self) -> np.ndarray:
+        """Which control points are on no line between vertices, (size,) bool."""
+        return np.arange(self.size) >= self._L * self._line
+
+    def carried(self, shifts: np.ndarray) -> np.ndarray:
+        """Carry shifts of the vertices (V, 3) to the control points of the lines, (size, 3)."""
+        out = np.zeros((self.size, 3))
+        share = ((np.arange(self._line) + 0.5) / self._line)[:, None]
+        a, b = np.moveaxis(shifts[self.model.lines], 1, 0)
+        out[:self._L * self._line] = ((1 - share) * a[:, None] + share * b[:, None]).reshape(-1, 3)
+        return out
 
     def nearest_in(self, other: VisibleModel) -> np.ndarray:
         """Return the number of the control point in another layout that lies nearest to each."""

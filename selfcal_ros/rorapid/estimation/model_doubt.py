@@ -1,0 +1,300 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Does the model fit the object, and the camera the image? A score test of what could be wrong.
+
+With a wrong model each pose is a compromise, and what is left of the edges' distances has a
+pattern: along one edge they grow, on one face they are all alike. Each pattern is one way of
+being wrong by a share s: a focal length, the object stretched along one of its directions, a face
+farther out, one edge longer. With the rows J of the pose and D of the pattern, weights W and
+residuals r of the last fit, D' = D - J (J'WJ)^-1 J'WD is what no pose can take up, and
+s = sum D'Wr / sum D'WD'. The sums run over images; the spread of s comes from how far its lines
+disagree (errors along one line are alike).
+
+The scale of the whole model is none of the patterns: with one camera it cannot be told from the
+distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
+from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
+from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
+from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.values.wireframe import WireframeModel
+
+#: Images that are looked at: each one at first, until so many; then every so many, until so many
+#: looks and while in doubt; then every so many (so seldom that the time of 95 % is not touched).
+_AT_ONCE, _EVERY, _FIRST, _LATER = 5, 3, 15, 25
+#: Images of a verdict at the least, and memory of what they showed.
+_LEAST, _MEMORY = 4, 0.95
+#: Search range, and Tukey's limit at the least and at the most, pixels.
+_REACH_PX, _LIMIT_PX = 8, (1.5, 6.0)
+#: A pattern stands out by so many sigmas, matters from this share on, and must explain this share
+#: of the squared residuals: single edges more, for one of them always explains the most. A doubt
+#: stands until less than half of this is left.
+_SIGMAS, _STANDS = 5.0, 0.5
+_MATTERS = {'focal': 0.02, 'stretch': 0.01, 'face': 0.01, 'edge': 0.03}
+_EXPLAINS = {'focal': 0.15, 'stretch': 0.2, 'face': 0.2, 'edge': 0.3}
+#: A pattern that explains so much of what the best one does is named beside it.
+_RIVAL = 0.8
+#: Models of more lines have the patterns of the whole object only.
+_MOST_LINES = 60
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """
+    What seems wrong.
+
+    Attributes
+    ----------
+    kind : str
+        'focal', 'stretch', 'face' or 'edge'.
+    what : str
+        Which part, in words.
+    share, sigma : float
+        By how much the model (or the focal length) is too long, and its standard deviation.
+    others : tuple of str
+        What explains the images nearly as well.
+
+    """
+
+    kind: str
+    what: str
+    share: float
+    sigma: float
+    others: tuple[str, ...] = ()
+
+    def text(self) -> str:
+        """Return one sentence."""
+        side = 'long' if self.share > 0 else 'short'
+        text = (f'{self.what} seems {100 * abs(self.share):.1f} ± {100 * self.sigma:.1f} % too '
+                f'{side}')
+        if self.others:
+            text += f' (or it is {" or ".join(self.others)})'
+        return text + '; the sigmas of the poses say what that does to them.'
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    kind: str
+    what: str
+    shift: np.ndarray | None            # (size, 3): control points, for s = 1; None: focal
+
+
+class ModelDoubt:
+    """
+    Watches residuals for what the model or the camera gets wrong.
+
+    Parameters
+    ----------
+    control : ControlModel
+    basis : ndarray, shape (size, m)
+    least_contrast : float
+        Weaker edges do not count, grey levels.
+
+    """
+
+    def __init__(self, control: ControlModel, basis: np.ndarray, least_contrast: float):
+        """Lay out the patterns."""
+        self._control, self._least = control, least_contrast
+        self.basis = basis
+        self._patterns = patterns_of(control)
+        self._shifts = np.array([p.shift for p in self._patterns if p.shift is not None])
+        self._matters = np.array([_MATTERS[p.kind] for p in self._patterns])
+        self._explains = np.array([_EXPLAINS[p.kind] for p in self._patterns])
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        lines = len(self._control.visible_model.kind)
+        self._images = self._looks = 0
+        self._score = np.zeros((lines, len(self._patterns)))
+        self._information = np.zeros_like(self._score)
+        self._square = 0.0
+        self._pull = np.zeros((self.basis.shape[1], len(self._patterns)))
+        self.doubt: Doubt | None = None
+        self._bias = np.zeros(self.basis.shape[1])
+
+    def due(self) -> bool:
+        """Whether this image is to be looked at; asked once an image that was tracked."""
+        self._images += 1
+        every = _EVERY if self._looks < _FIRST or self.doubt is not None else _LATER
+        return self._looks < _AT_ONCE or self._images % every == 0
+
+    def look(self, image: np.ndarray, state: ObjectPose, view: ControlView) -> None:
+        """
+        Take in an image.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        state : ObjectPose
+            As it was measured there.
+        view : ControlView
+            At that state.
+
+        """
+        at = np.flatnonzero(view.searched)
+        if len(at) < 3 * self.basis.shape[1]:
+            return
+        projection = self._control.projection
+        rows = projection.rows(state, view.projected, view.normal)[at] @ self.basis
+        edgels = find_edgels(sample_normals(image, view.projected.pixels[at], view.normal[at],
+                                            _REACH_PX), 3, self._least)
+        offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
+        offset = np.where(np.isfinite(offset), offset, 1e6)
+        weight = clutter_weight(view)[at] / (1 + (6 / np.maximum(view.end_px[at], 1.0))**2)
+        q, limit = np.zeros(rows.shape[1]), _LIMIT_PX[1]
+        line = np.arange(len(at))
+        for _ in range(3):
+            distance = offset - (rows @ q)[:, None]
+            chosen = offset[line, np.abs(distance).argmin(axis=1)]
+            residual = chosen - rows @ q
+            w = weight * tukey_weight(residual, limit)
+            H = (rows * w[:, None]).T @ rows + 1e-9 * np.eye(len(q))
+            q = np.linalg.solve(H, rows.T @ (w * np.where(w > 0, chosen, 0.0)))
+            near = np.abs(residual) < limit
+            if near.sum() < 3 * len(q):
+                return
+            limit = float(np.clip(6 * fast_robust_sigma(residual[near], 0.1), *_LIMIT_PX))
+        residual = np.where(w > 0, chosen - rows @ q, 0.0)
+        slopes = self._slopes(state, view, at)
+        pull = np.linalg.solve(H, rows.T @ (w[:, None] * slopes))
+        own = slopes - rows @ pull
+        primitive = view.primitive[at]
+        size = len(self._score)
+        score, information = np.zeros((2, size, own.shape[1]))
+        np.add.at(score, primitive, w[:, None] * own * residual[:, None])
+        np.add.at(information, primitive, w[:, None] * own**2)
+        self._score = _MEMORY * self._score + score
+        self._information = _MEMORY * self._information + information
+        self._square = _MEMORY * self._square + float(w @ residual**2)
+        self._pull = pull
+        self._looks += 1
+        self._judge()
+
+    def _slopes(self, state, view, at):
+        """Motion along the normals for s = 1 of each pattern, (C, K) pixels."""
+        projection = self._control.projection
+        # a shift of a point is a shift of the object for that point alone
+        rows = projection.rows(state, view.projected, view.normal)[at]
+        moved = self._shifts[:, view.ids[at]] @ state.rotation.T
+        out = np.empty((len(at), len(self._patterns)))
+        out[:, 0] = np.einsum('ci,ci->c', view.normal[at], view.projected.pixels[at]
+                              - projection.camera.K[:2, 2])
+        out[:, 1:] = np.einsum('kci,ci->ck', moved, rows[:, 3:6])
+        return out
+
+    def _judge(self) -> None:
+        """Say what stands out."""
+        total = self._information.sum(axis=0)
+        share = self._score.sum(axis=0) / np.maximum(total, 1e-12)
+        rest = self._score - share * self._information
+        count = (self._information > 1e-3 * total).sum(axis=0)
+        sigma = np.sqrt((rest**2).sum(axis=0) * count / np.maximum(count - 1, 1)) \
+            / np.maximum(total, 1e-12)
+        gain = share**2 * total / max(self._square, 1e-12)
+        usable = (count >= 3) & (total > 0)
+        # what was said stands until little of it is left
+        bar = 1.0 if self.doubt is None else _STANDS
+        out = usable & (np.abs(share) > bar * _SIGMAS * sigma) & (
+            gain > bar * self._explains) & (np.abs(share) > bar * self._matters)
+        if self._looks < _LEAST:
+            return
+        if not out.any():
+            self.doubt = None
+            return
+        kinds = [p.kind for p in self._patterns]
+        best = int(np.argmax(np.where(out, gain, 0.0)))
+        pattern = self._patterns[best]
+        others = [f't{self._patterns[k].what[1:]}' for k in np.argsort(-gain)
+                  if usable[k] and kinds[k] != kinds[best] and gain[k] > _RIVAL * gain[best]]
+        # of the picture's side: a model too long shows edgels nearer in
+        self.doubt = Doubt(pattern.kind, pattern.what, -float(share[best]), float(sigma[best]),
+                           tuple(others[:2]))
+        self._bias = self._pull[:, best] * share[best]
+
+    def bias(self) -> np.ndarray | None:
+        """Return by how much the doubt moves the pose, (m,), roughly; None without doubt."""
+        return None if self.doubt is None else self._bias
+
+
+def patterns_of(control: ControlModel) -> list[_Pattern]:
+    """Return the ways in which a camera and a model can be wrong; the focal length first."""
+    visible = control.visible_model
+    model = visible.model
+    found = [_Pattern('focal', "The camera's focal length", None)]
+    places = visible.resting_points() - control.centre
+    for axis, name in zip(_directions(model), 'abc'):
+        found.append(_Pattern('stretch', f'The model along {_named(axis)}',
+                              (places @ axis)[:, None] * axis))
+    if len(model.lines) > _MOST_LINES:
+        return found
+    size = model.diameter_m
+    points = model.vertices
+    for k, face in enumerate(model.faces):
+        normal = model.face_normals[k]
+        height = (points - points[face.indices[0]]) @ normal
+        extent = float(np.ptp(points @ normal))
+        if extent > 0.02 * size:
+            step = np.where(np.abs(height) < 1e-3 * size, extent, 0.0)[:, None] * normal
+            on = np.abs((places + control.centre - points[face.indices[0]]) @ normal)
+            shift = visible.carried(step)
+            free = visible.free_points
+            shift[free] = np.where(on[free, None] < 1e-3 * size, extent * normal, 0.0)
+            found.append(_Pattern('face', f'The model from face {face.name or k} inwards', shift))
+    internal = model.internal
+    for k, (a, b) in enumerate(model.lines):
+        if internal[k]:
+            continue
+        name = model.line_names[k] or f'{a}-{b}'
+        for near, far in ((a, b), (b, a)):
+            step = np.zeros_like(points)
+            step[model.same(far)] = points[far] - points[near]
+            found.append(_Pattern('edge', f'The edge {name} of the model', visible.carried(step)))
+    return found
+
+
+def _directions(model: WireframeModel) -> list[np.ndarray]:
+    """Return up to three directions in which most of the edges run."""
+    ends = model.edges()
+    spans = ends[:, 1] - ends[:, 0]
+    if not len(spans):
+        return list(np.eye(3))
+    lengths = np.linalg.norm(spans, axis=1)
+    unit = spans / lengths[:, None]
+    found: list[np.ndarray] = []
+    left = lengths.copy()
+    while len(found) < 3 and left.max() > 0:
+        alike = np.abs(unit @ unit.T) > np.cos(np.deg2rad(10))
+        best = int(np.argmax((alike * left).sum(axis=1) * (left > 0)))
+        axis = unit[best]
+        found.append(axis)
+        left[np.abs(unit @ axis) > np.cos(np.deg2rad(30))] = 0
+    return found
+
+
+def _named(axis: np.ndarray) -> str:
+    """Name a direction."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) > 0.999:
+        return f'its {"xyz"[k]}'
+    return f'its direction ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})'
