@@ -144,7 +144,11 @@ class DivisionModel:
                     s = radius ** 2
                     miss = radius * w - rho * (1 + s * (division + s * kappa))
                     slope = w - 2 * rho * radius * (division + 2 * s * kappa)
-                    radius = radius - miss / slope
+                    change = miss / slope
+                    radius = radius - change
+                    # NaN, where there is no pixel, stays NaN
+                    if not np.any(np.abs(change) > 1e-15 * radius):
+                        break
             radius = np.where(radius >= 0, radius, np.nan)
             scale = np.where(rho > 0, radius / rho, np.where(w > 0, 1.0, np.nan))
         place = points[..., :2] * scale[..., None]

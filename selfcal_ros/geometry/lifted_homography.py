@@ -40,13 +40,10 @@ def lifted_homography_cost(model: DivisionModel, xy_a: np.ndarray, xy_b: np.ndar
 
     """
     a, b = (_directions(model.lifted(xy)) for xy in (xy_a, xy_b))
-    # b x H a = 0
-    zero = np.zeros_like(a)
-    rows = np.concatenate([
-        np.concatenate([zero, -b[:, 2:] * a, b[:, 1:2] * a], axis=1),
-        np.concatenate([b[:, 2:] * a, zero, -b[:, :1] * a], axis=1),
-        np.concatenate([-b[:, 1:2] * a, b[:, :1] * a, zero], axis=1)])
-    H = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3)
+    # b x H a = 0: for unit b the squares of these are |H a|² - (b · H a)²
+    along = (b[:, :, None] * a[:, None, :]).reshape(-1, 9)
+    squares = np.kron(np.eye(3), a.T @ a) - along.T @ along
+    H = np.linalg.eigh(squares)[1][:, 0].reshape(3, 3)
     adjugate = np.stack([np.cross(H[:, 1], H[:, 2]), np.cross(H[:, 2], H[:, 0]),
                          np.cross(H[:, 0], H[:, 1])])
     cost = 0.0

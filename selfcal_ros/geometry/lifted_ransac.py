@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from selfcal_ros.geometry.division import (bend, lifted, refine_division, residuals,
@@ -24,6 +26,8 @@ from selfcal_ros.geometry.division import (bend, lifted, refine_division, residu
 _BATCH, _JURY = 100, 120
 #: A sample shall have been free of gross errors with this probability.
 _CONFIDENCE = 0.999
+#: Samples at most.
+_MOST_SAMPLES = 2000
 
 
 def _null_pairs(rows: np.ndarray) -> np.ndarray:
@@ -81,7 +85,7 @@ def _hypotheses(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def lifted_ransac(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
-                  threshold: float, rng: np.random.Generator, most_samples: int = 2000,
+                  threshold: float, rng: np.random.Generator, most_samples: int = _MOST_SAMPLES,
                   polished: bool = True) -> tuple[np.ndarray, np.ndarray] | None:
     """
     Fit F for lifted points, x_b' F x_a = 0, to the matches of one pair.
@@ -105,6 +109,23 @@ def lifted_ransac(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
         None where fewer than eight matches agree.
 
     """
+    best = _best_sample(xy_a, xy_b, coefficients, threshold, rng, most_samples)
+    if best is None:
+        return None
+    F, near, stands = _improved(best[None], xy_a[None], xy_b[None],
+                                np.ones((1, len(xy_a)), bool), coefficients, threshold)
+    if not stands[0]:
+        return None
+    if polished:
+        F = refine_division(xy_a[None], xy_b[None], near.astype(float), F, coefficients,
+                            held=True, iterations=5).F
+        near = np.abs(residuals(xy_a[None], xy_b[None], F, coefficients)[0]) < threshold
+    return (F[0], near[0]) if near.sum() >= 8 else None
+
+
+def _best_sample(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray, threshold: float,
+                 rng: np.random.Generator, most_samples: int) -> np.ndarray | None:
+    """F (3, 3) through the seven matches that most others agree with."""
     count = len(xy_a)
     if count < 8:
         return None
@@ -124,9 +145,42 @@ def lifted_ransac(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
             best_score, best = score[top], F[top]
             clean = min(max(share[top], 1e-3), 1 - 1e-9)
             needed = np.log(1 - _CONFIDENCE) / np.log1p(-clean ** 7)
-    if best is None:
-        return None
-    return _improved(best, xy_a[None], xy_b[None], coefficients, threshold, polished)
+    return best
+
+
+def lifted_inliers(pairs: Sequence[tuple[np.ndarray, np.ndarray]], coefficients: np.ndarray,
+                   threshold: float, rng: np.random.Generator) -> list[np.ndarray | None]:
+    """
+    Tell which matches of every pair agree with one F for lifted points.
+
+    Parameters
+    ----------
+    pairs : sequence of (xy_a (m, 2), xy_b (m, 2))
+    coefficients, threshold, rng
+        As in `lifted_ransac`.
+
+    Returns
+    -------
+    list of (ndarray of bool, shape (m,)) or None
+        None where fewer than eight matches agree.
+
+    """
+    found = [_best_sample(a, b, coefficients, threshold, rng, _MOST_SAMPLES) for a, b in pairs]
+    there = [k for k, F in enumerate(found) if F is not None]
+    inliers: list[np.ndarray | None] = [None] * len(pairs)
+    if not there:
+        return inliers
+    counts = np.array([len(pairs[k][0]) for k in there])
+    most = int(counts.max())
+    # what is not there is said once more, and does not count
+    xy = np.array([[np.resize(side, (most, 2)) for side in pairs[k]] for k in there])
+    # all pairs at a time: most of the work is not arithmetic
+    _, near, stands = _improved(np.array([found[k] for k in there]), xy[:, 0], xy[:, 1],
+                                np.arange(most) < counts[:, None], coefficients, threshold)
+    for n, k in enumerate(there):
+        if stands[n]:
+            inliers[k] = near[n, :len(pairs[k][0])]
+    return inliers
 
 
 def _equations(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -162,25 +216,49 @@ def _scores(F: np.ndarray, equations: np.ndarray, threshold: float,
     return near.sum(axis=1) - (product * near).sum(axis=1), near.mean(axis=1)
 
 
-def _improved(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
-              threshold: float, polished: bool) -> tuple[np.ndarray, np.ndarray] | None:
-    """Refit F to its inliers, as long as it wins any."""
-    F = F[None]
-    distance = np.abs(residuals(xy_a, xy_b, F, coefficients)[0])
+def _improved(F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray, present: np.ndarray,
+              coefficients: np.ndarray, threshold: float,
+              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Refit F (n, 3, 3) to its inliers, as long as it wins any.
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, 3, 3)
+    xy_a, xy_b : ndarray, shape (n, m, 2)
+    present : ndarray of bool, shape (n, m)
+        Which matches there are.
+    coefficients, threshold
+        As in `lifted_ransac`.
+
+    Returns
+    -------
+    F : ndarray, shape (n, 3, 3)
+    near : ndarray of bool, shape (n, m)
+        Inliers.
+    stands : ndarray of bool, shape (n,)
+        Pairs with eight of them.
+
+    """
+    def distances(F: np.ndarray) -> np.ndarray:
+        apart = np.abs(residuals(xy_a, xy_b, F, coefficients)[0])
+        return np.where(present, apart, np.inf)
+
+    distance = distances(F)
+    going = np.ones(len(F), bool)
     # the sample's own noise hides inliers from it
     for factor in (2.0, 1.4, 1.0):
-        near = (distance < factor * threshold).astype(float)
-        if near.sum() < 8:
+        near = distance < factor * threshold
+        going &= near.sum(axis=1) >= 8
+        if not going.any():
             break
-        again = weighted_eight_point(xy_a, xy_b, near, coefficients, F, 2)
-        far = np.abs(residuals(xy_a, xy_b, again, coefficients)[0])
-        if np.minimum(far, threshold).sum() <= np.minimum(distance, threshold).sum():
-            F, distance = again, far
+        # where there are too few, all there are stand in
+        weight = np.where(going[:, None], near, present).astype(float)
+        again = weighted_eight_point(xy_a, xy_b, weight, coefficients, F, 2)
+        far = distances(again)
+        better = going & (np.minimum(far, threshold).sum(axis=1)
+                          <= np.minimum(distance, threshold).sum(axis=1))
+        F = np.where(better[:, None, None], again, F)
+        distance = np.where(better[:, None], far, distance)
     near = distance < threshold
-    if near.sum() < 8:
-        return None
-    if polished:
-        F = refine_division(xy_a, xy_b, near.astype(float), F, coefficients, held=True,
-                            iterations=5).F
-        near = np.abs(residuals(xy_a, xy_b, F, coefficients)[0]) < threshold
-    return (F[0], near[0]) if near.sum() >= 8 else None
+    return F, near, near.sum(axis=1) >= 8

@@ -83,6 +83,35 @@ class PointBlocks:
         total: np.ndarray = self._view_sum @ values
         return total
 
+    def point_equations(self, jac_point: np.ndarray, residual: np.ndarray, weight: np.ndarray,
+                        ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Sum the normal equations of every point alone.
+
+        Parameters
+        ----------
+        jac_point : ndarray, shape (N, m, p)
+        residual : ndarray, shape (N, m)
+        weight : ndarray, shape (N,)
+
+        Returns
+        -------
+        ndarray, shape (P, p, p)
+        ndarray, shape (P, p)
+
+        """
+        p = jac_point.shape[2]
+        weighted = jac_point * weight[:, None, None]
+        H, b = np.empty((self.point_count, p, p)), np.empty((self.point_count, p))
+        # entry by entry: sums over contiguous numbers are the quick ones
+        for i in range(p):
+            for j in range(i + 1):
+                H[:, i, j] = H[:, j, i] = np.add.reduceat(
+                    np.einsum('nm,nm->n', weighted[:, :, i], jac_point[:, :, j]), self.first)
+            b[:, i] = np.add.reduceat(np.einsum('nm,nm->n', weighted[:, :, i], residual),
+                                      self.first)
+        return H, b
+
     def _products(self, jac_point: np.ndarray, jac_shared: np.ndarray,
                   ) -> tuple[np.ndarray, np.ndarray]:
         """Sum Jᵀ J (P, p, p) and Jᵀ S (P, p, g) over points that many observations see."""

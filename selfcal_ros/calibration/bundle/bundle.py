@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIG
                                                         inverse_information, winsorised_square)
 from selfcal_ros.calibration.bundle.model import Linearisation, Model
 from selfcal_ros.calibration.bundle.priors import Priors
+from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
                                                       straight_step)
@@ -38,6 +39,8 @@ from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
+#: Points whose cost changes by less than this have settled, in units of sigma².
+SETTLED = 1e-5
 #: A noise below this is rounding, pixels.
 MIN_NOISE_PX = 1e-9
 #: Covariance over that of Gaussian noise, at least.
@@ -261,28 +264,33 @@ class Bundle:
         Points intersected in closed form may be far off in the image, and a few of them would
         move the cameras in the joint adjustment.
         """
-        def point_costs(linearisation: Linearisation) -> np.ndarray:
-            loss = huber_loss(self._misfits(linearisation), HUBER_SIGMAS)
-            return self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
+        model = self.model
+        assert isinstance(model, SceneModel)
+
+        def equations(state: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Cost (P,), matrix (P, 3, 3) and gradient (P, 3) of every point."""
+            there = model.of_points(state, self.blocks, self.xy)
+            misfit = self._misfits(there)
+            loss = huber_loss(misfit, HUBER_SIGMAS)
+            weight = huber_weights(misfit, HUBER_SIGMAS) * there.ahead
+            cost = self.blocks.sum_over_points(np.nan_to_num(loss, nan=np.inf))
+            return cost, *self.blocks.point_equations(there.eliminated, there.residual, weight)
 
         damping = np.full(self.blocks.point_count, 1e-3)
-        linearisation = self.linearise(state)
-        cost = point_costs(linearisation)
+        cost, H, b = equations(state)
         for _ in range(iterations):
-            weight = huber_weights(self._misfits(linearisation), HUBER_SIGMAS)
-            weight *= linearisation.ahead
-            weighted = np.swapaxes(linearisation.eliminated * weight[:, None, None], 1, 2)
-            H = self.blocks.sum_over_points(weighted @ linearisation.eliminated)
-            b = self.blocks.sum_over_points(weighted @ linearisation.residual[..., None])
             ridge = damping * np.einsum('pii->p', H) + 1e-300
-            step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b)[..., 0]
+            step = -np.linalg.solve(H + ridge[:, None, None] * np.eye(3), b[..., None])[..., 0]
             moved = self.moved(state, np.zeros(len(self.unknowns)), step)
-            new_cost = point_costs(self.linearise(moved, jacobians=False))
+            new_cost, *new = equations(moved)
             better = new_cost < cost
             damping *= np.where(better, 0.1, 10.0)
             state = replace(state, points=np.where(better[:, None], moved.points, state.points))
+            H[better], b[better] = new[0][better], new[1][better]
+            settled = np.abs(cost - new_cost) < SETTLED
             cost = np.minimum(cost, new_cost)
-            linearisation = self.linearise(state)
+            if settled.all():
+                break
         return state
 
     # ------------------------------------------------------------------ noise

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,34 @@ from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, proje
                                                  VIEW_NAME, walk_count, with_walk, with_zoom, Zoom)
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Points of all observations on their way into the image."""
+
+    residual: np.ndarray
+    ahead: np.ndarray
+    Y: np.ndarray
+    placing: np.ndarray
+    turned: np.ndarray
+    placed: np.ndarray
+    sign: np.ndarray
+    pixels: Any
+
+    def by_placed(self, state: SceneState) -> np.ndarray:
+        """Differentiate by the points before the mount, (N, 2, 3)."""
+        J: np.ndarray = (self.pixels.by_points().reshape(-1, 3) @ state.path.mount).reshape(
+            -1, 2, 3)
+        if not state.lens.model.is_perspective:
+            J *= self.sign[:, None, None]
+        return J
+
+    def by_points(self, J: np.ndarray, state: SceneState, blocks: PointBlocks) -> np.ndarray:
+        """Differentiate by small moves of the homogeneous points, (N, 2, 3)."""
+        tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
+        by_point: np.ndarray = (J @ self.placing) @ tangent
+        return by_point
 
 
 @dataclass(frozen=True)
@@ -93,6 +122,31 @@ class SceneModel:
 
         """
         path, view = state.path, blocks.view
+        seen = self._seen(state, blocks, xy)
+        if not jacobians:
+            return residuals_only(seen.residual, seen.ahead)
+
+        J = seen.by_placed(state)
+        shared = seen.pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
+        path.by_axis(J, seen.placed, shared[:, :, unknowns.lens.stop:])
+        if self.shutter is not None:
+            shared[:, :, unknowns.places((LINE_DELAY,))[0]] = self.shutter.slope
+        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
+        own = path.by_views(J, seen.turned, seen.Y[:, 3:], view, planar)
+        if self.motion.zoom is not None:
+            own = differentiate(seen.pixels, self.motion.zoom, view, shared, own)
+        return Linearisation(seen.residual, seen.ahead, shared, own,
+                             seen.by_points(J, state, blocks))
+
+    def of_points(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Linearisation:
+        """Project every observation, and differentiate by the points alone."""
+        seen = self._seen(state, blocks, xy)
+        by_points = seen.by_points(seen.by_placed(state), state, blocks)
+        none = by_points[:, :, :0]
+        return Linearisation(seen.residual, seen.ahead, none, none, by_points)
+
+    def _seen(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> _Seen:
+        path, view = state.path, blocks.view
         Y = np.take(state.points, blocks.point, axis=0)
         poses = np.concatenate([path.rotations(), path.translation[:, :, None]], axis=2)
         placing = np.take(poses, view, axis=0)
@@ -107,23 +161,7 @@ class SceneModel:
         residual = pixels.uv - xy
         if self.shutter is not None:
             residual += self.shutter.at(state.line_delay)
-        if not jacobians:
-            return residuals_only(residual, ahead)
-
-        J = (pixels.by_points().reshape(-1, 3) @ path.mount).reshape(-1, 2, 3)
-        if not state.lens.model.is_perspective:
-            J *= sign[:, None, None]
-        shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
-        path.by_axis(J, placed, shared[:, :, unknowns.lens.stop:])
-        if self.shutter is not None:
-            shared[:, :, unknowns.places((LINE_DELAY,))[0]] = self.shutter.slope
-        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
-        own = path.by_views(J, turned, Y[:, 3:], view, planar)
-        if self.motion.zoom is not None:
-            own = differentiate(pixels, self.motion.zoom, view, shared, own)
-        by_point = J @ placing
-        tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
-        return Linearisation(residual, ahead, shared, own, by_point @ tangent)
+        return _Seen(residual, ahead, Y, placing, turned, placed, sign, pixels)
 
     def moved(self, state: SceneState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> SceneState:

@@ -334,10 +334,8 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     lens, priors = gentle_lens(model.fit, problem.facts, problem.size)
     bundle = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
     camera = replace(found, lens=lens).camera()
-    starts = [problem.start(bundle.blocks, few.xy, camera, exact)
-              for exact in ((True, False) if problem.motion.keeps_plane else (False,))]
     standing = [state if not model.exact else replace(state, path=state.path.flat())
-                for state in starts if state is not None]
+                for state in problem.starts(bundle.blocks, few.xy, camera)]
     costs = [bundle.cost(state) for state in standing]
     if not np.isfinite(min(costs, default=np.inf)):
         return folded

@@ -16,10 +16,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS, propose_camera
+from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -29,6 +31,7 @@ from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, lik
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.values.tracks import Tracks
 
 #: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a
@@ -45,6 +48,9 @@ GOOD_ENOUGH = 1.25
 MODULUS_MAX_VIEWS = 8
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
+#: A plane that nobody stated, and that leaves so much by its first start (the same unit), is tried
+#: from no more starts where free motion explains all and leaves every plane by this (radians).
+MUCH_LEFT, FAR_OUT_RAD = 3.0, np.radians(10.0)
 
 
 def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
@@ -67,9 +73,7 @@ def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
         priors = start_priors(problem, camera)
         coarse = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
         fine = bundle_of(few, problem.motion, priors, 1.5 * problem.noise_px)
-        found = (problem.start(blocks, few.xy, camera, exact)
-                 for exact in ((True, False) if problem.motion.keeps_plane else (False,)))
-        candidates = [state for state in found if state is not None]
+        candidates = problem.starts(blocks, few.xy, camera)
         costs = [coarse.cost(state) for state in candidates]
         if not np.isfinite(min(costs, default=np.inf)):
             continue
@@ -139,7 +143,7 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
             yield from propose_camera(Tracks(few.view, few.point, few.xy, problem.size),
                                       problem.size, problem.facts)
 
-    best, best_noise = None, np.inf
+    best, best_noise, doubted = None, np.inf, False
     for state, noise in starts(problem, proposals()):
         if noise < best_noise:
             best, best_noise = state, noise
@@ -147,7 +151,33 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         if (problem.flat is None and best_noise < GOOD_ENOUGH * problem.noise_px
                 and best is not None and _is_plausible(best, problem.size)):
             break
+        if not doubted and _may_leave_plane(problem, best, best_noise):
+            doubted = True
+            if _leaves_plane(problem, proposals()):
+                break
     return best, best_noise
+
+
+def _may_leave_plane(problem: SelfCalibrationProblem, best: SceneState | None,
+                     noise_px: float) -> bool:
+    """Tell whether a plane that nobody stated leaves so much that free motion is to be asked."""
+    return (problem.supposes_plane and problem.motion.keeps_plane and problem.flat is None
+            and problem.pivot is None and best is not None
+            and noise_px > MUCH_LEFT * problem.noise_px)
+
+
+def _leaves_plane(problem: SelfCalibrationProblem, proposals: Iterator[Camera]) -> bool:
+    """Tell whether free motion explains all by the first proposal, and is of no plane."""
+    motion = replace(GENERAL, zoom=problem.motion.zoom, parallel=problem.motion.parallel)
+    free, noise_px = next(starts(replace(problem, motion=motion), proposals), (None, np.inf))
+    if (free is None or noise_px > GOOD_ENOUGH * problem.noise_px
+            or not _is_plausible(free, problem.size)):
+        return False
+    R = free.path.rotations()
+    # turns against the first view are all about one axis, if there is a plane
+    turns = rotation_vector(R @ R[0].T)
+    across = np.linalg.svd(turns, compute_uv=False)[1:]
+    return bool(np.sqrt(np.sum(across**2) / len(turns)) > FAR_OUT_RAD)
 
 
 def _is_plausible(state: SceneState, size: tuple[int, int]) -> bool:

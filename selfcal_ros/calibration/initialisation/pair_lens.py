@@ -28,7 +28,7 @@ from selfcal_ros.geometry.division import DivisionModel, refine_division, weight
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.lifted_homography import lifted_homography_cost
-from selfcal_ros.geometry.lifted_ransac import lifted_ransac
+from selfcal_ros.geometry.lifted_ransac import lifted_inliers
 from selfcal_ros.geometry.ransac import ransac_inliers
 from selfcal_ros.geometry.shared_division import LADDER, shared_division
 from selfcal_ros.geometry.two_view_tests import homography_cost, PARALLAX_RATIO
@@ -67,16 +67,16 @@ class PairLens:
     division: float = 0.0
     sigma: float = float('inf')
 
-    def inliers(self, xy_a: np.ndarray, xy_b: np.ndarray, rng: np.random.Generator,
-                threshold_px: float) -> np.ndarray | None:
-        """Tell which matches (m, 2) agree with one F, (m,) of bool; None without such an F."""
-        if self.model is None:
-            found = ransac_inliers(xy_a, xy_b, rng, threshold_px)
-            return found[0] if found else None
+    def inliers(self, samples: list[Sample], rng: np.random.Generator,
+                threshold_px: float) -> list[np.ndarray | None]:
+        """Tell which matches of every pair agree with one F, (m,) of bool; None without an F."""
         model = self.model
-        bent = lifted_ransac(model.units(xy_a), model.units(xy_b), np.array(model.coefficients),
-                             threshold_px / model.half_diagonal_px, rng, polished=False)
-        return None if bent is None else bent[1]
+        if model is None:
+            found = [ransac_inliers(*xy, rng, threshold_px) for xy in samples]
+            return [one[0] if one else None for one in found]
+        return lifted_inliers([(model.units(a), model.units(b)) for a, b in samples],
+                              np.array(model.coefficients),
+                              threshold_px / model.half_diagonal_px, rng)
 
     def refined(self, samples: list[Sample]) -> np.ndarray:
         """F (n, 3, 3) of all pairs at once, of (straightened) pixels, by least squares."""

@@ -74,14 +74,18 @@ class SelfCalibrationProblem:
         """Count the views."""
         return int(self.observations.view.max()) + 1
 
-    def start(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera,
-              exact: bool) -> SceneState | None:
-        """Start under a supposed calibration; see `planar_start`."""
+    def starts(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> list[SceneState]:
+        """Start under a supposed calibration, in all ways that stand; see `planar_start`."""
+        ways = (True, False) if self.motion.keeps_plane else (False,)
         if self.pivot is not None:
-            return self.pivot.start(blocks, xy, camera)
-        if self.flat is not None:
-            return self.flat.start(blocks, xy, camera, exact)
-        return planar_start(self.pairs, blocks, xy, camera, exact)
+            found = [self.pivot.start(blocks, xy, camera) for _ in ways]
+        elif self.flat is not None:
+            found = [self.flat.start(blocks, xy, camera, exact) for exact in ways]
+        else:
+            relative = relative_rotations(self.pairs, camera)
+            found = [planar_start(self.pairs, blocks, xy, camera, exact, relative)
+                     for exact in ways]
+        return [state for state in found if state is not None]
 
     def window(self) -> SelfCalibrationProblem:
         """Return the stretch of `WINDOW_VIEWS` that turns most, this problem if it is short."""

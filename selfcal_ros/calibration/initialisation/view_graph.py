@@ -235,8 +235,8 @@ def _agreeing(lens: PairLens, compared: list[_Compared], rng: np.random.Generato
               ) -> tuple[list[Sample], list[_Compared]]:
     """Inliers of the pairs that have any, and these pairs."""
     samples, matches = [], []
-    for pair in compared:
-        inlier = lens.inliers(*pair.xy, rng, EPIPOLAR_THRESHOLD_PX)
+    found = lens.inliers([pair.xy for pair in compared], rng, EPIPOLAR_THRESHOLD_PX)
+    for pair, inlier in zip(compared, found):
         if inlier is not None:
             samples.append((pair.xy[0][inlier], pair.xy[1][inlier]))
             matches.append(pair)
