@@ -26,6 +26,7 @@ from selfcal_ros.cli.force import add_force_argument, check_outputs
 from selfcal_ros.cli.machine_output import add_json_argument, is_standard_output
 from selfcal_ros.cli.many import add_many_arguments, run_many
 from selfcal_ros.cli.parsing import add_seed_argument
+from selfcal_ros.cli.rig import add_rig_arguments, run_rig
 from selfcal_ros.cli.robot_options import add_mount_outputs, add_robot_arguments, robot_from
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
@@ -89,6 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_fact_arguments(parser)
     add_robot_arguments(parser)
     add_many_arguments(parser)
+    add_rig_arguments(parser)
     output = parser.add_argument_group('output')
     output.add_argument('--output', type=Path, metavar='CAMERA.YAML',
                         help='calibration file for camera drivers (default camera.yaml)')
@@ -130,6 +132,11 @@ def run(args: argparse.Namespace) -> int:
         from selfcal_ros.features.mask import read_mask
         # before the long work, and once for many recordings
         read_mask(args.mask)
+    if args.cameras:
+        return run_rig(args, settings)
+    if args.baseline:
+        raise ArgumentError('--baseline is the distance of two cameras; name them with '
+                            '--cameras.')
     paths, many = find_recordings(args.input)
     if many:
         if args.track:

@@ -48,7 +48,7 @@ _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
 #: Positions less certain than four times the median are dropped; bounds of that limit.
-_SIGMA_LIMIT_PX = (0.08, 0.5)
+SIGMA_LIMIT_PX = (0.08, 0.5)
 
 
 @dataclass(frozen=True)
@@ -251,11 +251,11 @@ def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], m
     report('registration', 0)
     xy, good, sigma_px = refine(images, image, track, xy, size_px, ideal_fisheye(bend))
     if good.any():
-        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *_SIGMA_LIMIT_PX)
+        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
     findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
                             positions=len(good)))
     tracks = Tracks(keyframes[image[good]], track[good], xy[good], size, stamps)
-    return _finish(tracks, findings, seed), keyframes
+    return finish_tracks(tracks, findings, seed), keyframes
 
 
 def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
@@ -314,7 +314,7 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
                     np.concatenate([filmed[index].neighbours for index in keyframes.tolist()]
                                    or [np.empty((0, 2, 3))]))
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
-    return _finish(tracks.with_at_least(2), findings, seed), keyframes
+    return finish_tracks(tracks.with_at_least(2), findings, seed), keyframes
 
 
 def _straightened(kept, size, seed) -> list[np.ndarray]:
@@ -331,7 +331,7 @@ def _straightened(kept, size, seed) -> list[np.ndarray]:
             for _, _, xy, anchors, affine in kept]
 
 
-def _finish(tracks, findings: list[Finding], seed):
+def finish_tracks(tracks, findings: list[Finding], seed):
     """Drop static points, then what contradicts epipolar geometry."""
     whole, told = without_still(tracks)
     findings += told

@@ -1,0 +1,108 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal calibrate --cameras`: cameras that move together, calibrated in one."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from selfcal_ros.cli.colours import coloured
+from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.machine_output import is_standard_output, write_json
+from selfcal_ros.cli.progress import Progress
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+
+#: Options of one camera that a rig does not take.
+OF_ONE_CAMERA = ('object', 'track', 'report', 'view', 'topic', 'views', 'translation_frames',
+                 'poses', 'poses_format', 'ply', 'colmap', 'transforms', 'robot', 'output_dir',
+                 'jobs', 'scheduler')
+#: Motions of a rig.
+MOTIONS = ('auto', 'planar', 'general')
+
+
+def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of several cameras."""
+    group = parser.add_argument_group(
+        'several cameras', 'Cameras that move together are calibrated in one, with their poses to '
+        'each other. They need not see the same things.')
+    group.add_argument('--cameras', metavar='NAMES',
+                       help='names, separated by commas, of the cameras of the INPUTs, such as '
+                            'left,right; with one bag the image topics, such as '
+                            '/left/image_raw,/right/image_raw')
+    group.add_argument('--baseline', type=_length, metavar='METRES[:SIGMA]',
+                       help='distance of the first two cameras, such as 0.11:0.0005 (default: '
+                            'lengths in steps of the path; sigma 0: exact)')
+
+
+def _length(text: str) -> tuple[float, float]:
+    """Read a length with its sigma."""
+    try:
+        value, _, sigma = text.partition(':')
+        found = float(value), float(sigma or 0)
+    except ValueError:
+        found = 0.0, 0.0
+    if not (0 < found[0] < 1e4 and 0 <= found[1] < 1e4):
+        raise argparse.ArgumentTypeError(f'{text!r:.40} is no length in metres with a sigma, such '
+                                         'as 0.11:0.0005')
+    return found
+
+
+def run_rig(args: argparse.Namespace, settings) -> int:
+    """Calibrate a rig; returns the exit status."""
+    from selfcal_ros.errors import ArgumentError
+    from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
+    from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.report.rig_files import (camchain, output_names, rig_camera_yaml, rig_text,
+                                              rig_to_dict)
+    for name in OF_ONE_CAMERA:
+        if getattr(args, name, None):
+            raise ArgumentError(f'--{name.replace("_", "-")} is for a single camera; leave it out '
+                                'beside --cameras.')
+    if args.motion not in MOTIONS:
+        raise ArgumentError(f'--motion of several cameras is one of {", ".join(MOTIONS)}, not '
+                            f'{args.motion}.')
+    inputs = rig_inputs(args.input, args.cameras)
+    base = args.output or Path('camera.yaml')
+    files = output_names(base, [one.name for one in inputs])
+    chain = base.with_name(f'{base.stem}_camchain.yaml')
+    check_outputs((*files.values(), chain), (*args.input, args.mask), args.force, (args.json,))
+    with Progress.of(args) as progress:
+        result, reading = calibrate_rig_input(inputs, settings, args.baseline, progress)
+        progress('writing')
+    written, left_out = [], []
+    if result:
+        written = [atomic_write(path, rig_camera_yaml(result, name, reading.description))
+                   for name, path in files.items()]
+        of_kalibr = camchain(result, reading.topics)
+        if of_kalibr is not None:
+            written.append(atomic_write(chain, of_kalibr))
+        else:
+            left_out.append('A chain of Kalibr needs metres, all poses, and lenses that Kalibr '
+                            f'knows: {chain} was not written.')
+    if args.json:
+        content = rig_to_dict(result)
+        content['seed'] = settings.seed
+        write_json(args.json, content)
+        if not is_standard_output(args.json):
+            written.append(args.json)
+    if not (args.quiet or is_standard_output(args.json)):
+        print(coloured(rig_text(result) if result else str(result)))
+        print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
+    elif not result:
+        print(result, file=sys.stderr)
+    for sentence in left_out if not args.quiet else ():
+        print(sentence, file=sys.stderr)
+    return EXIT_DONE if result else EXIT_NOT_CALIBRATED

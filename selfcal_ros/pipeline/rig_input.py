@@ -1,0 +1,281 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From the inputs of cameras that move together to their calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+import itertools
+from pathlib import Path
+import re
+
+import numpy as np
+
+from selfcal_ros.calibration.result import NotCalibrated
+from selfcal_ros.calibration.rigs.result import RigCalibration
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
+from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.feature_session import generator, tracks_of_table
+from selfcal_ros.pipeline.sources import FrameSource, open_source
+from selfcal_ros.values.tracks import Tracks
+
+#: Images of one instant differ by no more than this in their stamps.
+MAX_APART_NS = 3_000_000
+#: Instants that are used unless somebody says how many.
+USUAL_INSTANTS = 40
+#: Fewer instants are no recording.
+MIN_INSTANTS = 4
+
+
+@dataclass(frozen=True)
+class RigInput:
+    """One camera of a rig: its name, and where its images are."""
+
+    name: str
+    path: str
+    topic: str | None = None
+
+
+@dataclass(frozen=True)
+class RigReading:
+    """
+    Tracks of all cameras, and how they came about.
+
+    Attributes
+    ----------
+    tracks : dict of str to Tracks
+    shared : bool
+        Whether equal numbers in two cameras are the same point.
+    description : str
+    findings : tuple of Finding
+    topics : dict of str to str
+
+    """
+
+    tracks: dict[str, Tracks]
+    shared: bool
+    description: str
+    findings: tuple[Finding, ...]
+    topics: dict[str, str]
+
+
+def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
+    """
+    Tell which camera has which images.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        One an input for every camera, or a single bag.
+    cameras : str
+        Names, separated by commas: 'left,right'; for a bag topics, or names that occur in them.
+        'left=/front/image_raw' gives a topic a name.
+
+    Raises
+    ------
+    ArgumentError, InputError
+        If names and inputs do not fit together.
+
+    """
+    words = [word.strip() for word in cameras.split(',')]
+    if len(words) < 2 or not all(words):
+        raise ArgumentError('--cameras takes the names of two or more cameras, separated by '
+                            'commas, such as left,right.')
+    if len(paths) == 1:
+        found = _of_bag(paths[0], words)
+    elif len(paths) == len(words):
+        parts = [word.partition('=') for word in words]
+        found = [RigInput(name, path, topic or None)
+                 for (name, _, topic), path in zip(parts, paths)]
+    else:
+        raise ArgumentError(f'--cameras names {len(words)} cameras, but there are {len(paths)} '
+                            'INPUTs; give one for each, or a single bag that holds all.')
+    for one in found:
+        if not re.fullmatch(r'[A-Za-z0-9_]+', one.name):
+            raise ArgumentError(f'The name {one.name!r:.60} of a camera is impossible; use '
+                                'letters, digits and underscores.')
+    if len({one.name for one in found}) < len(found):
+        raise ArgumentError('Two cameras have the same name; give them names, such as '
+                            'left=/one/image_raw,right=/two/image_raw.')
+    return found
+
+
+def _of_bag(path: str, words: list[str]) -> list[RigInput]:
+    """Find the topics of a bag that cameras are named by."""
+    place = Path(path)
+    if not (place.suffix in BAG_SUFFIXES or place.is_dir() and is_bag_folder(place)):
+        raise ArgumentError(f'{path} is no bag: give one INPUT for each camera of --cameras.')
+    topics = image_topics(Path(path))
+    found = []
+    for word in words:
+        name, equals, topic = word.rpartition('=')
+        if not equals and '/' not in topic:
+            fits = [one for one in topics if topic in one.split('/')]
+            if len(fits) != 1:
+                raise InputError(f'{path} has {len(fits) or "no"} image topics of a camera '
+                                 f'{topic}; its image topics are {", ".join(topics)}.')
+            name, topic = topic, fits[0]
+        found.append([name, topic])
+    parts = [topic.strip('/').split('/') for _, topic in found]
+    for words_here in itertools.zip_longest(*parts, fillvalue=''):
+        # the first part of the topics that tells them apart is a name
+        if len(set(words_here)) == len(found):
+            found = [[name or word, topic] for (name, topic), word in zip(found, words_here)]
+            break
+    return [RigInput(name or re.sub(r'\W+', '_', topic).strip('_'), path, topic)
+            for name, topic in found]
+
+
+def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSettings,
+                        baseline: tuple[float, float] | None = None,
+                        progress: Callable | None = None,
+                        ) -> tuple[RigCalibration | NotCalibrated, RigReading]:
+    """
+    Read the images of cameras that move together, and calibrate them.
+
+    Parameters
+    ----------
+    inputs : sequence of RigInput
+    settings : CalibrationSettings
+        Of all cameras.
+    baseline : (float, float), optional
+        Distance of the first two cameras and its sigma, metres.
+    progress : callable, optional
+        Called as progress(text, done, total).
+
+    Returns
+    -------
+    RigCalibration or NotCalibrated
+    RigReading
+
+    Raises
+    ------
+    InputError, ArgumentError
+        If an input cannot be used.
+
+    """
+    from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_source(
+            one.path, one.topic, settings.image_size, excerpt=settings.excerpt))
+            for one in inputs]
+        reading = _read(inputs, sources, settings, progress)
+    if progress:
+        progress('estimating', 0, None)
+    result = calibrate_rig(reading.tracks, shared_tracks=reading.shared, motion=settings.motion,
+                           facts=settings.facts, baseline=baseline,
+                           rng=generator(settings.seed))
+    return result, reading
+
+
+def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: CalibrationSettings,
+          progress: Callable | None) -> RigReading:
+    """Find the tracks of all cameras."""
+    description = '; '.join(f'{one.name}: {source.description}'
+                            for one, source in zip(inputs, sources))
+    topics = {one.name: source.topic for one, source in zip(inputs, sources)}
+    kinds = {source.kind for source in sources}
+    if kinds == {'tracks'}:
+        tables = [tracks_of_table(source, None, settings.max_keyframes) for source in sources]
+        return RigReading({one.name: table.tracks for one, table in zip(inputs, tables)}, False,
+                          description, tables[0].findings, topics)
+    if 'tracks' in kinds:
+        raise InputError('Give the images of all cameras, or tables of tracks of all.')
+    from selfcal_ros.features.rig_extraction import extract_rig_tracks
+    mask = None
+    if settings.mask is not None:
+        from selfcal_ros.features.mask import read_mask
+        mask = read_mask(settings.mask)
+    chosen = _keyframes(sources[0], settings, progress, mask)
+    images = _simultaneous(sources, chosen, progress)
+    frames = sorted(set.intersection(*(set(one) for one in images)))
+    if len(frames) < MIN_INSTANTS:
+        raise InputError(f'Only {len(frames)} images of {inputs[0].name} have one of the same '
+                         'instant in every other camera; trigger the cameras together, or check '
+                         'their stamps.')
+    timed = sources[0].clock != 'nominal'
+
+    def report(text, done):
+        total = 1.0 if isinstance(done, float) else len(frames) * len(sources)
+        progress(text, done, total)
+
+    found = extract_rig_tracks(
+        {one.name: [some[frame] for frame in frames] for one, some in zip(inputs, images)},
+        frames, {frame: chosen[frame][0] for frame in frames} if timed else None,
+        progress=report if progress else None, mask=mask, rng=generator(settings.seed))
+    return RigReading(dict(found.tracks), found.shared > 0, description, found.findings, topics)
+
+
+def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Callable | None,
+               mask) -> dict[int, tuple[int, str]]:
+    """Choose images of the first camera; stamp and name of each, by index."""
+    from selfcal_ros.features.extraction import extract_tracks
+    most = settings.max_keyframes or USUAL_INSTANTS
+    seen: dict[int, tuple[int, str]] = {}
+
+    def frames():
+        for frame in source:
+            seen[frame.index] = frame.stamp_ns, frame.name
+            yield frame.index, frame.image, frame.stamp_ns
+
+    total = source.count
+    if total is not None and total <= 1.5 * most or settings.mode == 'wide':
+        for _ in frames():
+            pass
+        indices = list(seen)
+        if len(indices) > 1.5 * most:
+            indices = [indices[k] for k in np.unique(
+                np.linspace(0, len(indices) - 1, most).round().astype(int))]
+    else:
+        # followed from image to image, so that neighbours have enough in common
+        indices = extract_tracks(
+            frames(), mode='video', max_keyframes=most, mask=mask, rng=generator(settings.seed),
+            progress=None if progress is None else lambda text, done: progress(text, done, total),
+            ).keyframes.tolist()
+    return {index: seen[index] for index in indices}
+
+
+def _simultaneous(sources: list[FrameSource], chosen: dict[int, tuple[int, str]],
+                  progress: Callable | None) -> list[dict[int, np.ndarray]]:
+    """Return the images of every camera at the chosen instants, by the first one's index."""
+    images: list[dict[int, np.ndarray]] = [
+        {frame.index: frame.image for frame in sources[0].only(chosen)}]
+    by_name = {Path(name).stem: index for index, (_, name) in chosen.items()}
+    indices = np.array(list(chosen))
+    stamps = np.array([stamp for stamp, _ in chosen.values()])
+    timed = all(source.clock != 'nominal' for source in sources)
+    for source in sources[1:]:
+        found: dict[int, np.ndarray] = {}
+        named = 0
+        for frame in source:
+            if timed:
+                near = int(np.argmin(np.abs(stamps - frame.stamp_ns)))
+                if abs(int(stamps[near]) - frame.stamp_ns) <= MAX_APART_NS:
+                    found[int(indices[near])] = frame.image
+                continue
+            at = by_name.get(Path(frame.name).stem)
+            if at is not None:
+                named += 1
+                found[at] = frame.image
+        if not timed and named < len(chosen) and source.count == sources[0].count:
+            # names say nothing: equal places in the folders are of one instant
+            found = {frame.index: frame.image for frame in source.only(chosen)}
+        images.append(found)
+        if progress:
+            progress('reading', len(found), len(chosen))
+    return images

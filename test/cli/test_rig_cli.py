@@ -1,0 +1,110 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""`selfcal calibrate --cameras`: files of a stereo pair, and what is wrong in words."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from selfcal_ros.cli.main import main
+from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
+from selfcal_ros.synthetic.rig_scenes import hand_path, rig_scene
+import yaml
+
+SCHEMA = Path(__file__).resolve().parents[2] / 'docs/result.schema.json'
+
+
+@pytest.fixture(scope='module')
+def calibrated(tmp_path_factory):
+    """Calibrate a pair once, from tables of tracks; its scene, folder, status and result."""
+    folder = tmp_path_factory.mktemp('rig')
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
+                      overlap=True, points=120)
+    for name, tracks in scene.tracks.items():
+        tracks.to_csv(folder / f'{name}.csv')
+    status = main(['calibrate', str(folder / 'left.csv'), str(folder / 'right.csv'), '--cameras',
+                   'left,right', '--baseline', f'{scene.baseline_m}:0.0005', '--lens', 'none',
+                   '--image-size', '640', '480', '--output', str(folder / 'camera.yaml'),
+                   '--json', str(folder / 'result.json'), '--quiet'])
+    return scene, folder, status, json.loads((folder / 'result.json').read_text('utf-8'))
+
+
+def test_the_result_has_every_camera_and_the_rig(calibrated):
+    scene, _, status, content = calibrated
+    assert status == 0 and content['unit'] == 'm'
+    schema = json.loads(SCHEMA.read_text('utf-8'))
+    assert set(schema['required']) <= set(content) <= set(schema['properties']) | {'seed'}
+    of_pose = schema['properties']['rig']['additionalProperties']
+    assert set(content['rig']['right']) == set(of_pose['required'])
+    assert list(content['cameras']) == list(content['rig']) == ['left', 'right']
+    for name, camera in scene.cameras.items():
+        one = content['cameras'][name]
+        assert abs(one['camera']['fx'] - camera.K[0, 0]) < 3.5 * one['sigma']['fx']
+    right, T = content['rig']['right'], scene.T_rig_camera['right']
+    off = np.array(right['T_rig_camera'])[:3, 3] - T[:3, 3]
+    assert np.abs(off / [right['sigma'][name] for name in 'xyz']).max() < 3.5
+    assert content['joint']['parameter_names'][-1] == 'right.yaw'
+
+
+def test_r_and_p_bring_both_images_to_the_same_rows(calibrated):
+    scene, folder, _, content = calibrated
+    T = np.array(content['rig']['right']['T_rig_camera'])
+    X = np.random.default_rng(0).uniform([-1, -1, 3], [1, 1, 9], (20, 3))
+    files = [yaml.safe_load((folder / f'camera_{name}.yaml').read_text('utf-8'))
+             for name in ('left', 'right')]
+    pixels = []
+    # P has the baseline, so that both take points of the left rectified camera
+    for file in files:
+        P = np.array(file['projection_matrix']['data']).reshape(3, 4)
+        R_left = np.array(files[0]['rectification_matrix']['data']).reshape(3, 3)
+        at = np.column_stack([X @ R_left.T, np.ones(len(X))]) @ P.T
+        pixels.append(at[:, :2] / at[:, 2:])
+    # the same through the right camera's own frame and R
+    R, P = (np.array(files[1][f'{key}_matrix']['data']).reshape(3, -1)
+            for key in ('rectification', 'projection'))
+    own = (X - T[:3, 3]) @ T[:3, :3] @ R.T @ P[:, :3].T
+    assert np.allclose(own[:, :2] / own[:, 2:], pixels[1])
+    disparity = pixels[0] - pixels[1]
+    assert np.allclose(disparity[:, 1], 0) and (disparity[:, 0] > 0).all()
+    assert np.isclose(-P[0, 3] / P[0, 0], scene.baseline_m)
+
+
+def test_the_chain_of_kalibr_has_the_pose_between_the_cameras(calibrated):
+    _, folder, _, content = calibrated
+    document = yaml.safe_load((folder / 'camera_camchain.yaml').read_text('utf-8'))
+    assert len(parse_kalibr(document, 'the chain')) == 2
+    T = np.array(content['rig']['right']['T_rig_camera'])
+    assert np.allclose(document['cam1']['T_cn_cnm1'], np.linalg.inv(T))
+    assert document['cam1']['rostopic'] == '/right/image_raw'
+
+
+@pytest.mark.parametrize('words, reason', [
+    (['--cameras', 'left'], 'two or more'),
+    (['--cameras', 'left,right,top'], '3 cameras'),
+    (['--cameras', 'left,left'], 'same name'),
+    (['--cameras', 'left,right', '--baseline', '11cm'], 'metres'),
+    (['--cameras', 'left,right', '--report', 'r.html'], 'single camera'),
+    (['--baseline', '0.1'], '--cameras')])
+def test_what_is_wrong_is_one_sentence(words, reason, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ('left', 'right'):
+        (tmp_path / f'{name}.csv').write_text('frame,track,x,y\n0,0,1,1\n', 'utf-8')
+    try:
+        status = main(['calibrate', 'left.csv', 'right.csv', *words])
+    except SystemExit as end:
+        status = end.code
+    assert status == 2
+    said = capsys.readouterr().err
+    assert reason in said and len(said.strip().splitlines()) == 1
