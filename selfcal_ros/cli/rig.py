@@ -27,8 +27,8 @@ from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'report', 'view', 'topic', 'views', 'translation_frames',
-                 'poses', 'poses_format', 'ply', 'colmap', 'transforms', 'robot', 'output_dir',
-                 'jobs', 'scheduler')
+                 'poses', 'poses_format', 'ply', 'colmap', 'transforms', 'robot',
+                 'mount_output', 'output_dir', 'jobs', 'scheduler')
 #: Motions of a rig.
 MOTIONS = ('auto', 'planar', 'general')
 
