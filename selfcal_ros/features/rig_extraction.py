@@ -23,10 +23,11 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.curvature import ideal_fisheye
+from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.extraction import finish_tracks, SIGMA_LIMIT_PX
 from selfcal_ros.features.linking import link, refine
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.matching import detect, Features, ImagePairMatches, match_pairs
+from selfcal_ros.features.matching import ImagePairMatches, match_pairs
 from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.still_features import still_features
 from selfcal_ros.findings.finding import Finding
