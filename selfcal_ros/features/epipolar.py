@@ -22,6 +22,7 @@ It serves verification alone; calibration estimates its own distortion.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import cv2
@@ -38,6 +39,9 @@ _LEAST_MATCHES = 30
 #: One run finds the best F of a scene with a dominant plane half of the time; so many are made,
 #: unless more than this share of the matches agree with the first.
 _ATTEMPTS, _CLEAR = 4, 0.9
+#: Pairs that are polished together, and matches of each that are enough for it: with so many F
+#: is known to a fraction of the bands that it is used for.
+_AT_ONCE, _WITNESSES = 32, 500
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,24 @@ class EpipolarImages:
                               threshold_px / self.model.half_diagonal_px,
                               np.random.default_rng(seed))
         return None if found is None else found[0]
+
+    def fit_each(self, pairs: list, threshold_px: float, seed: int,
+                 pool: Executor) -> list[np.ndarray | None]:
+        """Fit F to each of several pairs [(xy_a (N, 2), xy_b), ...]; the pool shares the work."""
+        if not self.model.straight:
+            return list(pool.map(lambda pair: self.fit(pair[0], pair[1], threshold_px, seed),
+                                 pairs))
+        # OpenCV releases the interpreter lock
+        found = list(pool.map(lambda pair: _sampled_F(pair[0], pair[1], threshold_px, seed=seed),
+                              pairs))
+        return _polished(found, pairs, threshold_px)
+
+    def refit_each(self, found: list, pairs: list, threshold_px: float, seed: int,
+                   pool: Executor) -> list[np.ndarray | None]:
+        """As `fit_each`, for matches that were found near F already."""
+        if not self.model.straight:
+            return self.fit_each(pairs, threshold_px, seed, pool)
+        return _polished(_polished(found, pairs, 2 * threshold_px), pairs, threshold_px)
 
     def distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
         """Signed first-order distance (N,) of matches (N, 2), pixels."""
@@ -109,6 +131,13 @@ def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float
         None where fewer than eight matches are given or no F was found.
 
     """
+    found = _sampled_F(np.asarray(xy_a), np.asarray(xy_b), threshold_px, iterations, seed)
+    return _polished([found], [(xy_a, xy_b)], threshold_px)[0]
+
+
+def _sampled_F(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float, iterations: int = 2000,
+               seed: int = 0) -> np.ndarray | None:
+    """Best F of several runs of OpenCV's sampler, or None."""
     if len(xy_a) < 8:
         return None
     settings = cv2.UsacParams()
@@ -135,19 +164,28 @@ def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float
             best, most = F, score
         if np.count_nonzero(near > 0) > _CLEAR * len(near):
             break
-    return None if best is None else _polished(best, xy_a, xy_b, threshold_px)
+    return best
 
 
-def _polished(F, xy_a, xy_b, threshold_px) -> np.ndarray:
-    """Bring F to the optimum of its inliers: some releases of OpenCV stop well before it."""
-    near = np.abs(sampson_distance(F, xy_a, xy_b)) < threshold_px
-    if near.sum() < 8:
-        return F
-    data = PairMatches.from_pixels([(xy_a[near], xy_b[near])])
-    scale = data.transform
-    inverse = np.linalg.inv(scale)
-    refined, *_ = refine_general(data, (inverse.T @ F @ inverse)[None], iterations=4)
-    return data.pixels_F(refined)[0]
+def _polished(found: list, pairs: list, threshold_px: float) -> list[np.ndarray | None]:
+    """Bring each F to the optimum of its inliers: some releases of OpenCV stop well before it."""
+    near, polished = [], list(found)
+    for F, (xy_a, xy_b) in zip(found, pairs):
+        fits = np.zeros(len(xy_a), bool) if F is None else (
+            np.abs(sampson_distance(F, xy_a, xy_b)) < threshold_px)
+        rows = np.flatnonzero(fits)
+        rows = rows[::len(rows) // _WITNESSES + 1]
+        near.append((xy_a[rows], xy_b[rows]))
+    enough = [k for k, (xy_a, _) in enumerate(near) if len(xy_a) >= 8]
+    for begin in range(0, len(enough), _AT_ONCE):
+        some = enough[begin:begin + _AT_ONCE]
+        data = PairMatches.from_pixels([near[k] for k in some])
+        inverse = np.linalg.inv(data.transform)
+        start = inverse.T @ np.array([found[k] for k in some]) @ inverse
+        refined, *_ = refine_general(data, start, iterations=3)
+        for k, F in zip(some, data.pixels_F(refined)):
+            polished[k] = F
+    return polished
 
 
 def choose_division(pairs, image_size: tuple[int, int], threshold_px: float = 1.0,

@@ -253,10 +253,7 @@ class KltTracker:
         if not len(rows):
             return
         whole = np.round(self._xy[rows])
-        fresh = self._registration.templates(smooth, whole)
-        self._templates.values[rows] = fresh.values
-        self._templates.solver[rows] = fresh.solver
-        self._templates.sigma[rows] = fresh.sigma
+        self._templates.replace(rows, self._registration.templates(smooth, whole))
         self._residue[rows] = self._xy[rows] - whole
         self._anchors[rows] = self._xy[rows]
         self._affine[rows] = np.eye(2)

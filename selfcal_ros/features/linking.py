@@ -15,6 +15,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+import os
+
 import cv2
 import numpy as np
 from scipy import sparse
@@ -24,12 +28,14 @@ from selfcal_ros.features.curvature import curvature_bias
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.matching import ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
-from selfcal_ros.features.registration import PatchRegistration
+from selfcal_ros.features.registration import PatchRegistration, Templates
 from selfcal_ros.geometry.camera import Camera
 
 _REGISTRATION = PatchRegistration(half_px=7)
 _MIN_CORRELATION = 0.75
 _LEVELS = 3
+#: Templates taken at a time, of 7 kB each, and bytes of smoothed images held ready.
+_TEMPLATES, _HELD_BYTES = 6000, 128_000_000
 
 
 def link(features: list[Features], matches: list[ImagePairMatches]):
@@ -127,41 +133,51 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     coarseness = np.clip(np.round(np.log2(size_px[reference] / 1.8)), 0, _LEVELS - 1).astype(int)
     refined, registered = xy.copy(), np.zeros(len(xy), bool)
     registered[reference] = True
+    is_reference = registered.copy()
     sigma = np.zeros(len(xy))
-    smooth = [_pyramid(grey) for grey in images]
+    pyramid = lru_cache(max(4, _HELD_BYTES // (6 * images[0].size)))(
+        lambda k: _pyramid(images[k]))
     turns = local_turns(image, xy, reference[track])
-    for level in range(_LEVELS):
-        scale = 2.0 ** level
-        tracks = np.flatnonzero(coarseness == level)
-        if not len(tracks):
-            continue
-        slot = np.full(len(length), -1)
-        slot[tracks] = np.arange(len(tracks))
-        base = reference[tracks]
-        # whole pixels: the template is taken without interpolation, its residue added back
-        anchor = np.round(xy[base] / scale)
-        residue = xy[base] / scale - anchor
-        templates = _gather(smooth, level, image[base], anchor)
-        for k in range(len(images)):
-            rows = np.flatnonzero((image == k) & (slot[track] >= 0) & ~registered)
-            if not len(rows):
-                continue
-            at = slot[track[rows]]
-            ratio = np.clip(size_px[rows] / size_px[reference[track[rows]]], 0.5, 2.0)
-            start = turns[rows] * ratio[:, None, None]
-            begin = xy[rows] / scale - (start @ residue[at][:, :, None])[:, :, 0]
-            found, affine, correlation, step = _REGISTRATION.register(
-                templates.select(at), smooth[k][level], begin, start)
-            found = found + (affine @ residue[at][:, :, None])[:, :, 0]
-            shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
-            good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
-            found = found * scale
-            if camera is not None:
-                found -= scale**2 * curvature_bias(camera, xy[reference[track[rows]]], found,
-                                                   affine)
-            refined[rows[good]] = found[good]
-            registered[rows[good]] = True
-            sigma[rows] = scale * templates.position_sigma(correlation, at)
+    slot = np.full(len(length), -1)
+
+    def register(k: int, rows: np.ndarray, scale: float, level: int) -> None:
+        """Register the observations of one image; rows of their own, in any order of images."""
+        base = reference[track[rows]]
+        residue = (xy[base] / scale - np.round(xy[base] / scale))[:, :, None]
+        ratio = np.clip(size_px[rows] / size_px[base], 0.5, 2.0)
+        start = turns[rows] * ratio[:, None, None]
+        begin = xy[rows] / scale - (start @ residue)[:, :, 0]
+        found, affine, correlation, step = _REGISTRATION.register(
+            templates, pyramid(k)[level], begin, start, rows=slot[track[rows]])
+        found = found + (affine @ residue)[:, :, 0]
+        shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
+        good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
+        found = found * scale
+        if camera is not None:
+            found -= scale**2 * curvature_bias(camera, xy[base], found, affine)
+        refined[rows[good]] = found[good]
+        registered[rows[good]] = True
+        sigma[rows] = scale * templates.position_sigma(correlation, slot[track[rows]])
+
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        for level in range(_LEVELS):
+            scale = 2.0 ** level
+            tracks = np.flatnonzero(coarseness == level)
+            # those first seen together are seen in the same other images
+            tracks = tracks[np.argsort(image[reference[tracks]], kind='stable')]
+            for begin in range(0, len(tracks), _TEMPLATES):
+                some = tracks[begin:begin + _TEMPLATES]
+                slot[:] = -1
+                slot[some] = np.arange(len(some))
+                base = reference[some]
+                # whole pixels: the template is taken without interpolation, its residue added back
+                templates = _gather(pyramid, level, image[base], np.round(xy[base] / scale))
+                rows = np.flatnonzero((slot[track] >= 0) & ~is_reference)
+                rows = rows[np.argsort(image[rows], kind='stable')]
+                here, at = np.unique(image[rows], return_index=True)
+                for job in [pool.submit(register, int(k), part, scale, level)
+                            for k, part in zip(here, np.split(rows, at[1:]))]:
+                    job.result()
     return refined, registered, sigma
 
 
@@ -173,14 +189,8 @@ def _pyramid(grey):
     return levels
 
 
-def _gather(smooth, level, image, xy):
-    """Templates of points that lie in different images, in the order given."""
-    parts, rows = [], []
-    for k in np.unique(image):
-        here = np.flatnonzero(image == k)
-        parts.append(_REGISTRATION.templates(smooth[k][level], xy[here]))
-        rows.append(here)
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = whole.extended(part)
-    return whole.select(np.argsort(np.concatenate(rows)))
+def _gather(pyramid, level, image, xy):
+    """Templates of points that lie in different images, given image by image."""
+    here, at = np.unique(image, return_index=True)
+    return Templates.joined([_REGISTRATION.templates(pyramid(int(k))[level], part)
+                             for k, part in zip(here, np.split(xy, at[1:]))])

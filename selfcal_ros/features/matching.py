@@ -20,7 +20,7 @@ known, only features near each other's epipolar curve are, in blocks of neighbou
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 import os
@@ -100,9 +100,10 @@ class _Gallery:
         return _distinctive(self.twin_similarity(i), self.twin_similarity(j),
                             similarity(self.whole(i), self.whole(j)))
 
-    def along_curves(self, i: int, j: int, epipolar: EpipolarImages, F: np.ndarray,
+    def along_curves(self, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,
                      band_px: float):
         """Places a, b that look alike and lie near each other's curve, and their similarity."""
+        i, j = pair
         first, second = self.features[i], self.features[j]
         look, other = self.whole(i), self.whole(j)
         curves, order = _in_order(F, epipolar.curves(F, first.xy))
@@ -155,10 +156,10 @@ def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, product: np.ndarray):
     return a[good], b[good]
 
 
-def _guided(first: Features, second: Features, candidates, epipolar: EpipolarImages, F,
-            band_px: float):
+def _guided(gallery: _Gallery, pair, epipolar: EpipolarImages, F, band_px: float):
     """Best candidates along epipolar curves: mutual, clear of the runner-up and of twins."""
-    a, b, score = candidates
+    first, second = (gallery.features[k] for k in pair)
+    a, b, score = gallery.along_curves(pair, epipolar, F, band_px)
     if not len(a):
         return a, b
 
@@ -258,7 +259,7 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
         Largest number of matches of one pair that stayed still while others moved.
 
     """
-    gallery, seeds, matches, static = _Gallery(features), [], [], 0
+    gallery, seeds, static = _Gallery(features), [], 0
     # matrix products and OpenCV release the interpreter lock
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         for found in pool.map(lambda pair: gallery.distinctive(*pair), pairs):
@@ -276,33 +277,55 @@ def match_pairs(features: list[Features], pairs, image_size: tuple[int, int],
             [(features[pairs[k][0]].xy[seeds[k][0]], features[pairs[k][1]].xy[seeds[k][1]])
              for k in richest], image_size, seed=seed)
         epipolar = EpipolarImages(model)
-        verified = pool.map(lambda pair, found: _verified(gallery, pair, found, epipolar, seed),
-                            pairs, seeds)
-        for count, (pair, one) in enumerate(zip(pairs, verified)):
-            if one is not None:
-                matches.append(ImagePairMatches(*pair, *one))
-            if progress:
-                progress(0.4 + 0.6 * (count + 1) / len(pairs))
+        matches = _verified(gallery, pairs, seeds, epipolar, seed, pool,
+                            lambda share: progress and progress(0.4 + 0.6 * share))
     return matches, model, static
 
 
-def _verified(gallery: _Gallery, pair, found, epipolar: EpipolarImages, seed: int):
-    """Places a, b of two images that agree with one F, and F; None where none is trustworthy."""
-    (i, j), (a, b) = pair, found
-    first, second = gallery.features[i], gallery.features[j]
-    F = epipolar.fit(first.xy[a], second.xy[b], 1.5, seed)
-    if F is None:
-        return None
-    fits = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < 2.0
-    # chance puts a few matches on any F; a true one holds many more
-    if fits.sum() < max(16, 0.25 * len(fits)):
-        return None
-    a, b = _guided(first, second, gallery.along_curves(i, j, epipolar, F, 2.0), epipolar, F, 2.0)
-    use = moving_part(first.xy[a], second.xy[b])
-    refined = epipolar.fit(first.xy[a[use]], second.xy[b[use]], 1.0, seed)
-    if refined is None:
-        return None
-    good = np.abs(epipolar.distance(refined, first.xy[a], second.xy[b])) < 1.5
-    a, b = a[good], b[good]
-    good = agrees_with_neighbours(first.xy[a], second.xy[b])
-    return (a[good], b[good], refined) if good.sum() >= 16 else None
+def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: int,
+              pool: Executor, progress) -> list[ImagePairMatches]:
+    """Matches of the image pairs that agree with one F each, without those of no trustworthy F."""
+    features = gallery.features
+
+    def places(k: int, a, b):
+        return features[pairs[k][0]].xy[a], features[pairs[k][1]].xy[b]
+
+    tried = [k for k, (a, _) in enumerate(seeds) if len(a) >= 16]
+    found = {}
+    for k, F in zip(tried, epipolar.fit_each([places(k, *seeds[k]) for k in tried], 1.5, seed,
+                                             pool)):
+        # chance puts a few matches on any F; a true one holds many more
+        if F is not None and _near(epipolar, F, places(k, *seeds[k]), 2.0).sum() >= max(
+                16, 0.25 * len(seeds[k][0])):
+            found[k] = F
+
+    def guide(k: int):
+        a, b = _guided(gallery, pairs[k], epipolar, found[k], 2.0)
+        return (a, b), moving_part(*places(k, a, b))
+
+    guided = {}
+    for k, one in zip(found, pool.map(guide, found)):
+        guided[k] = one
+        progress(len(guided) / len(found))
+    refined = epipolar.refit_each(list(found.values()),
+                                  [places(k, a[use], b[use]) for k, ((a, b), use)
+                                   in guided.items()], 1.0, seed, pool)
+
+    def agreeing(k: int, F):
+        a, b = guided[k][0]
+        if F is None:
+            return a[:0], b[:0]
+        good = _near(epipolar, F, places(k, a, b), 1.5)
+        a, b = a[good], b[good]
+        good = agrees_with_neighbours(*places(k, a, b))
+        return a[good], b[good]
+
+    return [ImagePairMatches(pairs[k][0], pairs[k][1], a, b, F)
+            for k, F, (a, b) in zip(found, refined, pool.map(agreeing, found, refined))
+            if F is not None and len(a) >= 16]
+
+
+def _near(epipolar: EpipolarImages, F: np.ndarray, places, most_px: float) -> np.ndarray:
+    """Tell which matches lie near their epipolar curves, shape (N,) of bool."""
+    near: np.ndarray = np.abs(epipolar.distance(F, *places)) < most_px
+    return near

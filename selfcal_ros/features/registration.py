@@ -115,8 +115,18 @@ class Templates:
 
     def extended(self, other: Templates) -> Templates:
         """Append other templates."""
-        return Templates(*(np.concatenate(pair)
-                           for pair in zip(self._parts(), other._parts())))
+        return Templates.joined([self, other])
+
+    @classmethod
+    def joined(cls, several: list[Templates]) -> Templates:
+        """Put several one behind the other."""
+        return cls(*(np.concatenate(parts)
+                     for parts in zip(*(one._parts() for one in several))))
+
+    def replace(self, index: np.ndarray, fresh: Templates) -> None:
+        """Put fresh templates in place of those of an index."""
+        for part, new in zip(self._parts(), fresh._parts()):
+            part[index] = new
 
 
 class PatchRegistration:
@@ -137,21 +147,20 @@ class PatchRegistration:
         window = np.exp(-0.5 * (u * u + v * v) / (0.55 * half_px) ** 2)
         self.half_px = half_px
         self.offsets = np.stack([u, v], axis=1)
+        self._grid = np.stack([u, v, np.ones_like(u)])
         self.window = (window / window.sum()).astype(np.float32)
         self._side = len(side)
 
     def sample(self, image, xy, affine=None, interpolation=cv2.INTER_CUBIC):
         """Grey values (N, P) of image (H, W) float32 at xy + affine @ offsets."""
-        if affine is None:
-            offsets = self.offsets[None]
-        else:
-            offsets = self.offsets @ np.swapaxes(affine, 1, 2).astype(np.float32)
-        at = xy.astype(np.float32)[:, None, :] + offsets
-        out = np.empty(at.shape[:2], np.float32)
-        for k in range(0, len(at), _ROWS):
-            out[k:k + _ROWS] = cv2.remap(image, np.ascontiguousarray(at[k:k + _ROWS, :, 0]),
-                                         np.ascontiguousarray(at[k:k + _ROWS, :, 1]),
-                                         interpolation, borderMode=cv2.BORDER_REPLICATE)
+        warp = np.empty((len(xy), 2, 3), np.float32)
+        warp[:, :, :2] = np.eye(2) if affine is None else affine
+        warp[:, :, 2] = xy
+        x, y = warp[:, 0] @ self._grid, warp[:, 1] @ self._grid
+        out = np.empty(x.shape, np.float32)
+        for k in range(0, len(out), _ROWS):
+            out[k:k + _ROWS] = cv2.remap(image, x[k:k + _ROWS], y[k:k + _ROWS], interpolation,
+                                         borderMode=cv2.BORDER_REPLICATE)
         return out
 
     def _normalise(self, values):
@@ -204,14 +213,14 @@ class PatchRegistration:
 
     def register(self, templates: Templates, image: np.ndarray, xy: np.ndarray,
                  affine: np.ndarray | None = None, iterations: int = 8,
-                 tolerance_px: float = 0.01):
+                 tolerance_px: float = 0.01, rows: np.ndarray | None = None):
         """
         Find the templates in another image, from a start within about two pixels.
 
         Parameters
         ----------
         templates : Templates
-            N of them.
+            N of them, unless `rows` are given.
         image : ndarray of float32, shape (H, W)
         xy : ndarray, shape (N, 2)
             Start in pixels.
@@ -221,6 +230,8 @@ class PatchRegistration:
             Gauss-Newton steps at most.
         tolerance_px : float
             A point whose step falls below this is finished.
+        rows : ndarray of int, shape (N,), optional
+            Which of the templates to find.
 
         Returns
         -------
@@ -233,7 +244,8 @@ class PatchRegistration:
             Length of the last step: large where the iteration has not converged.
 
         """
-        count = len(templates)
+        rows = np.arange(len(templates)) if rows is None else rows
+        count = len(rows)
         xy = np.array(xy, dtype=float)
         affine = (np.tile(np.eye(2), (count, 1, 1)) if affine is None
                   else np.array(affine, dtype=float))
@@ -244,9 +256,9 @@ class PatchRegistration:
             if not len(active):
                 break
             values, _ = self._normalise(self.sample(image, xy[active], affine[active]))
-            target = templates.values[active]
+            target = templates.values[rows[active]]
             correlation[active] = (values * target) @ self.window
-            update = templates.steps(active, values - target, correlation[active])
+            update = templates.steps(rows[active], values - target, correlation[active])
             change = np.eye(2) + update[:, 2:].reshape(-1, 2, 2)
             determinant = np.linalg.det(change)
             sound = (np.abs(determinant - 1) < 0.7) & (np.abs(update[:, :2]).max(axis=1) < 3)

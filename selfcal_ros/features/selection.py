@@ -15,6 +15,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+import os
+
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
@@ -177,8 +180,9 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     epipolar, xy = EpipolarImages(model), tracks.xy
     tests, failures = np.zeros(len(tracks)), np.zeros(len(tracks))
     breaks = []
-    for a, b in pairs:
-        F = epipolar.fit(xy[a], xy[b], threshold_px, seed)
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        fitted = epipolar.fit_each([(xy[a], xy[b]) for a, b in pairs], threshold_px, seed, pool)
+    for (a, b), F in zip(pairs, fitted):
         if F is None:
             continue
         bad = np.abs(epipolar.distance(F, xy[a], xy[b])) > threshold_px
