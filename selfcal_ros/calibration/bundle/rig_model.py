@@ -76,6 +76,30 @@ class _Seen:
 
 
 @dataclass(frozen=True)
+class _Placed:
+    """
+    Points of observations in the frames of views.
+
+    Attributes
+    ----------
+    Y : ndarray, shape (N, 4)
+        In the world.
+    placing : ndarray, shape (N, 3, 4)
+        Poses of the views.
+    turned, placed : ndarray, shape (N, 3)
+        Turned, and moved too, before the mount.
+    seen : _Seen
+
+    """
+
+    Y: np.ndarray
+    placing: np.ndarray
+    turned: np.ndarray
+    placed: np.ndarray
+    seen: _Seen
+
+
+@dataclass(frozen=True)
 class RigModel(SceneModel):
     """
     Cameras that move together before points that stand still.
@@ -116,42 +140,69 @@ class RigModel(SceneModel):
         """Project every observation and differentiate; see `SceneModel.linearise`."""
         assert isinstance(state, RigState)
         path, view = state.path, blocks.view
+        at = self._place(state, blocks, xy)
+        residual, weight = at.seen.uv - xy, at.Y[:, 3:]
+        if not jacobians:
+            return residuals_only(residual, at.seen.ahead)
+        by_rig = self._by_rig(state.lens, at.seen)
+        shared = np.zeros((len(xy), 2, unknowns.shared.stop))
+        self._by_cameras(state.lens, at.seen, by_rig, weight, unknowns, shared)
+        J = by_rig @ path.mount
+        path.by_axis(J, at.placed, shared[:, :, unknowns.lens.stop:])
+        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
+        own = path.by_views(J, at.turned, weight, view, planar)
+        return Linearisation(residual, at.seen.ahead, shared, own,
+                             self._by_points(state, blocks, at, by_rig))
+
+    def of_points(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Linearisation:
+        """Project every observation, and differentiate by the points alone."""
+        assert isinstance(state, RigState)
+        at = self._place(state, blocks, xy)
+        by_points = self._by_points(state, blocks, at, self._by_rig(state.lens, at.seen))
+        none = by_points[:, :, :0]
+        return Linearisation(at.seen.uv - xy, at.seen.ahead, none, none, by_points)
+
+    def _place(self, state: RigState, blocks: PointBlocks, xy: np.ndarray) -> _Placed:
+        """Carry the points of observations to the rig, and look at them."""
+        path = state.path
         Y = np.take(state.points, blocks.point, axis=0)
         poses = np.concatenate([path.rotations(), path.translation[:, :, None]], axis=2)
-        placing = np.take(poses, view, axis=0)
+        placing = np.take(poses, blocks.view, axis=0)
         turned = np.einsum('nij,nj->ni', placing[:, :, :3], Y[:, :3])
         placed = turned + placing[:, :, 3] * Y[:, 3:]
-        seen = self._look(state, placed @ path.mount.T, Y[:, 3:], blocks, xy)
-        residual = seen.uv - xy
-        if not jacobians:
-            return residuals_only(residual, seen.ahead)
+        return _Placed(Y, placing, turned, placed,
+                       self._look(state, placed @ path.mount.T, Y[:, 3:], blocks, xy))
 
-        shared = np.zeros((len(xy), 2, unknowns.shared.stop))
-        by_rig = self._by_cameras(state.lens, seen, Y[:, 3:], unknowns, shared)
-        J = by_rig @ path.mount
-        path.by_axis(J, placed, shared[:, :, unknowns.lens.stop:])
-        planar = not unknowns.free[unknowns.of_views('tilt_x', 'tilt_y', 'height')].any()
-        own = path.by_views(J, turned, Y[:, 3:], view, planar)
-        by_point = J @ placing
+    @staticmethod
+    def _by_rig(rig: Rig, seen: _Seen) -> np.ndarray:
+        """Differentiate by points of the rig, shape (N, 2, 3)."""
+        by_rig = np.empty((len(seen.uv), 2, 3))
+        for k, (rows, pixels) in enumerate(seen.rows):
+            by_rig[rows] = (pixels.by_points() @ rig.rotations[k].T
+                            * seen.sign[rows, None, None])
+        return by_rig
+
+    def _by_points(self, state: RigState, blocks: PointBlocks, at: _Placed,
+                   by_rig: np.ndarray) -> np.ndarray:
+        """Differentiate by steps of the homogeneous points, shape (N, 2, 3)."""
+        by_point = (by_rig @ state.path.mount) @ at.placing
         places = np.stack([state.lens.place(k) for k in range(len(state.lens.cameras))])
         by_point[:, :, 3] -= np.einsum('nki,ni->nk', by_rig, places[self.camera])
         tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
-        return Linearisation(residual, seen.ahead, shared, own, by_point @ tangent)
+        by_steps: np.ndarray = by_point @ tangent
+        return by_steps
 
-    def _by_cameras(self, rig: Rig, seen: _Seen, weight: np.ndarray, unknowns: Unknowns,
-                    shared: np.ndarray) -> np.ndarray:
-        """Differentiate by points (N, 2, 3); what is by lenses and poses fills `shared`."""
-        by_rig = np.empty((len(weight), 2, 3))
+    @staticmethod
+    def _by_cameras(rig: Rig, seen: _Seen, by_rig: np.ndarray, weight: np.ndarray,
+                    unknowns: Unknowns, shared: np.ndarray) -> None:
+        """Differentiate by lenses and poses, which fills `shared`."""
         for k, (rows, pixels) in enumerate(seen.rows):
             lens = rig.of_lens(k)
             shared[rows, :, lens] = pixels.by_intrinsics(unknowns.free[lens])
-            J = pixels.by_points() @ rig.rotations[k].T * seen.sign[rows, None, None]
-            by_rig[rows] = J
             if k:
-                place = rig.of_pose(k).start
+                J, place = by_rig[rows], rig.of_pose(k).start
                 shared[rows, :, place:place + 3] = -J * weight[rows, None]
                 shared[rows, :, place + 3:place + 6] = -crossed(seen.before[rows], J)
-        return by_rig
 
     def moved(self, state: SceneState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> SceneState:
