@@ -45,7 +45,7 @@ data_files = [
         file for kind in ('yaml', 'xml', 'rviz', 'json') for file in glob(f'config/*.{kind}'))),
     # the demos replay these recordings, wherever the package is installed
     (f'share/{PACKAGE}/bags', sorted(glob('bags/*.truth.json') + glob('bags/tracked_object.*.yaml')
-                                     + glob('bags/*.pos'))),
+                                     + glob('bags/*.pos') + glob('bags/*.csv'))),
     (f'share/{PACKAGE}/bags/agv_drive', sorted(glob('bags/agv_drive/*'))),
     (f'share/{PACKAGE}/bags/arm_move', sorted(glob('bags/arm_move/*'))),
     (f'share/{PACKAGE}/bags/tracked_object', sorted(glob('bags/tracked_object/*'))),

@@ -27,6 +27,7 @@ import tempfile
 
 from msg_adapters.image import compressed_image_message
 from msg_adapters.message_types import rosbags_types
+from msg_adapters.poses import camera_poses
 from msg_adapters.stamps import header_message
 
 import numpy as np
@@ -34,6 +35,10 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from selfcal_ros.calibration.mount import mount_rotation
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.files import atomic_write
@@ -60,6 +65,18 @@ def tracked_object() -> recordings.Recording:
     """Turn and move a step block before a camera that stands still: 75 images at 15 Hz."""
     return objects.tracked_object(75, 'step_block', size=(480, 360), rate_hz=15.0,
                                   distortion=recordings.REALISTIC_DISTORTION)
+
+
+#: Where the cameras sit on their robots, which nobody told the calibration: x forward, y left, z
+#: up (metres); roll, pitch and yaw against a level camera that looks straight ahead (degrees).
+MOUNTS = {'agv_drive': ((0.31, 0.04, 1.1), (0.0, 20.0, 3.0)),
+          'arm_move': ((0.06, -0.02, 0.09), (5.0, -80.0, 30.0))}
+#: The clock of the camera is ahead of that of the wheels.
+CLOCK_OFFSET_NS = 37_000_000
+#: Odometry: instants a second, error of a metre (forward, sideways) and of a radian.
+ODOMETRY_HZ, ODOMETRY_M, ODOMETRY_RAD = 50, (0.004, 0.001), 0.01
+#: An arm: error of a coordinate, and of a small turn about an axis.
+ARM_M, ARM_RAD = 0.0003, 0.0003
 
 
 #: Name of the bag's folder to what makes it.
@@ -106,9 +123,53 @@ def write(name: str, output) -> Path:
             shutil.rmtree(output / name)
         os.replace(bag, output / name)
     recordings.write_truth(recording, output / f'{name}.truth.json')
+    if name in MOUNTS:
+        _write_robot(name, recording, output)
     if getattr(recording, 'model', None) is not None:
         _write_object(recording, output / name)
     return output / name
+
+
+def _write_robot(name: str, recording, output: Path) -> None:
+    """Write the poses of the robot beside a bag, with errors as robots have them."""
+    rng = np.random.default_rng(4)
+    place, angles = MOUNTS[name]
+    mount = np.eye(4)
+    mount[:3, :3], mount[:3, 3] = mount_rotation(*np.radians(angles)), place
+    camera = np.broadcast_to(np.eye(4), (len(recording.cam_from_world), 4, 4)).copy()
+    camera[:, :3] = camera_poses(recording.cam_from_world)
+    body = camera @ np.linalg.inv(mount)
+    if name == 'arm_move':
+        turns = Rotation.from_rotvec(rng.normal(0, ARM_RAD, (len(body), 3)))
+        quaternions = (turns * Rotation.from_matrix(body[:, :3, :3])).as_quat()
+        rows = np.column_stack([body[:, :3, 3] + rng.normal(0, ARM_M, (len(body), 3)),
+                                quaternions[:, [3, 0, 1, 2]]])
+        lines = ['frame,tx,ty,tz,qw,qx,qy,qz',
+                 *(','.join([str(k), *(f'{value:.6f}' for value in row)])
+                   for k, row in enumerate(rows))]
+        atomic_write(output / f'{name}.poses.csv', '\n'.join(lines) + '\n')
+        return
+    stamps = np.asarray(recording.stamps_ns) - CLOCK_OFFSET_NS
+    seconds = (stamps - stamps[0]) / 1e9
+    heading = np.unwrap(np.arctan2(body[:, 1, 0], body[:, 0, 0]))
+    course = CubicSpline(seconds, np.column_stack([body[:, :2, 3], heading]))
+    when = np.arange(0, seconds[-1], 1 / ODOMETRY_HZ)
+    x, y, theta = course(when).T
+    # what wheels tell: each step in the frame of the step before, with its own error
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    forward, left = c * np.diff(x) + s * np.diff(y), c * np.diff(y) - s * np.diff(x)
+    way, turned = np.hypot(forward, left), np.abs(np.diff(theta))
+    forward = forward + rng.normal(0, ODOMETRY_M[0] * np.sqrt(way))
+    left = left + rng.normal(0, ODOMETRY_M[1] * np.sqrt(way))
+    theta = np.append(0, np.cumsum(np.diff(theta) + rng.normal(
+        0, ODOMETRY_RAD * np.sqrt(turned))))
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    x, y = (np.append(0, np.cumsum(step)) for step in (c * forward - s * left,
+                                                       s * forward + c * left))
+    lines = ['stamp_ns,x,y,theta', *(
+        f'{int(stamps[0]) + round(1e9 * t)},{a:.6f},{b:.6f},{c:.6f}'
+        for t, a, b, c in zip(when, x, y, theta))]
+    atomic_write(output / f'{name}.odometry.csv', '\n'.join(lines) + '\n')
 
 
 def _write_object(recording, bag: Path) -> None:

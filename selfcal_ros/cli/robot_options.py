@@ -47,9 +47,9 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
                        help='whether each pose errs by itself, or the way from one to the next '
                             '(default: odometry for Odometry, x,y,theta and TF from odom)')
     group.add_argument('--robot-sigma', metavar='M:DEGREES',
-                       help='standard deviation of a pose, such as 0.001:0.05; of odometry, that '
-                            'of one metre and of one degree turned, such as 0.02:0.03 (default: '
-                            'found from the misfit)')
+                       help='standard deviation of a pose, such as 0.001:0.05; of odometry, after '
+                            'one metre, and after turning by one radian, such as 0.02:1.5 '
+                            '(default: found from the misfit)')
     group.add_argument('--robot-unit', type=float, metavar='METRES',
                        help='metres in a unit of the positions: 0.001 for millimetres')
     group.add_argument('--robot-frame', metavar='FRAME',
