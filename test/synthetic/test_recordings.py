@@ -180,7 +180,8 @@ def test_recipe_writes_a_readable_bag_and_replaces_an_old_one(recipes, tmp_path,
     monkeypatch.setitem(recipes.RECIPES, 'agv_drive', lambda: small)
     for _ in range(2):
         recipes.main(['agv_drive', '--output', str(tmp_path)])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ['agv_drive', 'agv_drive.truth.json']
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        'agv_drive', 'agv_drive.odometry.csv', 'agv_drive.truth.json']
     from rosbags.rosbag2 import Reader
     with Reader(tmp_path / 'agv_drive') as reader:
         assert reader.message_count == 2
