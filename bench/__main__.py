@@ -55,6 +55,7 @@ BENCHES = {
     'lenses': 'every lens, simulated: covariance, family, corners, decentring: hours',
     'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
     'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
+    'mounts': 'where the camera sits on the robot: recorded sets, degenerate, coverage',
     'shutter': 'rolling shutter: simulated coverage, rendered videos at 30 Hz: hours',
     'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',
@@ -68,7 +69,8 @@ BENCHES = {
     'soak': 'memory, threads and files of the nodes over simulated hours: hours',
 }
 #: Only when asked for by name.
-LONG = ('coverage', 'hostile_inputs', 'lenses', 'long_recording', 'wide_lenses', 'shutter')
+LONG = ('coverage', 'hostile_inputs', 'lenses', 'long_recording', 'mounts', 'wide_lenses',
+        'shutter')
 
 
 def main(argv: list[str] | None = None) -> int:

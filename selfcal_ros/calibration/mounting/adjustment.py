@@ -31,14 +31,16 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 #: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
 #: Open directions get these sigmas in covariances, far beyond what counts as known.
 VAGUE_M, VAGUE_RAD, VAGUE_LOG, VAGUE_S = 10.0, 2.0, 2.0, 1.0
+#: Where the place of the camera is open, it stays as near to the body's origin as this.
+NEAR_M = 0.3
 #: A fact that holds is as sharp as this (metres, radians, ...).
 HELD = 1e-9
 #: One wrong verdict on a pose in so many calibrations.
 FALSE_ALARM = 0.02
 #: Rounds of estimating errors, and steps of a descent.
-_ROUNDS, _STEPS = 40, 30
+_ROUNDS, _STEPS = 20, 30
 #: Variances that change by less (relative) are found; a cost that falls by less is least.
-_SETTLED, _LEVEL = 1e-3, 1e-7
+_SETTLED, _LEVEL = 1e-2, 1e-6
 #: Degrees of freedom of the wide-tailed law by which wrong poses are found first.
 _TAIL = 3.0
 
@@ -88,11 +90,15 @@ class Adjustment:
     rows : ndarray of int, shape (V,)
         Of these images in `track`.
     facts : MountFacts
+    open_places : ndarray, shape (n, 3), optional
+        Directions in the body along which the motion does not show the place of the camera. It
+        stays near the body's origin there, so that it does not follow noise.
 
     """
 
     def __init__(self, camera: CameraPoses, track: BodyTrack, rows: np.ndarray,
-                 facts: MountFacts):
+                 facts: MountFacts, open_places: np.ndarray | None = None):
+        self._open = np.zeros((0, 3)) if open_places is None else open_places
         self._camera, self._track, self._rows = camera, track, rows
         self._stated = facts.stated
         k = camera.roots.shape[2]
@@ -161,15 +167,19 @@ class Adjustment:
                         mount_angles(turned)[index - 3] - angles[index - 3]) / step
             values[row] /= max(sigma, HELD)
             slopes[row] /= max(sigma, HELD)
-        return values, slopes
+        held = np.zeros((len(self._open), COUNT))
+        held[:, T] = self._open / NEAR_M
+        return (np.concatenate([values, -held[:, T] @ state.place]),
+                np.concatenate([slopes, held]))
 
     def _system(self, state: State, prediction: Prediction, errors: PoseErrors,
                 weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the information matrix and minus the gradient, of all unknowns."""
-        roots = np.linalg.cholesky(np.linalg.inv(errors.covariances()))
-        roots = np.swapaxes(roots, 1, 2) * np.sqrt(weights)[:, None, None]
-        S = (roots @ prediction.slopes).reshape(-1, prediction.slopes.shape[2])
-        r = np.einsum('mij,mj->mi', roots, prediction.residual).ravel()
+        counted = weights > 0
+        roots = errors.whitening()[counted] * np.sqrt(weights[counted])[:, None, None]
+        S = errors.independent(roots @ prediction.slopes[counted])
+        r = errors.independent(roots @ prediction.residual[counted][:, :, None])
+        S, r = S.reshape(-1, S.shape[2]), r.ravel()
         H, g = S.T @ S, S.T @ r
         own = np.arange(COUNT, len(g))
         H[own, own] += 1
@@ -186,8 +196,8 @@ class Adjustment:
         squares: np.ndarray = np.einsum('mi,mij,mj->m', r, W, r)
         return squares
 
-    def descend(self, state: State, errors: PoseErrors, keep: np.ndarray | None = None,
-                moves_images: bool = True) -> tuple[State, float]:
+    def descend(self, state: State, errors: PoseErrors,
+                keep: np.ndarray | None = None) -> tuple[State, float]:
         """
         Refine a state while the variances are held.
 
@@ -197,8 +207,6 @@ class Adjustment:
         errors : PoseErrors
         keep : ndarray of bool, shape (m,), optional
             Which misfits count, as normal ones. By default all do, with wide tails.
-        moves_images : bool
-            Whether poses of the camera may deviate.
 
         Returns
         -------
@@ -206,14 +214,16 @@ class Adjustment:
         cost : float
 
         """
-        free = self._free.copy()
-        free[COUNT:] &= moves_images
+        free = self._free
 
         def cost_of(one: State, prediction: Prediction) -> float:
             squares = self._distances(prediction, errors)
             facts = self._priors(one)[0]
-            poses = (_TAIL + 6) * np.log1p(squares / _TAIL).sum() if keep is None else (
-                squares[keep].sum())
+            if keep is None:
+                poses = (_TAIL + 6) * np.log1p(squares / _TAIL).sum()
+            else:
+                poses = (errors.independent(errors.whitening()[keep]
+                                            @ prediction.residual[keep][:, :, None])**2).sum()
             return float(poses + one.w @ one.w + facts @ facts)
         prediction = self.predict(state)
         cost, damping = cost_of(state, prediction), 1e-6
@@ -251,6 +261,8 @@ class Adjustment:
         state : State
             Near.
         errors : PoseErrors
+            No smaller than they are: estimates of them come down from above. From below, the
+            images would bend to poses that are thought exact.
 
         Returns
         -------
@@ -259,12 +271,8 @@ class Adjustment:
         """
         count = len(self.predict(state).residual)
         limit = float(chdtri(6, FALSE_ALARM / max(count, 1)))
-        keep = np.ones(count, bool)
-        # wide tails first: wrong poses must not set the measure by which they are found
-        for _ in range(4):
-            errors = errors.from_medians(self.predict(state).residual, keep)
-            state, cost = self.descend(state, errors)
         keep = self._distances(self.predict(state), errors) < limit
+        cost = self.descend(state, errors)[1]
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
             state, _ = self.descend(state, errors, keep)
@@ -274,8 +282,11 @@ class Adjustment:
             spread = prediction.slopes @ covariance @ np.swapaxes(prediction.slopes, 1, 2)
             before = errors
             errors, freedom = errors.refined(prediction.residual, spread, keep)
+            if not self._track.odometry:
+                errors = errors.in_a_row(prediction.residual, keep)
             near = self._distances(prediction, errors) < limit
             settled = bool((np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all()
+                           and np.allclose(errors.shared, before.shared, atol=1e-2)
                            and (near == keep).all())
             # late changes of mind would go round in a circle
             keep = near if turn < _ROUNDS // 2 else keep & near

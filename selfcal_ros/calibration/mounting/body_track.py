@@ -27,8 +27,9 @@ from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
 GAP_STEPS = 5.0
 #: Poses count as those of motion in a plane where their heights and tilts differ by less.
 FLAT_M, FLAT_RAD = 1e-6, 1e-6
-#: Step of the numerical rates, as a share of the usual step between poses.
-_RATE_STEP = 0.05
+#: Rates are taken over so many usual steps to both sides: noise of the poses must not pass for
+#: speed.
+_RATE_STEPS = 2.5
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,9 @@ class BodyTrack:
     flat : bool
         Poses are those of motion in a plane: they say nothing of height and tilt.
     odometry : bool
+    anchor : float, optional
+        Poses are interpolated at this offset of the clocks, and moved on from there at their
+        rates. An offset that went along the noise of the poses would fit it.
 
     """
 
@@ -81,6 +85,7 @@ class BodyTrack:
         self._poses = poses
         self.timed = poses.frames is None
         self.odometry = poses.kind == ODOMETRY
+        self.anchor: float | None = None
         up = poses.rotation[:, :, 2]
         self.flat = bool(len(poses) and (np.ptp(poses.position[:, 2]) < FLAT_M)
                          and bool(np.all(np.ptp(up, axis=0) < FLAT_RAD))
@@ -144,12 +149,18 @@ class BodyTrack:
         if not self.timed:
             at, still = self._rows[rows], np.zeros((len(rows), 3))
             return BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
-        when, step = self._instants[rows] - offset, _RATE_STEP * self._usual
+        anchor = offset if self.anchor is None else self.anchor
+        when, step = self._instants[rows] - anchor, _RATE_STEPS * self._usual
         rotation, position = self._interpolated(when)
-        before, after = self._interpolated(when - step), self._interpolated(when + step)
-        turned = after[0] @ np.swapaxes(before[0], 1, 2)
-        return BodyAt(rotation, position, rotation_vector(turned) / (2 * step),
-                      (after[1] - before[1]) / (2 * step))
+        earlier = np.maximum(when - step, self._times[0])
+        later = np.minimum(when + step, self._times[-1])
+        before, after = self._interpolated(earlier), self._interpolated(later)
+        lasting = (later - earlier)[:, None]
+        turning = rotation_vector(after[0] @ np.swapaxes(before[0], 1, 2)) / lasting
+        velocity = (after[1] - before[1]) / lasting
+        ahead = anchor - offset
+        return BodyAt(rotation_matrix(ahead * turning) @ rotation, position + ahead * velocity,
+                      turning, velocity)
 
     def _interpolated(self, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -204,7 +215,7 @@ class BodyTrack:
         here = self.at(offset, rows)
         R_back = np.swapaxes(here.rotation, 1, 2)
         if self.timed:
-            when = self._instants[rows] - offset
+            when = self._instants[rows] - (offset if self.anchor is None else self.anchor)
             lower, upper = np.searchsorted(self._times, when[:-1]), np.searchsorted(
                 self._times, when[1:])
         else:

@@ -24,6 +24,7 @@ from selfcal_ros.calibration.reconstruction import PosePrecision
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.camera_path import (
     camera_path, OF_AN_OBJECT, TURNING, with_shared_errors)
+from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Relative to the variances: keeps the factor of a covariance with dependent unknowns.
@@ -71,6 +72,10 @@ class CameraPoses:
         return replace(self, frames=self.frames[rows], rotation=self.rotation[rows],
                        centre=self.centre[rows], roots=self.roots[rows])
 
+    def stiff(self) -> CameraPoses:
+        """Take the poses as exact."""
+        return replace(self, roots=self.roots[:, :, :0], lens_root=self.lens_root[:, :0])
+
     def moved(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rotation (V, 3, 3) and centre (V, 3) after deviations w (k,)."""
         steps = self.roots @ w
@@ -104,6 +109,8 @@ def camera_poses(calibration: Calibration) -> CameraPoses:
         roots, lens_root = np.zeros((len(path), 6, 0)), np.zeros((len(lens), 0))
     else:
         roots, lens_root = _roots(precision, calibration.covariance, len(lens))
+        if calibration.motion != OF_AN_OBJECT:
+            roots = _in_a_middle_world(roots, path.centre)
     return CameraPoses(path.frames, path.rotation, path.centre, roots, lens_root,
                        calibration.motion == OF_AN_OBJECT, calibration.motion != TURNING)
 
@@ -123,6 +130,18 @@ def _roots(precision: PosePrecision, stated: np.ndarray,
         roots = np.concatenate([roots, own.reshape(views, 6, 6 * views)], axis=2)
         lens_root = np.concatenate([lens_root, np.zeros((count, 6 * views))], axis=1)
     return roots, lens_root
+
+
+def _in_a_middle_world(roots: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """
+    Return roots in a world that turns and moves with the mean of the poses.
+
+    The world is free anyway. One that goes with the first view lets a small error there move
+    what is far away by much, and bend the linear law.
+    """
+    turned = roots[:, 3:].mean(axis=0)
+    moved = roots[:, :3] + cross_matrix(centre) @ turned
+    return np.concatenate([moved - moved.mean(axis=0), roots[:, 3:] - turned], axis=1)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

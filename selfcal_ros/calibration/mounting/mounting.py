@@ -21,12 +21,13 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount
-from selfcal_ros.calibration.mounting.adjustment import Adjustment, Optimum
+from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, offsets
 from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
-from selfcal_ros.calibration.mounting.open_freedoms import degrees_of_freedom, missing_motion
+from selfcal_ros.calibration.mounting.open_freedoms import (
+    degrees_of_freedom, missing_motion, open_places)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.starts import pairs_of, starts
 from selfcal_ros.calibration.result import Calibration
@@ -116,24 +117,43 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
     rows = np.flatnonzero(track.known(offset, margin))
     if len(rows) < LEAST_IMAGES:
         return []
+    track.anchor = offset
     part = camera.chosen(rows)
-    adjustment = Adjustment(part, track, rows, facts)
+    # first with exact poses of the camera, which is quick
+    stiff = part.stiff()
+    coarse = Adjustment(stiff, track, rows, facts)
     errors = PoseErrors.of(poses, track, offset, rows, camera.has_path)
+    every = np.ones(errors.shapes.shape[1], bool)
     tried = []
-    for start in starts(part, track.at(offset, rows), offset):
-        state = adjustment.with_facts(start)
-        every = np.ones(errors.shapes.shape[1], bool)
-        coarse = errors.from_medians(adjustment.predict(state).residual, every)
+    for start in starts(stiff, track.at(offset, rows), offset):
+        state = coarse.with_facts(start)
+        rough = errors.from_medians(coarse.predict(state).residual, every)
         for _ in range(3):
-            state, _ = adjustment.descend(state, coarse, moves_images=False)
-            coarse = errors.from_medians(adjustment.predict(state).residual, every)
+            state, _ = coarse.descend(state, rough)
+            rough = errors.from_medians(coarse.predict(state).residual, every)
         # the determinant stands for the size of the misfits, whichever their kind
-        size = np.linalg.slogdet(coarse.covariances())[1].sum()
-        tried.append((adjustment.descend(state, coarse, moves_images=False)[1] + size, state))
+        size = np.linalg.slogdet(rough.covariances())[1].sum()
+        tried.append((coarse.descend(state, rough)[1] + size, state, rough))
     if not tried:
         return []
-    best = min(tried, key=lambda one: one[0])[1]
-    return [(adjustment, adjustment.optimum(best, errors), rows)]
+    _, best, rough = min(tried, key=lambda one: one[0])
+    best = replace(best, w=np.zeros(part.roots.shape[2]))
+    adjustment = Adjustment(part, track, rows, facts)
+    optimum = adjustment.optimum(best, rough)
+    if track.timed:
+        track.anchor = optimum.state.offset
+        optimum = adjustment.optimum(optimum.state, rough)
+    lost = open_places(optimum, adjustment.free, track.odometry)
+    if len(lost):
+        near = Adjustment(part, track, rows, facts, lost)
+        place = best.place - lost.T @ (lost @ best.place)
+        nearer, _ = near.descend(replace(best, place=place), rough)
+        near_optimum = near.optimum(nearer, rough)
+        # what holds the place tells nothing of it
+        held = np.zeros_like(near_optimum.information)
+        held[T, T] = lost.T @ lost / NEAR_M**2
+        optimum = replace(near_optimum, information=near_optimum.information - held)
+    return [(adjustment, optimum, rows)]
 
 
 def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,

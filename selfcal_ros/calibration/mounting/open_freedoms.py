@@ -22,20 +22,24 @@ motion. What they would feign is taken off before anything counts as seen.
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import eigh
 
 from selfcal_ros.calibration.mount import MountFacts, NAMES, PLACE, TURN as ANGLES
 from selfcal_ros.calibration.mounting.adjustment import Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.projective import cross_matrix
 
 #: Sigma from which on a degree of freedom counts as unobservable: no better than a look at the
 #: robot. Metres, radians, share of the scale, seconds.
-LIMIT_M, LIMIT_RAD, LIMIT_SCALE, LIMIT_S = 0.3, 0.2, 0.2, 0.1
+LIMIT_M, LIMIT_RAD, LIMIT_SCALE, LIMIT_S = 0.2, 0.1, 0.1, 0.1
 #: Motion must show so many times what errors feign.
 ABOVE_NOISE = 3.0
 #: Turns about the vertical by so many times those about other axes are those of a vehicle.
 UPRIGHT = 5.0
+#: Sigma along a motion that is not seen, in limits.
+_UNSEEN = 10.0
 _COLUMNS = np.r_[T, TURN, SCALE, OFFSET]
 _LIMITS = np.array([LIMIT_M] * 3 + [LIMIT_RAD] * 3 + [LIMIT_SCALE, LIMIT_S])
 
@@ -58,7 +62,7 @@ def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
     dict of str to str
 
     """
-    sigma = _honest_sigma(optimum, free)
+    sigma = _honest_sigma(optimum, free, track.odometry)
     held = {name for name, (_, spread) in facts.stated.items() if spread == 0}
     # wheels whose scale is exact do not hold that of the images
     held.discard('scale')
@@ -73,12 +77,38 @@ def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
             status[name] = 'held' if free[T].any() else 'unobservable'
         else:
             status[name] = 'estimated' if free[column] and value < limit else 'unobservable'
+    if status['scale'] == 'unobservable':
+        # places are told in metres: without one they may be any multiple of themselves
+        for name in PLACE:
+            if name not in facts.stated:
+                status[name] = 'unobservable'
     return status
 
 
-def _honest_sigma(optimum: Optimum, free: np.ndarray) -> np.ndarray:
-    """Return sigmas (8,) without the information that errors of the poses feign."""
-    columns = _COLUMNS[free[_COLUMNS]]
+def open_places(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndarray:
+    """Return unit vectors (n, 3) in the body along which the place is not shown."""
+    if not free[T].all():
+        return np.zeros((0, 3))
+    ratio, motions, _ = _shown(optimum, free, odometry, np.arange(COUNT)[T])
+    unseen = motions[:, ratio <= 1]
+    return np.linalg.qr(unseen)[0].T if unseen.shape[1] else np.zeros((0, 3))
+
+
+def _shown(optimum: Optimum, free: np.ndarray, odometry: bool, columns: np.ndarray) -> tuple[
+        np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Take apart what is shown of some unknowns, motion by motion.
+
+    Returns
+    -------
+    ratio : ndarray, shape (n,)
+        Information over what errors feign and a look at the robot tells.
+    motions : ndarray, shape (n, n)
+        Columns, in limits.
+    unit : ndarray, shape (n,)
+        The limits.
+
+    """
     others = np.setdiff1d(np.flatnonzero(free), columns)
     H = optimum.information
     tied = H[np.ix_(others, columns)]
@@ -87,44 +117,54 @@ def _honest_sigma(optimum: Optimum, free: np.ndarray) -> np.ndarray:
     tied = tied / root[:, None]
     scaled = inner / np.outer(root, root) + 1e-12 * np.eye(len(others))
     shown = H[np.ix_(columns, columns)] - tied.T @ np.linalg.solve(scaled, tied)
-    shown = shown - ABOVE_NOISE * _feigned(optimum)[np.ix_(columns, columns)]
-    sigma = np.full(COUNT, np.inf)
+    feigned = _feigned(optimum, odometry)[np.ix_(columns, columns)]
     limits = dict(zip(_COLUMNS, _LIMITS))
     unit = np.array([limits[column] for column in columns])
-    # in units of the limits; what nothing shows is left with far more than one of them
-    values, vectors = np.linalg.eigh(shown * np.outer(unit, unit))
-    spread = (vectors**2 / np.maximum(values, 1e-4)).sum(axis=1)
+    in_limits = np.outer(unit, unit)
+    ratio, motions = eigh(shown * in_limits,
+                          ABOVE_NOISE * feigned * in_limits + np.eye(len(columns)))
+    return ratio, motions, unit
+
+
+def _honest_sigma(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndarray:
+    """Return sigmas (8,) without the information that errors of the poses feign."""
+    columns = _COLUMNS[free[_COLUMNS]]
+    ratio, motions, unit = _shown(optimum, free, odometry, columns)
+    seen = ratio > 1
+    spread = (motions[:, seen]**2 / ratio[seen]).sum(axis=1)
+    unseen = motions[:, ~seen] / np.linalg.norm(motions[:, ~seen], axis=0)
+    spread += _UNSEEN**2 * (unseen**2).sum(axis=1)
+    sigma = np.full(COUNT, np.inf)
     sigma[columns] = np.sqrt(spread) * unit
     found: np.ndarray = sigma[_COLUMNS]
     return found
 
 
-def _feigned(optimum: Optimum) -> np.ndarray:
+def _feigned(optimum: Optimum, odometry: bool) -> np.ndarray:
     """Return the information (15, 15) that errors of turns and moves would feign."""
     slopes, keep = optimum.prediction.slopes[optimum.keep], optimum.keep
     W = np.linalg.inv(optimum.errors.covariances()[keep])
-    own = optimum.covariance[COUNT:, COUNT:]
-    by_images = slopes[:, :, COUNT:]
-    errors = by_images @ own @ np.swapaxes(by_images, 1, 2)
-    feigned = np.zeros((COUNT, COUNT))
-    place, turn = W[:, :3, :3], W[:, 3:, 3:]
+    # of the predicted turns and moves, whatever they come from
+    errors = slopes @ optimum.covariance @ np.swapaxes(slopes, 1, 2)
     Q, P = errors[:, 3:, 3:], errors[:, :3, :3]
-    # a place is seen by turns, which are wrong by δ: E[(δ x)ᵀ W (δ x)], W about isotropic
-    R = slopes[:, :3, T]
-    by_turns = _of_cross(Q, np.trace(place, axis1=1, axis2=2) / 3)
-    feigned[T, T] = np.einsum('mia,mij,mjb->ab', R, by_turns, R)
-    R = slopes[:, 3:, TURN]
-    by_turns = _of_cross(Q, np.trace(turn, axis1=1, axis2=2) / 3)
-    feigned[TURN, TURN] = np.einsum('mia,mij,mjb->ab', R, by_turns, R)
+    # in the axes of the body: the earlier one of a pair, or that of the pose
+    axes = np.eye(3)[None] if odometry else -slopes[:, 3:, TURN]
+    back = np.swapaxes(axes, 1, 2)
+    place, turn, Q, P = (back @ one @ axes for one in (W[:, :3, :3], W[:, 3:, 3:], Q, P))
+    feigned = np.zeros((COUNT, COUNT))
+    feigned[T, T] = _by_crossing(Q, place)
+    feigned[TURN, TURN] = _by_crossing(Q, turn)
+    if odometry:
+        feigned[TURN, TURN] += _by_crossing(P, place)
     feigned[SCALE, SCALE] = np.einsum('mij,mji->', place, P)
     return feigned
 
 
-def _of_cross(Q: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return weight · (tr(Q) I - Q), the mean of -[δ]x² for errors δ of covariance Q."""
-    trace = np.trace(Q, axis1=1, axis2=2)
-    squares: np.ndarray = weight[:, None, None] * (trace[:, None, None] * np.eye(3) - Q)
-    return squares
+def _by_crossing(Q: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return the mean of [δ]xᵀ W [δ]x for errors δ of covariance Q (m, 3, 3), summed."""
+    across = cross_matrix(np.eye(3))
+    total: np.ndarray = np.einsum('mkl,kia,mij,ljb->ab', Q, across, W, across)
+    return total
 
 
 def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray) -> dict[str, str]:

@@ -22,8 +22,12 @@ import numpy as np
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.values.body_poses import BodyPoses
 
-#: No pose is better than this, metres and radians: what is smaller is rounding.
-LEAST_M, LEAST_RAD = 1e-6, 1e-6
+#: No pose is better than this, metres and radians: what is smaller is rounding, or what a linear
+#: law leaves. No floor is flatter, either.
+LEAST_M, LEAST_RAD = 1e-5, 1e-5
+FLATTEST_M, FLATTEST_RAD = 3e-4, 1e-4
+#: Correlations of successive errors count from so many of their sigmas on, up to the largest.
+SHOWS, MOST_SHARED = 2.5, 0.95
 #: Fewer poses than this have errors of two kinds, those of place and of turn.
 FEW = 12
 #: A camera that only turns has no place; errors of this size let it be anywhere.
@@ -55,6 +59,10 @@ class PoseErrors:
     variances : ndarray, shape (K,)
     stated : ndarray of bool, shape (K,)
         Which are not to be estimated.
+    floors : ndarray, shape (K,)
+        Smallest variances.
+    shared : ndarray, shape (6,)
+        Correlation of each component's error with that of the pose before.
 
     """
 
@@ -62,6 +70,8 @@ class PoseErrors:
     shapes: np.ndarray
     variances: np.ndarray
     stated: np.ndarray
+    floors: np.ndarray
+    shared: np.ndarray
 
     @classmethod
     def of(cls, poses: BodyPoses, track: BodyTrack, offset: float, rows: np.ndarray,
@@ -81,23 +91,60 @@ class PoseErrors:
         # a plane is not measured: neither is how well it holds
         known = [sigmas[kind[0] // 3] if not (track.flat and set(kind) & {2, 3, 4}
                                               and len(axes) > 2) else None for kind in axes]
-        least = [LEAST_M if kind[0] < 3 else LEAST_RAD for kind in axes]
-        variances = np.array([max(one or 0.0, low)**2 for one, low in zip(known, least)])
+        upright = np.array([track.flat and set(kind) <= {2, 3, 4} for kind in axes])
+        places = np.array([kind[0] < 3 for kind in axes])
+        floors = np.where(upright, np.where(places, FLATTEST_M, FLATTEST_RAD),
+                          np.where(places, LEAST_M, LEAST_RAD))**2
+        variances = np.maximum([(one or 0.0)**2 for one in known], floors)
         stated = np.array([one is not None for one in known])
         if not has_path:
-            places = np.array([kind[0] < 3 for kind in axes])
             variances, stated = np.where(places, ANYWHERE_M**2, variances), stated | places
-        return cls(axes, shapes, variances, stated)
-
-    @property
-    def floors(self) -> np.ndarray:
-        """Smallest variances, shape (K,)."""
-        return np.array([LEAST_M if kind[0] < 3 else LEAST_RAD for kind in self.axes])**2
+        return cls(axes, shapes, variances, stated, floors, np.zeros(6))
 
     def covariances(self) -> np.ndarray:
         """Return the covariance of every misfit, shape (m, 6, 6)."""
         total: np.ndarray = np.einsum('k,kmij->mij', self.variances, self.shapes)
         return total
+
+    def whitening(self) -> np.ndarray:
+        """Return what makes the components of a misfit independent and of unit variance."""
+        roots = np.linalg.cholesky(np.linalg.inv(self.covariances()))
+        turned: np.ndarray = np.swapaxes(roots, 1, 2)
+        return turned
+
+    def independent(self, rows: np.ndarray) -> np.ndarray:
+        """Free whitened rows (m, 6, n) of successive misfits of what they share, (m, 6, n)."""
+        if not self.shared.any():
+            return rows
+        along = self.shared[:, None]
+        later = (rows[1:] - along * rows[:-1]) / np.sqrt(1 - along**2)
+        return np.concatenate([rows[:1], later])
+
+    def in_a_row(self, residual: np.ndarray, keep: np.ndarray) -> PoseErrors:
+        """
+        Estimate what errors of successive poses share, where it shows.
+
+        The poses of a filter, or of an arm that bends, do not err each by itself (an
+        autoregressive law of the first order).
+
+        Parameters
+        ----------
+        residual : ndarray, shape (m, 6)
+        keep : ndarray of bool, shape (m,)
+
+        Returns
+        -------
+        PoseErrors
+
+        """
+        z = (self.whitening() @ residual[:, :, None])[keep, :, 0]
+        shared = np.zeros(6)
+        for kind in self.axes:
+            own = z[:, list(kind)]
+            found = float(np.sum(own[1:] * own[:-1]) / max(np.sum(own**2), 1e-300))
+            if found > SHOWS / np.sqrt(own.size):
+                shared[list(kind)] = min(found, MOST_SHARED)
+        return replace(self, shared=shared)
 
     def from_medians(self, residual: np.ndarray, keep: np.ndarray) -> PoseErrors:
         """Estimate variances from misfits (m, 6) of which a minority may be wrong."""

@@ -16,7 +16,7 @@ Closed-form starts of the mount: rotations first, then place and scale, which ar
 
 Relative poses of body (B, b) and camera (A, a) obey B = M A Mᵀ and (I - B) t + s M a = b. Turns
 about two axes give M (Park and Martin 1994), the rest is linear (Andreff, Horaud and Espiau
-2001, equation 30, without its rotations). Turns about one axis leave an angle about it, which is
+2001). Turns about one axis leave an angle about it, which is
 linear with the place and the scale; no turns leave directions. Each is made, robustly, and the
 refinement tells which fits.
 """
