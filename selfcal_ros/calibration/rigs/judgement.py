@@ -43,7 +43,8 @@ RIGID = 2.0
 #: A place counts as open where its sigma is more than this share of the spread of the path, a
 #: turn beyond so many radians.
 OPEN_PLACE, OPEN_TURN_RAD = 0.25, np.radians(5.0)
-#: A length that is stated gives the scale where the images know its share of the path so well.
+#: A length that is stated gives the scale where the images know its share of the path so well;
+#: or where points that both cameras see tell how far they are, whatever the path.
 BASELINE_SIGMA = 0.2
 
 
@@ -143,9 +144,9 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
     findings: tuple[Finding, ...] = dependence.findings()
     inner = dependence.covariance
-    more = np.zeros(len(slopes))
+    more, shared = np.zeros(len(slopes)), optimum.shared_points()
     if baseline is not None:
-        if _knows_baseline(rig, inner):
+        if shared.any() or _knows_baseline(rig, inner):
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
             slopes = _carried_by_baseline(rig, slopes)
             for k in range(1, len(rig.cameras)):
@@ -157,7 +158,6 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     covariance = slopes @ inner @ slopes.T + np.outer(more, more)
     spread = scale * _spread(state.path.centres())
     cameras, poses, parameters = {}, {}, []
-    shared = optimum.shared_points()
     for k, name in enumerate(rig.cameras):
         one = _camera(optimum, k, covariance, scale)
         missing = tuple(n for n in MATRIX_PARAMETERS if one.status[n] == 'unobservable')

@@ -159,8 +159,8 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
     for name, one in tracks.items():
         found = ([Placed(anchor.camera, np.eye(3, 4))] if name == reference else
                  places_by_path(anchor, known[name]) if name in moving else [])
-        if not found and shared:
-            found = place_by_points(anchor, one)
+        if shared and name != reference:
+            found = [*found, *place_by_points(anchor, one)]
         if not found:
             return _not_placed(name, alone[name], len(frames), shared)
         choices.append(found)

@@ -39,6 +39,8 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 
 #: Tracks per instant and camera that the estimate uses, and that starts are compared on.
 TRACKS_PER_VIEW, START_TRACKS_PER_VIEW = 400, 60
+#: A start is optimised so often at most.
+START_ITERATIONS = 40
 #: Shared points that a camera needs which cannot be calibrated by itself.
 MIN_SHARED = 30
 
@@ -242,7 +244,8 @@ def best_start(found: RigObservations, reference: Calibration,
             continue
         bundle = bundle_of(few, motion, priors, sigma_px)
         state = bundle.refine_points(with_fixed(start, priors))
-        state = bundle.optimise(state, iterations=12, tolerance=1.0)
+        # far from the optimum what fits would be taken for outliers
+        state = bundle.optimise(state, iterations=START_ITERATIONS, tolerance=1.0)
         cost = bundle.cost(state)
         if cost < least:
             best, least = state, cost
