@@ -44,6 +44,7 @@ BENCHES = {
     'affine_tables': 'thesis tables 4.1 and 4.2, rotations that leave parameters open',
     'few_views': 'four general views, equal objects in one image, and Kruppa, beside truth',
     'known_object': 'known objects: the grid of the thesis, recorded sets, OpenCV',
+    'board_corners': 'corners of chessboards and of ChArUco boards in drawn images',
     'tracking_occlusion': 'tracker on the cube sequence with things in the way, beside ViSP',
     'tracking_poses': 'tracker against truth: accuracy, covariances, motion models, zoom',
     'tracking_stereo': 'the tea box before two cameras that must agree',
