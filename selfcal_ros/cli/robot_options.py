@@ -42,7 +42,8 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
                        help='poses.csv (its header says what: stamp_ns, frame or image; '
                             'tx,ty,tz with qw,qx,qy,qz or rx,ry,rz; or x,y,theta), or of the '
                             'same bag a topic of Odometry or poses, such as /odom, or '
-                            '/tf:FIXED:BODY, such as /tf:odom:base_link')
+                            '/tf:FIXED:BODY, such as /tf:odom:base_link; a gyro, too (a topic '
+                            'of Imu, or gyro_x,gyro_y,gyro_z), tells the turn of the camera')
     group.add_argument('--robot-kind', choices=('absolute', 'odometry'),
                        help='whether each pose errs by itself, or the way from one to the next '
                             '(default: odometry for Odometry, x,y,theta and TF from odom)')

@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.values.angular_rates import AngularRates
 from selfcal_ros.values.body_poses import BodyPoses
 
 #: Faster than this is no robot (250 km/h), but a millimetre called a metre.
@@ -57,6 +58,23 @@ class PoseReading:
     sigma_rotation_rad: float | None = None
     unit_m: float | None = None
     body_frame: str | None = None
+
+    def named(self, rates: AngularRates) -> AngularRates:
+        """
+        Return the rates of a gyro under the stated name of its frame.
+
+        Raises
+        ------
+        ArgumentError
+            If something is stated that only poses have.
+
+        """
+        stated = [option for option, value in (
+            ('--robot-kind', self.kind), ('--robot-sigma', self.sigma_position_m),
+            ('--robot-unit', self.unit_m)) if value is not None]
+        if stated:
+            raise ArgumentError(f'{stated[0]} is for poses; a gyro needs none, so leave it out.')
+        return replace(rates, frame=self.body_frame) if self.body_frame else rates
 
     def applied(self, poses: BodyPoses, source: str) -> BodyPoses:
         """

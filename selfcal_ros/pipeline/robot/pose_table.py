@@ -29,6 +29,8 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.robot.pose_checks import in_order, UNIT_LENGTH
+from selfcal_ros.pipeline.robot.rate_topics import COLUMNS
+from selfcal_ros.values.angular_rates import AngularRates
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 from selfcal_ros.values.foreign_files import read_limited
 
@@ -42,12 +44,13 @@ WHEN = ('image', 'stamp_ns', 'stamp_s', 'frame')
 #: A longer rotation vector is in degrees.
 LONGEST_VECTOR_RAD = 2.5 * np.pi
 EXPECTED = ('stamp_ns, frame or image; then tx,ty,tz with qw,qx,qy,qz or rx,ry,rz (radians), or '
-            'x,y,theta')
+            'x,y,theta; or of a gyro gyro_x,gyro_y,gyro_z (rad/s)')
 
 
-def read_pose_table(path, images: list[str] | None = None, by_stamp: bool = False) -> BodyPoses:
+def read_pose_table(path, images: list[str] | None = None, by_stamp: bool = False,
+                    ) -> BodyPoses | AngularRates:
     """
-    Read a table of poses.
+    Read a table of poses, or of the rates of a gyro.
 
     Parameters
     ----------
@@ -59,7 +62,7 @@ def read_pose_table(path, images: list[str] | None = None, by_stamp: bool = Fals
 
     Returns
     -------
-    BodyPoses
+    BodyPoses or AngularRates
 
     Raises
     ------
@@ -71,6 +74,11 @@ def read_pose_table(path, images: list[str] | None = None, by_stamp: bool = Fals
     names, rows = _cells(path)
     when = _column_of_time(path, names, images, by_stamp)
     numbers = _numbers(path, names, rows)
+    if COLUMNS[0] in numbers:
+        instants, _ = _instants(path, names, rows, when)
+        if instants is None:
+            raise InputError(f'{path} gives rates by frame; a gyro needs stamp_ns or stamp_s.')
+        return AngularRates(instants, np.column_stack([numbers[name] for name in COLUMNS]))
     line = np.arange(2, len(rows) + 2)
     stamps: np.ndarray | None = None
     frames: np.ndarray | None = None
@@ -124,7 +132,7 @@ def _column_of_time(path, names, images, by_stamp: bool) -> str:
 
 def _numbers(path, names, rows) -> dict[str, np.ndarray]:
     """Return the columns of the poses."""
-    for wanted in ((*PLACE, *QUATERNION), (*PLACE, *VECTOR), (*PLACE, *MATRIX), PLANAR):
+    for wanted in ((*PLACE, *QUATERNION), (*PLACE, *VECTOR), (*PLACE, *MATRIX), PLANAR, COLUMNS):
         if set(wanted) <= set(names):
             break
     else:

@@ -24,11 +24,12 @@ import numpy as np
 
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.frame_source import FrameSource
 from selfcal_ros.pipeline.robot.robot_source import instants_by_name, robot_poses, RobotSource
 from selfcal_ros.pipeline.sources import open_source
+from selfcal_ros.values.angular_rates import AngularRates
 from selfcal_ros.values.body_poses import BodyPoses
 
 _LOGGER = logging.getLogger(__name__)
@@ -41,7 +42,7 @@ class RobotBeside:
 
     Attributes
     ----------
-    poses : BodyPoses
+    poses : BodyPoses or AngularRates
     facts : MountFacts
         Known parts of the mount.
     instants_ns : dict of int to int, or None
@@ -49,7 +50,7 @@ class RobotBeside:
 
     """
 
-    poses: BodyPoses
+    poses: BodyPoses | AngularRates
     facts: MountFacts
     instants_ns: dict[int, int] | None = None
 
@@ -67,11 +68,16 @@ class RobotBeside:
             Called as progress(text, done, total).
 
         """
+        from selfcal_ros.calibration.mounting.gyro import mount_by_gyro
         from selfcal_ros.calibration.mounting.mounting import mount_camera
-        stamps = None if self.poses.frames is not None else self.instants_ns or reading.stamps_ns
+        stamps = self.instants_ns or reading.stamps_ns
         if progress:
             progress('mounting', 0, None)
-        found = mount_camera(result, self.poses, stamps, self.facts)
+        if isinstance(self.poses, AngularRates):
+            found = mount_by_gyro(result, self.poses, stamps or {})
+        else:
+            found = mount_camera(result, self.poses,
+                                 None if self.poses.frames is not None else stamps, self.facts)
         _LOGGER.info('mount from %d poses: %s', len(self.poses),
                      'found' if found.mount else found.mount)
         return found
@@ -100,7 +106,12 @@ def read_robot(path: str | Path, robot: RobotSource, facts: MountFacts,
     with open_source(path, **options) as images:
         poses = robot_poses(robot, images)
         instants = instants_by_name(images)
-        if poses.frames is None:
+        if isinstance(poses, AngularRates):
+            if facts.stated:
+                raise ArgumentError('--mount-fact needs poses of the robot; a gyro tells its turn '
+                                    'against the camera alone.')
+            _check_overlap(poses, images, instants)
+        elif poses.frames is None:
             _check_overlap(poses, images, instants)
         elif images.kind == 'tracks':
             _check_frames(poses, images.tracks().frames)
@@ -117,7 +128,8 @@ def _check_frames(poses: BodyPoses, frames: np.ndarray) -> None:
                          f'and the images are {frames.min()} to {frames.max()}: none has both.')
 
 
-def _check_overlap(poses: BodyPoses, images: FrameSource, instants: dict | None) -> None:
+def _check_overlap(poses: BodyPoses | AngularRates, images: FrameSource,
+                   instants: dict | None) -> None:
     """Refuse poses of another time."""
     known = poses.stamps_ns
     if known is None:

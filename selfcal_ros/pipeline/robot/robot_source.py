@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.pipeline.robot.pose_checks import PoseReading
+from selfcal_ros.values.angular_rates import AngularRates
 from selfcal_ros.values.body_poses import BodyPoses
 
 if TYPE_CHECKING:
@@ -89,9 +90,9 @@ class RobotSource:
         return ':'.join((self.topic, *(self.frames or ())))
 
 
-def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses:
+def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses | AngularRates:
     """
-    Read the poses of the robot that belong to a recording.
+    Read the poses of the robot that belong to a recording, or what its gyro measured.
 
     Parameters
     ----------
@@ -108,7 +109,8 @@ def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses:
     if robot.table is not None:
         from selfcal_ros.pipeline.robot.pose_table import read_pose_table
         names = getattr(images, 'names', None)
-        poses = read_pose_table(robot.table, names, by_stamp=has_clock(images))
+        poses: BodyPoses | AngularRates = read_pose_table(robot.table, names,
+                                                          by_stamp=has_clock(images))
     elif images.kind != 'bag':
         raise InputError(f'{images.path} is no bag, so it has no topic {robot.topic}; give '
                          '--robot a table of poses, poses.csv.')
@@ -116,8 +118,13 @@ def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses:
         from selfcal_ros.pipeline.robot.pose_topics import read_transforms
         poses = read_transforms(images.path, *robot.frames)
     else:
+        from selfcal_ros.pipeline.robot.rate_topics import holds_rates, read_rate_topic
+        if holds_rates(images.path, robot.topic):
+            return robot.reading.named(read_rate_topic(images.path, robot.topic))
         from selfcal_ros.pipeline.robot.pose_topics import read_pose_topic
         poses = read_pose_topic(images.path, robot.topic)
+    if isinstance(poses, AngularRates):
+        return robot.reading.named(poses)
     return robot.reading.applied(poses, str(robot))
 
 

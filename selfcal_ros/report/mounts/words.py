@@ -145,7 +145,8 @@ def mount_sentence(mount: Mount) -> str:
     """Say what was found in a sentence or two."""
     missing = [SHOWN[name][0] for name in NAMES if mount.status[name] == 'unobservable']
     aside = f' ({mount.outlier_count} set aside)' if mount.outlier_count else ''
-    text = f'The camera on {mount.frame}, from {mount.pose_count} poses of the robot{aside}'
+    what = 'poses of the robot' if np.isfinite(mount.sigma_position_m) else 'turns of the gyro'
+    text = f'The camera on {mount.frame}, from {mount.pose_count} {what}{aside}'
     if not missing:
         return f'{text}.'
     listed = ', '.join(missing[:-1]) + (' and ' if len(missing) > 1 else '') + missing[-1]
