@@ -37,6 +37,7 @@ from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
 from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
+from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
@@ -229,8 +230,10 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
     turned: Calibration | NoEstimate | None = None
     is_weak, turned_px = False, 0.0
     if doubtful and facts.focal != 'varying':
+        # what a strong lens leaves of a rotation says nothing before the lens is fitted
+        tried = graph.parallax < PARALLAX_RATIO or is_strong(graph.bend)
         turning = fit_rotations(graph.tracks, size, facts,
-                                np.inf if little else HOPELESS * graph.noise_px)
+                                np.inf if little and tried else HOPELESS * graph.noise_px)
         is_weak = isinstance(turning, RotationFit) and (
             turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
     if is_weak and isinstance(turning, RotationFit):

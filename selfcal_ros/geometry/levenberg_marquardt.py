@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, LinAlgError
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse import csr_array
 
 from selfcal_ros.geometry.optimise import ReducedSystem
@@ -84,6 +84,27 @@ def minimise(state: _State, cost_of: Callable[[_State], float],
     return state
 
 
+def places_of(unknowns: csr_array) -> np.ndarray | None:
+    """
+    Find where each independent unknown stands, where none moves with another.
+
+    Parameters
+    ----------
+    unknowns : csr_array, shape (n, k)
+        Of `unknowns_of`.
+
+    Returns
+    -------
+    ndarray of int, shape (k,), or None
+
+    """
+    if unknowns.nnz != unknowns.shape[1]:
+        return None
+    places = np.empty(unknowns.nnz, int)
+    places[unknowns.indices] = np.flatnonzero(np.diff(unknowns.indptr))
+    return places
+
+
 class DampedFactor:
     """
     Cholesky factor of the damped normal equations of the unknowns.
@@ -108,28 +129,43 @@ class DampedFactor:
     def __init__(self, matrix: np.ndarray, diagonal: np.ndarray, damping: float,
                  unknowns: csr_array):
         self._unknowns = E = unknowns
-        taking_part = abs(E)
-        self._members = taking_part.sum(axis=0)
-        scale = np.maximum(taking_part.T @ diagonal, 1e-300)
+        self._places = places_of(E)
+        if self._places is not None:
+            self._members = 1.0
+            scale, H = diagonal[self._places], matrix[np.ix_(self._places, self._places)]
+        else:
+            taking_part = abs(E)
+            self._members = taking_part.sum(axis=0)
+            scale, H = taking_part.T @ diagonal, E.T @ (E.T @ matrix).T
+        scale = np.maximum(scale, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
         self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
-        H = (E.T @ (E.T @ matrix).T) / np.outer(self._root, self._root)
+        H = H / np.outer(self._root, self._root)
         H[np.diag_indices_from(H)] += damping
-        try:
-            self._factor = cho_factor(H)
-        except (LinAlgError, ValueError):
-            self._factor = None
-        self.usable = self._factor is not None
+        # of a symmetric matrix rows are columns, which saves a copy
+        self._factor, failed = dpotrf(H.T, lower=1, overwrite_a=1, clean=0)
+        self.usable = not failed and bool(np.isfinite(np.diag(self._factor)).all())
+
+    def _independent(self, values: np.ndarray) -> np.ndarray:
+        """Collect values (n,) by the independent unknowns (k,)."""
+        collected: np.ndarray = (self._unknowns.T @ values if self._places is None
+                                 else values[self._places])
+        return collected
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for a step of all parameters; the held ones do not move. Shapes (n,)."""
-        right = (self._unknowns.T @ right) / self._root
-        step: np.ndarray = self._unknowns @ (cho_solve(self._factor, right) / self._root)
+        solved = dpotrs(self._factor, self._independent(right) / self._root, lower=1)[0]
+        solved = solved / self._root
+        if self._places is None:
+            step: np.ndarray = self._unknowns @ solved
+        else:
+            step = np.zeros(len(right))
+            step[self._places] = solved
         return step
 
     def length(self, step: np.ndarray) -> float:
         """Length of a step (n,) in the scaled unknowns."""
-        return float(np.linalg.norm(self._unknowns.T @ step / self._members * self._root))
+        return float(np.linalg.norm(self._independent(step) / self._members * self._root))
 
 
 def straight_step(system: ReducedSystem, factor: DampedFactor,

@@ -55,7 +55,7 @@ class PointBlocks:
         self._view_first = np.searchsorted(view[by_view], np.arange(self.view_count + 1))
         self._view_sum = csr_matrix((np.ones(len(view)), by_view, self._view_first),
                                     shape=(self.view_count, len(view)))
-        self._transposed: tuple[np.ndarray, ...] | None = None
+        self._transposed: tuple[np.ndarray, np.ndarray, csr_array] | None = None
         last = np.maximum.reduceat(view, self.first)
         begin = np.minimum.reduceat(view, self.first)
         order = np.lexsort((last, begin))
@@ -135,11 +135,12 @@ class PointBlocks:
             entry = m * (p * first + i * length + n - first) + k
             source, column = np.empty((2, entry.size), np.int32)
             source[entry], column[entry] = (n * m + k) * p + i, n * m + k
-            ends = np.cumsum(np.repeat(m * self.length, p))
-            self._transposed = entry, source, column, np.r_[0, ends].astype(np.int32)
-        _, source, column, rows = self._transposed
-        J = csr_array((jac_point.ravel()[source], column, rows),
-                      (self.point_count * p, len(self.point) * m))
+            rows = np.r_[0, np.cumsum(np.repeat(m * self.length, p))].astype(np.int32)
+            self._transposed = entry, source, csr_array(
+                (np.empty(entry.size), column, rows),
+                (self.point_count * p, len(self.point) * m))
+        _, source, J = self._transposed
+        J.data = jac_point.ravel()[source]
         both = np.concatenate([jac_point, jac_shared], axis=2).reshape(len(self.point) * m, -1)
         sums = (J @ both).reshape(self.point_count, p, -1)
         return sums[..., :p], sums[..., p:]

@@ -22,6 +22,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 from scipy.special import chdtr, chdtrc
 
+from selfcal_ros.geometry.levenberg_marquardt import places_of
 from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
@@ -92,11 +93,12 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
         Zero rows for fixed parameters.
 
     """
-    E = selection
-    H = E.T @ (E.T @ matrix).T
+    E, places = selection, places_of(selection)
+    H = E.T @ (E.T @ matrix).T if places is None else matrix[np.ix_(places, places)]
     scale = np.maximum(np.diag(H), 1e-300)
     if diagonal is not None:
-        scale = np.maximum(scale, RANK_TOLERANCE * (abs(E).T @ diagonal))
+        scale = np.maximum(scale, RANK_TOLERANCE * (
+            abs(E).T @ diagonal if places is None else diagonal[places]))
     root = np.sqrt(scale)
     H = H / np.outer(root, root)
     factor, failed = dpotrf(H)
@@ -107,7 +109,12 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
     else:
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
-    spread: np.ndarray = E @ (E @ (inverse / np.outer(root, root))).T
+    inverse = inverse / np.outer(root, root)
+    if places is None:
+        spread: np.ndarray = E @ (E @ inverse).T
+    else:
+        spread = np.zeros_like(matrix)
+        spread[np.ix_(places, places)] = inverse
     return spread
 
 

@@ -42,7 +42,7 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
                                                              widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
-from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_vary, near_state,
+from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, over_all, settle_zoom,
                                                                zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
@@ -163,7 +163,7 @@ def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
     if problem.facts.focal == 'varying' and problem.instants:
         return _attempt(zooming(problem), graph, proposals)
     result = _attempt(problem, graph, proposals)
-    if may_vary(problem) and not result and result.kind in UNEXPLAINED:
+    if may_zoom(problem) and not result and result.kind in UNEXPLAINED:
         zoomed = _attempt(zooming(problem), graph, proposals)
         result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
     return result
@@ -176,7 +176,10 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     # the starts do not suppose what the images may contradict
     parallel = window.motion.parallel
     window = replace(window, motion=replace(window.motion, parallel=()))
-    start, noise_px = best_start(window, proposals)
+    started = best_start(window, proposals)
+    if isinstance(started, NoEstimate):
+        return started
+    start, noise_px = started
     as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
     if start is None or not np.isfinite(noise_px):
         return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
@@ -211,7 +214,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if mixed is not None:
         return mixed
     if contradicted(fit, window):
-        return (_attempt(zooming(problem), graph, proposals, fit) if may_vary(problem)
+        return (_attempt(zooming(problem), graph, proposals, fit) if may_zoom(problem)
                 else NoEstimate(NOT_CONSTANT))
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
@@ -231,7 +234,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         return not_planar(out_of_plane_rad(model.fit.state.path))
     problem, stated = settled(problem, model), problem.facts
     result = finish(problem, model, graph, stated)
-    if not result and result.kind == NOT_CONSTANT and may_vary(problem):
+    if not result and result.kind == NOT_CONSTANT and may_zoom(problem):
         return _attempt(zooming(problem), graph, proposals, model.fit)
     return replace(result, findings=(*findings, *result.findings)) if result else result
 
@@ -314,9 +317,9 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
                    rejected=sorted_tracks.contradicting)
     observations = replace(observations_of(rest.tracks, rest.frames),
                            clock=problem.observations.clock)
-    result = _attempt_any_focal(replace(problem, observations=observations), rest,
-                                [still.state.camera(*problem.size)])
     # a zoom moves tracks, too: where the still ones ask for it, all of them are to tell
+    result = _attempt_any_focal(replace(problem, observations=observations, of_still=True), rest,
+                                [still.state.camera(*problem.size)])
     if not result or result.focal is not None:
         return None
     return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))

@@ -48,6 +48,11 @@ def may_vary(problem: SelfCalibrationProblem) -> bool:
             and bool(problem.instants))
 
 
+def may_zoom(problem: SelfCalibrationProblem) -> bool:
+    """Tell whether a focal length that varies is to be tried: of still tracks alone it is not."""
+    return may_vary(problem) and not problem.of_still
+
+
 def contradicted(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
     """Tell whether the images contradict a constant focal length that is supposed or stated."""
     stated = problem.facts.focal == 'constant' and not problem.facts.trusted

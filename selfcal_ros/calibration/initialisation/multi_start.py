@@ -30,6 +30,7 @@ from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, lik
                                                                   supposed_camera)
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.values.tracks import Tracks
@@ -48,9 +49,10 @@ GOOD_ENOUGH = 1.25
 MODULUS_MAX_VIEWS = 8
 #: Tracks per view that the starts are compared on.
 START_TRACKS_PER_VIEW = 40
-#: A plane that nobody stated, and that leaves so much by its first start (the same unit), is tried
-#: from no more starts where free motion explains all and leaves every plane by this (radians).
-MUCH_LEFT, FAR_OUT_RAD = 3.0, np.radians(10.0)
+#: A plane that nobody stated, and whose first start needs a rival, is tried from no more starts
+#: where free motion leaves no more than this (the same unit), at most this share of what the plane
+#: leaves, and leaves every plane by this (radians; starts of vehicles, even bad ones, by half).
+STILL_FREE, CLEARLY_LESS, FAR_OUT_RAD = 4.0, 0.75, np.radians(10.0)
 
 
 def starts(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
@@ -105,7 +107,7 @@ def closed_form(problem: SelfCalibrationProblem) -> list[Camera]:
 
 
 def best_start(problem: SelfCalibrationProblem, first: list[Camera],
-               ) -> tuple[SceneState | None, float]:
+               ) -> tuple[SceneState | None, float] | NoEstimate:
     """
     Choose the start that explains the images best.
 
@@ -120,6 +122,7 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
     SceneState or None
     float
         Robust estimate of the noise there, pixels.
+        No estimate where a plane was supposed that the motion leaves.
 
     """
     def proposals():
@@ -151,33 +154,30 @@ def best_start(problem: SelfCalibrationProblem, first: list[Camera],
         if (problem.flat is None and best_noise < GOOD_ENOUGH * problem.noise_px
                 and best is not None and _is_plausible(best, problem.size)):
             break
-        if not doubted and _may_leave_plane(problem, best, best_noise):
+        if not doubted and problem.supposes_plane and problem.motion.keeps_plane:
             doubted = True
-            if _leaves_plane(problem, proposals()):
-                break
+            off_plane = _off_plane_rad(problem, proposals(), best_noise)
+            if off_plane > FAR_OUT_RAD:
+                return NoEstimate('not_planar', tilt_deg=float(np.degrees(off_plane)),
+                                  motion='general')
     return best, best_noise
 
 
-def _may_leave_plane(problem: SelfCalibrationProblem, best: SceneState | None,
-                     noise_px: float) -> bool:
-    """Tell whether a plane that nobody stated leaves so much that free motion is to be asked."""
-    return (problem.supposes_plane and problem.motion.keeps_plane and problem.flat is None
-            and problem.pivot is None and best is not None
-            and noise_px > MUCH_LEFT * problem.noise_px)
-
-
-def _leaves_plane(problem: SelfCalibrationProblem, proposals: Iterator[Camera]) -> bool:
-    """Tell whether free motion explains all by the first proposal, and is of no plane."""
+def _off_plane_rad(problem: SelfCalibrationProblem, proposals: Iterator[Camera],
+                   planar_px: float) -> float:
+    """How far free motion leaves every plane, where the first proposal explains more by it."""
+    if problem.flat is not None or problem.pivot is not None:
+        return 0.0
     motion = replace(GENERAL, zoom=problem.motion.zoom, parallel=problem.motion.parallel)
     free, noise_px = next(starts(replace(problem, motion=motion), proposals), (None, np.inf))
-    if (free is None or noise_px > GOOD_ENOUGH * problem.noise_px
-            or not _is_plausible(free, problem.size)):
-        return False
+    if (free is None or not _is_plausible(free, problem.size)
+            or noise_px > min(STILL_FREE * problem.noise_px, CLEARLY_LESS * planar_px)):
+        return 0.0
     R = free.path.rotations()
     # turns against the first view are all about one axis, if there is a plane
     turns = rotation_vector(R @ R[0].T)
     across = np.linalg.svd(turns, compute_uv=False)[1:]
-    return bool(np.sqrt(np.sum(across**2) / len(turns)) > FAR_OUT_RAD)
+    return float(np.sqrt(np.sum(across**2) / len(turns)))
 
 
 def _is_plausible(state: SceneState, size: tuple[int, int]) -> bool:

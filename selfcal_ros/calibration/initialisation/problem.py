@@ -53,7 +53,8 @@ class SelfCalibrationProblem:
     `flat` where the scene may be one plane, `pivot` where the camera turns about a fixed point;
     `bend` is that of the lens which the pairs show, for radii in half image diagonals; `instants`
     tell when each view was taken, in any unit; `is_weak` where the translations are small beside
-    the rotations, `supposes_plane` where nobody said that the motion is planar.
+    the rotations, `supposes_plane` where nobody said that the motion is planar, `of_still` where
+    the tracks are those that a first estimate found to stand still.
     """
 
     observations: Observations
@@ -68,6 +69,7 @@ class SelfCalibrationProblem:
     instants: tuple[float, ...] = ()
     is_weak: bool = False
     supposes_plane: bool = False
+    of_still: bool = False
 
     @property
     def views(self) -> int:
