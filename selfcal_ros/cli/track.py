@@ -39,6 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
                         help='calibration of the camera, as `selfcal calibrate` writes it, or '
                              'another program')
+    parser.add_argument('--model-scale', type=float, default=1.0, metavar='METRES',
+                        help='metres per unit of a mesh: 0.001 where it is in millimetres '
+                             '(default 1)')
     parser.add_argument('--init-sigma', type=float, metavar='METRES',
                         help='standard deviation of the distance in --init, where it was '
                              'measured: then a model of the wrong size is noticed, which images '
@@ -70,7 +73,8 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
     """Add the options that say what the object is and where it is at first."""
     group = parser.add_argument_group('the object')
     group.add_argument('--model', type=Path, required=required, metavar='MODEL.CAO',
-                       help="wireframe of the object: ViSP's .cao, or our .yaml")
+                       help="shape of the object: ViSP's .cao, our .yaml, or a mesh: .obj, .ply "
+                            'or .stl')
     group.add_argument('--init', metavar='POSE',
                        help='where the object is in the first image: six numbers '
                             '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
@@ -100,7 +104,9 @@ def run(args: argparse.Namespace) -> int:
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)
-    model = read_model(args.model)
+    model = read_model(args.model, args.model_scale)
+    for remark in getattr(model, 'remarks', ()):
+        print(f'{args.model}: {remark}', file=sys.stderr)
     start = read_start(args.init, args.clicks, camera)
     with Progress.of(args) as progress:
         run, table = track_recording(args.input, model, camera, start, options,

@@ -159,7 +159,10 @@ class AffineCalibratorParameters(CalibratorParameters):
 class RorapidTrackerParameters:
     """Parameters of rorapid_tracker."""
 
-    model: str = parameter('', "wireframe of the object: ViSP's .cao, or our .yaml")
+    model: str = parameter('', "shape of the object: ViSP's .cao, our .yaml, or a mesh: .obj, "
+                           '.ply or .stl')
+    model_scale: float = parameter(1.0, 'metres per unit of a mesh: 0.001 where it is in '
+                                   'millimetres', 1e-6, 1e6)
     camera_file: str = parameter('', 'calibration file to use until a camera_info comes; empty: '
                                  'wait for one')
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '

@@ -67,7 +67,9 @@ class RorapidNode(Node):
             raise ArgumentError('rorapid_tracker needs the wireframe of the object: '
                                 '--ros-args -p model:=/path/to/model.cao')
         self._types = rclpy_types()
-        self._model = read_model(p.model)
+        self._model = read_model(p.model, p.model_scale)
+        for remark in getattr(self._model, 'remarks', ()):
+            self.get_logger().warning(f'{p.model}: {remark}')
         self._segments = wireframe_segments(self._model)
         session = TrackingSession(self._model, tracker_options(p))
         camera = read_known_camera(p.camera_file) if p.camera_file else None

@@ -20,8 +20,11 @@ import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import across_axes
 
+#: Pieces of the net that is drawn over a mesh, at the most.
+MESH_PIECES = 1000
 #: bgr, from a palette that colour-blind people can tell apart.
 FOUND = (115, 158, 0)
 REJECTED = (0, 94, 213)
@@ -145,6 +148,10 @@ def wireframe_segments(model, pieces: int = 24) -> np.ndarray:
     """
     angles = np.linspace(0, 2 * np.pi, pieces + 1)
     parts = [model.edges()]
+    if isinstance(model, MeshModel):
+        # a net over the round parts, not finer than can be seen
+        net = model.smooth_points[model.smooth_edges]
+        parts.append(net[::-(-len(net) // MESH_PIECES)])
     parts += [_chain(conic.points(angles)) for conic in model.conics]
     for cylinder in model.cylinders:
         u, v = across_axes(cylinder)

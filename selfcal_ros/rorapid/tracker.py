@@ -38,7 +38,8 @@ from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basi
                                                           recentring)
 from selfcal_ros.rorapid.region.region_of_interest import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
+from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
@@ -81,7 +82,7 @@ class RorapidTracker:
         self.model, self.camera = model, camera
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
-        self._visible = VisibleModel(model, *options.control_points)
+        self._visible = visible_of(model, *options.control_points)
         self._plane = PlaneLearner()
         self._axis: tuple | np.ndarray | None = options.plane_axis
         self._camera_model = options.camera_model
@@ -99,7 +100,8 @@ class RorapidTracker:
     def _watch_for_doubt(self) -> None:
         """Watch what the model gets wrong, where the camera model lets it be seen."""
         self._doubt = None
-        if self.options.doubts and self._camera_model == 'perspective':
+        if self.options.doubts and self._camera_model == 'perspective' and not isinstance(
+                self.model, MeshModel):
             self._doubt = ModelDoubt(self._control, self._basis, self.options.least_contrast)
 
     def _lay_basis(self) -> None:
@@ -156,7 +158,7 @@ class RorapidTracker:
         if options.built_in != self.options.built_in:
             return False
         if options.control_points != self.options.control_points:
-            self._visible = VisibleModel(self.model, *options.control_points)
+            self._visible = visible_of(self.model, *options.control_points)
             self._control = ControlModel(self._visible, self._projection, self._control.image_size)
         self.options = options
         self._watch_for_doubt()

@@ -48,6 +48,8 @@ class ControlView:
         Distance in the image from the end of the line, roughly; infinite where there is no end.
     curvature : ndarray, shape (C,)
         In the image, per pixel; positive where the curve bends towards the normal.
+    outline : int
+        Primitives from this on are pieces of one outline.
 
     """
 
@@ -61,6 +63,7 @@ class ControlView:
     normal: np.ndarray
     end_px: np.ndarray
     curvature: np.ndarray
+    outline: int
 
 
 class ControlModel:
@@ -135,4 +138,5 @@ class ControlModel:
                                  * self._bend[ids[curved]]
                                  / np.maximum(length[curved], 1e-12)**2)
         return ControlView(points, tangents, primitive, ids, searched, contour, projected,
-                           normal, self._end[ids] * length, curvature)
+                           normal, self._end[ids] * length, curvature,
+                           self.visible_model.outline)

@@ -69,11 +69,12 @@ def clutter_weight(view) -> np.ndarray:
         return weight
     pixels = view.projected.pixels[at].astype(np.float32)
     normal = view.normal[at].astype(np.float32)
-    primitive = view.primitive[at]
+    # pieces of one outline do not disturb each other
+    primitive = np.minimum(view.primitive[at], view.outline)
     # a line is its first point and its last; a curve is all of its points
     ends = np.flatnonzero(primitive[1:] != primitive[:-1])
     head, tail = np.append(0, ends + 1), np.append(ends, len(at) - 1)
-    bent = view.curvature[at] != 0
+    bent = (view.curvature[at] != 0) | (primitive == view.outline)
     if bent.any():
         curve = np.flatnonzero(bent)
         straight = ~bent[head]

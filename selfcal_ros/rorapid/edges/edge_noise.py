@@ -28,7 +28,8 @@ _END_PX = 6.0
 _PRIOR_FREEDOM, _COMMON = 10.0, (0.5, 25.0)
 #: Variance over what the lines' residuals show of it: what neighbouring lines share, and what the
 #: choice of edgels near the pose itself shares, no residual shows. Measured on rendered objects.
-_UNSEEN = 1.27
+#: Outlines of round parts share more: shading moves them, and the rim is where the pose puts it.
+UNSEEN, UNSEEN_OUTLINE = 1.27, 6.0
 #: Share of the information that is left where one line alone determines something.
 _RIDGE = 0.02
 #: Freedom for which what was learned from the images before counts beside one image: views differ.
@@ -116,8 +117,9 @@ class CommonScatter:
     of an M-estimator, cluster-robust, of this image and, with a weight, of those before.
     """
 
-    def __init__(self):
-        """Start from independent edgels."""
+    def __init__(self, unseen: float = UNSEEN):
+        """Start from independent edgels; `unseen`: the factor for what no residual shows."""
+        self._unseen = unseen
         self.forget()
 
     def forget(self) -> None:
@@ -130,7 +132,7 @@ class CommonScatter:
         square, freedom, curvature, weight = self._sums
         scatter = (sums[0] + _BEFORE_FREEDOM * square / freedom) / (sums[1] + _BEFORE_FREEDOM)
         bend = max(curvature / weight, _MIN_CURVATURE)
-        return float(np.clip(_UNSEEN * scatter / bend**2, *_COMMON))
+        return float(np.clip(self._unseen * scatter / bend**2, *_COMMON))
 
     def learn(self, sums: np.ndarray) -> None:
         """Take in an image that was accepted."""

@@ -22,7 +22,8 @@ import numpy as np
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_penalty
-from selfcal_ros.rorapid.edges.edge_noise import CommonScatter, EdgeNoise, sums_of
+from selfcal_ros.rorapid.edges.edge_noise import (
+    CommonScatter, EdgeNoise, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -105,8 +106,12 @@ class EdgeSearch:
         """Start without memory."""
         self.basis, self.options = basis, options
         self._corners, self.projection = corners, control.projection
-        self._common, self._noise = CommonScatter(), EdgeNoise()
+        visible = control.visible_model
+        round_parts = visible.outline < len(visible.kind)
+        self._common = CommonScatter(UNSEEN_OUTLINE if round_parts else UNSEEN)
+        self._noise = EdgeNoise()
         self.contrast = np.zeros(control.size)
+        self._remembered = control.visible_model.remembered()
         self.forget()
 
     def forget(self) -> None:
@@ -120,9 +125,10 @@ class EdgeSearch:
         """Go on with another basis of corrections."""
         self.basis = basis
 
-    def adopt(self, options: TrackerOptions, nearest: np.ndarray) -> None:
+    def adopt(self, options: TrackerOptions, control: ControlModel, nearest: np.ndarray) -> None:
         """Go on by other settings; each control point remembers what the nearest one did."""
         self.options, self.contrast = options, self.contrast[nearest]
+        self._remembered = control.visible_model.remembered()
 
     def found_share(self, fit: EdgeFit, found: np.ndarray) -> float:
         """Share of the edges searched that were found (C,) and look as they are remembered."""
@@ -158,6 +164,8 @@ class EdgeSearch:
             some = np.flatnonzero(fit.weight > 0)
             self._noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
                               fit.residual[some])
+        # a place on an outline is another place of the object in the next image
+        found = found & self._remembered[fit.view.ids[fit.at]]
         ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
         old = self.contrast[ids]
         self.contrast[ids] = np.where(old == 0, now, 0.8 * old + 0.2 * now)

@@ -104,7 +104,8 @@ class RobustTracker:
 
     def adopt(self, options: TrackerOptions, control: ControlModel) -> None:
         """Go on by other settings, and with control points that may lie elsewhere."""
-        self._edges.adopt(options, control.visible_model.nearest_in(self.control.visible_model))
+        self._edges.adopt(options, control,
+                          control.visible_model.nearest_in(self.control.visible_model))
         self.options, self.control = options, control
         self.check = StartCheck(control, options.least_contrast)
         self._use_texture = options.texture and options.camera_model != 'affine'

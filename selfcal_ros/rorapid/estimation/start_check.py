@@ -33,10 +33,10 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
+from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
 
-#: Places on a line and on a conic.
-_ON_LINE, _ON_CONIC = 16, 32
+#: Places on a line, on a conic and on the outline of a mesh.
+_ON_LINE, _ON_CONIC, _ON_OUTLINE = 16, 32, 180
 #: An edgel within this of its line counts, pixels; so much of a line's length makes it seen.
 _NEAR_PX, _SEEN = 1.75, 0.7
 #: What an outline of changing polarity counts less, share of its length.
@@ -106,7 +106,7 @@ class StartCheck:
         if self._dense is None:
             control = self._control
             try:
-                visible = VisibleModel(control.visible_model.model, _ON_LINE, _ON_CONIC)
+                visible = visible_of(control.visible_model.model, _ON_LINE, _ON_CONIC, _ON_OUTLINE)
             except ArgumentError:
                 # too many tests: the places that the tracker looks at have to do
                 visible = control.visible_model

@@ -20,6 +20,7 @@ from pathlib import Path
 from selfcal_ros.errors import InputError
 from selfcal_ros.rorapid.model.cao_file import read_cao
 from selfcal_ros.rorapid.model.cao_writer import write_cao
+from selfcal_ros.rorapid.model.mesh_file import read_mesh
 from selfcal_ros.rorapid.model.obj_writer import write_obj
 from selfcal_ros.rorapid.model.yaml_file import read_model_yaml, write_model_yaml
 from selfcal_ros.values.wireframe import WireframeModel
@@ -28,13 +29,15 @@ _WRITERS = {'.cao': write_cao, '.obj': write_obj, '.yaml': write_model_yaml,
             '.yml': write_model_yaml}
 
 
-def read_model(path: str | Path) -> WireframeModel:
+def read_model(path: str | Path, scale: float = 1.0) -> WireframeModel:
     """
-    Read a model: ViSP's ``.cao``, or our own ``.yaml``.
+    Read a model: ViSP's ``.cao``, our own ``.yaml``, or a mesh (``.obj``, ``.ply``, ``.stl``).
 
     Parameters
     ----------
     path : str or Path
+    scale : float
+        Metres per unit of a mesh; a wireframe is in metres.
 
     Returns
     -------
@@ -47,11 +50,17 @@ def read_model(path: str | Path) -> WireframeModel:
 
     """
     path = Path(path)
+    if not 0 < scale < 1e9:
+        raise InputError(f'The scale of a model must be positive, not {scale!r}.')
+    if path.suffix.lower() in ('.obj', '.ply', '.stl'):
+        return read_mesh(path, scale)
+    if scale != 1:
+        raise InputError(f'The model {path} is in metres; only meshes can be scaled.')
     if path.suffix.lower() == '.cao':
         return read_cao(path)
     if path.suffix.lower() in ('.yaml', '.yml'):
         return read_model_yaml(path)
-    raise InputError(f'The model {path} must be a .cao or a .yaml file.')
+    raise InputError(f'The model {path} must be a .cao, .yaml, .obj, .ply or .stl file.')
 
 
 def write_model(model: WireframeModel, path: str | Path) -> Path:

@@ -28,6 +28,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.visibility.silhouettes import SolidCylinders
+from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: A primitive that lies in the plane of a face up to this share of the object's diameter is
@@ -88,6 +89,8 @@ def check_size(model: WireframeModel, control_points_per_line: int, per_conic: i
         If there were more than `MAX_TESTS` tests.
 
     """
+    if isinstance(model, MeshModel):
+        return                        # its depth buffer takes the same time whatever it is made of
     points = control_points_per_line * len(model.lines) + per_conic * len(model.conics)
     if points * len(model.triangles) > MAX_TESTS:
         raise ArgumentError(f'{points} control points and {len(model.triangles)} triangles are '
@@ -168,6 +171,8 @@ class VisibleModel:
         self._on_face = self._drawn_on(ends)
         self._solids = SolidCylinders(model.cylinders, n, model.diameter_m) \
             if model.cylinders else None
+        #: Primitives from this on are pieces of one outline: none.
+        self.outline = len(self.kind)
         self._ends, self._L, self._line = ends, L, n
         self._has_min_area = any(face.min_area_px2 > 0 for face in model.faces)
         self._min_length = np.maximum(model.line_min_length_px, min_length_px)
@@ -192,6 +197,10 @@ class VisibleModel:
             for j, face in enumerate(around[1:], start=1):
                 sides[k, j] = self.model.into_face(k, face)
         return sides
+
+    def remembered(self) -> np.ndarray:
+        """Which control points stay where they are on the object, (size,) bool."""
+        return np.ones(self.size, bool)
 
     def resting_points(self) -> np.ndarray:
         """Control points (size, 3) of lines and conics; on silhouettes a point of the axis."""

@@ -1,0 +1,204 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+What a mesh shows from a pose: creases, and the outline of its round parts.
+
+The rim of a round part is where the surface turns away: n . (X - c) = 0 with the normal n between
+those of the smooth vertices. On each edge of the mesh where it changes its sign lies a point of
+the rim; the image of the rim runs along n x (X - c) there. What hides what is found with a coarse
+depth buffer: points all over the surface, the nearest in each cell of the image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.visibility.visible_model import ControlPoints, VisibleModel
+from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.wireframe import WireframeModel
+
+#: Places on the outline, and of these so many make a primitive.
+OUTLINE_POINTS, _TOGETHER = 72, 6
+#: Cells of the depth buffer along the object's longer side.
+_CELLS = 36
+#: Points on the surface that fill it.
+_SURFACE_POINTS = 6_000
+#: What is nearer than this share of the diameter hides: the surface itself bends away.
+_NEARER = 0.06
+#: A crease is a line in the image where its control points are so far apart, share of diameter.
+_APART = 0.04
+
+
+def visible_of(model: WireframeModel, per_line: int, per_conic: int,
+               outline: int | None = None) -> VisibleModel | VisibleMesh:
+    """Return what a model shows: of a mesh with so many places on its outline."""
+    if isinstance(model, MeshModel):
+        return VisibleMesh(model, outline or OUTLINE_POINTS)
+    return VisibleModel(model, per_line, per_conic)
+
+
+class VisibleMesh:
+    """
+    A mesh with control points on its creases and its outline.
+
+    It has the attributes and methods of `VisibleModel` that the tracker uses.
+
+    Parameters
+    ----------
+    model : MeshModel
+    outline_points : int
+        Places on the outline.
+
+    """
+
+    def __init__(self, model: MeshModel, outline_points: int = OUTLINE_POINTS):
+        """Lay out points on creases and on the surface."""
+        self.model = model
+        ends = model.edges()
+        span = ends[:, 1] - ends[:, 0]
+        length = np.linalg.norm(span, axis=1)
+        step = _APART * model.diameter_m
+        # short pieces of a long crease have a point now and then
+        counts = np.maximum(np.rint(length / step).astype(int), 0)
+        if len(length) and counts.sum() < len(length) / 2:
+            counts = (np.cumsum(length) // step - (np.cumsum(length) - length) // step).astype(int)
+        line = np.repeat(np.arange(len(length)), counts)
+        place = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts)
+        share = (place + 0.5) / np.maximum(counts[line], 1)
+        self._points = ends[line, 0] + share[:, None] * span[line]
+        self._tangents = span[line] / np.maximum(length[line], 1e-300)[:, None]
+        self._sides = model.line_sides[line]
+        groups = -(-outline_points // _TOGETHER)
+        self._outline = groups * _TOGETHER
+        self.primitive = np.concatenate([line, len(length) + np.repeat(np.arange(groups),
+                                                                       _TOGETHER)])
+        self.kind = ('line',) * len(length) + ('contour',) * groups
+        self.names = tuple(f'{kind} {k}' for k, kind in enumerate(self.kind))
+        self.size = len(self.primitive)
+        #: Primitives from this on are pieces of one outline.
+        self.outline = len(length)
+        end_m = np.minimum(share, 1 - share) * length[line]
+        self.end_m = np.concatenate([end_m, np.full(self._outline, np.inf)])
+        self.bends = np.zeros((self.size, 3))
+        corners = model.vertices[model.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2]
+                                       - corners[:, 0]), axis=1)
+        # a regular share of points to each face by its area; the same at every start
+        many = np.diff(np.floor(np.concatenate([[0], np.cumsum(area)]) / area.sum()
+                                * _SURFACE_POINTS)).astype(int)
+        owner = np.repeat(np.arange(len(area)), many)
+        u, v = (np.modf(np.arange(len(owner)) * ratio)[0] for ratio in (0.7548777, 0.5698403))
+        over = u + v > 1
+        u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+        self._surface = corners[owner, 0] + u[:, None] * (
+            corners[owner, 1] - corners[owner, 0]) + v[:, None] * (
+            corners[owner, 2] - corners[owner, 0])
+        # of the two faces beside each place on a crease, and of the smooth vertices
+        self._side_normals = model.normals[self._sides]
+        self._side_heights = (self._side_normals * self._points[:, None]).sum(axis=2)
+        self._normals, self._places = model.smooth_normals, model.smooth_points
+        self._heights = (self._normals * self._places).sum(axis=1)
+        self._pairs = model.smooth_edges
+
+    def nearest_in(self, other) -> np.ndarray:
+        """Return the number of the control point in another layout; the layouts are alike."""
+        return np.arange(self.size)
+
+    def remembered(self) -> np.ndarray:
+        """Which control points stay where they are on the object, (size,) bool."""
+        return np.arange(self.size) < len(self._points)
+
+    def control_points(self, rotation, translation, focal_px=None) -> ControlPoints:
+        """
+        Control points that are seen from a pose.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (3, 3)
+        translation : ndarray, shape (3,)
+        focal_px : float, optional
+            Not used.
+
+        Returns
+        -------
+        ControlPoints
+
+        """
+        rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+        centre = -translation @ rotation
+        sides = self._side_normals @ centre > self._side_heights
+        rim, tangents = self._rim(centre)
+        points = np.concatenate([self._points, rim])
+        hidden = self._hidden(points, rotation, translation)
+        crease = sides.any(axis=1) & ~hidden[:len(self._points)]
+        keep = np.flatnonzero(~hidden[len(self._points):])
+        chosen = self._spread(rim[keep] @ rotation.T + translation, keep)
+        missing = self._outline - len(chosen)
+        at = np.concatenate([chosen, np.zeros(missing, int)]) if len(rim) else np.zeros(0, int)
+        if not len(rim):
+            rim, tangents, at, missing = centre[None] * 0, np.eye(3)[:1], np.zeros(
+                self._outline, int), self._outline
+        visible = np.concatenate([crease, np.arange(self._outline) < self._outline - missing])
+        contour = np.concatenate([crease & ~sides.all(axis=1), np.ones(self._outline, bool)])
+        kept = np.flatnonzero(visible)
+        both = np.concatenate([self._points, rim[at]])[kept]
+        slopes = np.concatenate([self._tangents, tangents[at]])[kept]
+        return ControlPoints(both, slopes, self.primitive[kept], np.ones(len(kept), bool), kept,
+                             contour[kept], self.kind, self.names)
+
+    def _rim(self, centre):
+        """Points and tangents (N, 3) where smooth parts turn away from a camera."""
+        away = self._heights - self._normals @ centre
+        back = away < 0
+        a, b = self._pairs[back[self._pairs[:, 0]] != back[self._pairs[:, 1]]].T
+        share = (away[a] / (away[a] - away[b]))[:, None]
+        points = (1 - share) * self._places[a] + share * self._places[b]
+        normals = (1 - share) * self._normals[a] + share * self._normals[b]
+        tangents = np.cross(normals, points - centre)
+        length = np.linalg.norm(tangents, axis=1, keepdims=True)
+        return points, tangents / np.maximum(length, 1e-300)
+
+    def _hidden(self, points, rotation, translation):
+        """Which points (N, 3) lie behind the surface, by the depth buffer."""
+        surface = self._surface @ rotation.T + translation
+        seen = points @ rotation.T + translation
+        surface_xy = surface[:, :2] / surface[:, 2:]
+        low, high = surface_xy.min(axis=0), surface_xy.max(axis=0)
+        step = max(float((high - low).max()), 1e-12) / _CELLS
+        shape = _CELLS + 2
+        cell = ((surface_xy - low) / step).astype(int) @ (shape, 1)
+        nearest = np.full(shape * shape, np.inf)
+        np.minimum.at(nearest, cell, surface[:, 2])
+        place = np.clip(((seen[:, :2] / seen[:, 2:] - low) / step).astype(int), 0, shape - 1)
+        return seen[:, 2] > nearest[place @ (shape, 1)] + _NEARER * self.model.diameter_m
+
+    def _spread(self, seen, keep):
+        """Choose places of the outline (N, 3, camera frame), spread evenly around the object."""
+        if len(keep) <= self._outline:
+            order = self._around(seen)
+            return keep[order]
+        order = self._around(seen)
+        xy = (seen[:, :2] / seen[:, 2:])[order]
+        step = np.minimum(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[-1:]), axis=1),
+                          4 * np.ptp(xy, axis=0).max() / len(xy))
+        along = np.cumsum(step)
+        pick = np.searchsorted(along, (np.arange(self._outline) + 0.5) / self._outline
+                               * along[-1])
+        return keep[order[np.unique(np.minimum(pick, len(order) - 1))]]
+
+    @staticmethod
+    def _around(seen):
+        xy = seen[:, :2] / seen[:, 2:]
+        middle = 0.5 * (xy.min(axis=0) + xy.max(axis=0)) if len(xy) else np.zeros(2)
+        return np.argsort(np.arctan2(*(xy - middle).T[::-1]), kind='stable')

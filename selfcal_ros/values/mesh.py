@@ -1,0 +1,219 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A triangle mesh as a model to track: its creases are lines, its round parts have outlines.
+
+What cannot be used is left out with a remark: faces without area, faces given twice. A mesh of
+more faces than are needed is simplified: vertices that share a cell of a grid become one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
+
+#: Faces that meet under more than this angle meet in a crease.
+CREASE_RAD = np.deg2rad(30.0)
+#: A finer mesh is simplified to about so many faces.
+MOST_FACES = 20_000
+#: Creases that are followed, the longest of them.
+_MOST_CREASES = 400
+
+
+@dataclass(frozen=True)
+class MeshModel(WireframeModel):
+    """
+    A model of triangles. Its `lines` are the creases and the borders; it has no plane faces.
+
+    Make it with `build`.
+
+    Parameters
+    ----------
+    normals : ndarray, shape (F, 3)
+        Unit normals of the triangles.
+    smooth : ndarray of int, shape (F, 3)
+        For each corner its smooth vertex: corners of one vertex that no crease parts.
+    line_sides : ndarray of int, shape (L, 2)
+        The two faces of each line; the same one twice at a border.
+    remarks : tuple of str
+        What was left out or changed.
+
+    """
+
+    normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    smooth: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))
+    line_sides: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Take what `build` has checked."""
+
+    @classmethod
+    def build(cls, vertices, triangles, name='', **_):  # type: ignore[override]
+        """
+        Make a model of a mesh.
+
+        Parameters
+        ----------
+        vertices : array_like, shape (V, 3)
+            Metres.
+        triangles : array_like of int, shape (F, 3)
+        name : str
+
+        Returns
+        -------
+        MeshModel
+
+        Raises
+        ------
+        ArgumentError
+            If a number is not finite, an index names no vertex, or no face has an area.
+
+        """
+        vertices, triangles = np.asarray(vertices, float), np.asarray(triangles, int)
+        if not (np.abs(vertices) < LARGEST_M).all():
+            raise ArgumentError('its coordinates must be finite numbers.')
+        if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+            raise ArgumentError(f'a face names a point that does not exist; there are '
+                                f'{len(vertices)}.')
+        remarks = []
+        vertices, triangles, lost = _clean(vertices, triangles, same_place(vertices))
+        if lost:
+            remarks.append(f'{lost} faces without area were left out.')
+        if len(triangles) > MOST_FACES:
+            before = len(triangles)
+            vertices, triangles = _simplified(vertices, triangles)
+            remarks.append(f'{before} faces were simplified to {len(triangles)}.')
+        if not len(triangles):
+            raise ArgumentError('none of its faces has an area.')
+        normals = _unit(np.cross(*np.moveaxis(
+            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
+        lines, sides, smooth, open_edges = _creases(vertices, triangles, normals)
+        if open_edges:
+            remarks.append(f'The mesh is open: {open_edges} edges bound one face only.')
+        model = cls(vertices, lines, name=name, normals=normals, smooth=smooth, line_sides=sides,
+                    remarks=tuple(remarks))
+        for key, value in (('line_names', ('',) * len(lines)), ('triangles', triangles),
+                           ('line_min_length_px', np.zeros(len(lines))),
+                           ('triangle_face', np.zeros(len(triangles), int))):
+            object.__setattr__(model, key, value)
+        return model
+
+    @cached_property
+    def extent(self) -> np.ndarray:
+        """Points (N, 3) that span the object: corners of its convex hull."""
+        used = self.vertices[np.unique(self.triangles)]
+        try:
+            return used[ConvexHull(used).vertices]
+        except QhullError:
+            return used
+
+    @cached_property
+    def smooth_normals(self) -> np.ndarray:
+        """Unit normals (S, 3) of the smooth vertices, weighed by the angles of their corners."""
+        corners = self.vertices[self.triangles]
+        one = _unit(np.roll(corners, -1, axis=1) - corners)
+        two = _unit(np.roll(corners, 1, axis=1) - corners)
+        angle = np.arccos(np.clip((one * two).sum(axis=2), -1, 1))
+        total = np.zeros((int(self.smooth.max()) + 1, 3))
+        np.add.at(total, self.smooth.ravel(),
+                  (angle[..., None] * self.normals[:, None]).reshape(-1, 3))
+        return _unit(total)
+
+    @cached_property
+    def smooth_points(self) -> np.ndarray:
+        """Places (S, 3) of the smooth vertices."""
+        points = np.zeros((int(self.smooth.max()) + 1, 3))
+        points[self.smooth.ravel()] = self.vertices[self.triangles.ravel()]
+        return points
+
+    @cached_property
+    def smooth_edges(self) -> np.ndarray:
+        """Pairs (E, 2) of smooth vertices that a face joins."""
+        pairs = np.concatenate([self.smooth[:, [0, 1]], self.smooth[:, [1, 2]],
+                                self.smooth[:, [2, 0]]])
+        return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def _unit(vectors):
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+
+
+def _clean(vertices, triangles, same):
+    """Join vertices in one place; leave out what is unused, and faces twice or without area."""
+    triangles = same[triangles] if len(triangles) else triangles.reshape(0, 3)
+    before = len(triangles)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    size = max(float(np.ptp(vertices, axis=0).max(initial=0.0)), 1e-12) if len(vertices) else 1.0
+    good = (area > 1e-10 * size**2) & (triangles[:, 0] != triangles[:, 1]) & (
+        triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
+    triangles = triangles[good]
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    triangles = triangles[np.sort(first)]
+    used, index = np.unique(triangles, return_inverse=True)
+    return vertices[used], index.reshape(-1, 3), before - len(triangles)
+
+
+def _simplified(vertices, triangles):
+    """Join the vertices of each cell of a grid, so coarse that few enough faces are left."""
+    size = float(np.ptp(vertices, axis=0).max())
+    cells = np.sqrt(MOST_FACES / 6.0)
+    while True:
+        cell = np.floor((vertices - vertices.min(axis=0)) / size * cells).astype(np.int64)
+        _, index = np.unique(cell, axis=0, return_inverse=True)
+        index = index.ravel()
+        count = np.bincount(index)
+        middle = np.column_stack([np.bincount(index, vertices[:, k]) for k in range(3)])
+        points, faces, _ = _clean(middle / count[:, None], index[triangles],
+                                  np.arange(len(count)))
+        if len(faces) <= MOST_FACES:
+            return points, faces
+        cells *= 0.8
+
+
+def _creases(vertices, triangles, normals):
+    """Return creases and borders (L, 2), their faces (L, 2), smooth corners, and open edges."""
+    count = len(triangles)
+    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]],
+                                    triangles[:, [2, 0]]]), axis=1)
+    face = np.tile(np.arange(count), 3)
+    edges, index, size = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(index.ravel(), kind='stable')
+    first = np.concatenate([[0], np.cumsum(size)[:-1]])
+    sides = np.column_stack([face[order[first]], face[order[first + np.minimum(size - 1, 1)]]])
+    bend = (normals[sides[:, 0]] * normals[sides[:, 1]]).sum(axis=1)
+    sharp = (size != 2) | (bend < np.cos(CREASE_RAD))
+    # corners of one vertex are one smooth vertex where their faces meet in no crease
+    flat = np.flatnonzero(~sharp)
+    links = []
+    for end in (0, 1):
+        vertex = edges[flat, end]
+        links.append([sides[flat, k] * 3 + (triangles[sides[flat, k]] == vertex[:, None]).argmax(
+            axis=1) for k in (0, 1)])
+    rows, columns = (np.concatenate([link[k] for link in links]) for k in (0, 1))
+    _, smooth = connected_components(coo_matrix(
+        (np.ones(len(rows)), (rows, columns)), shape=(3 * count, 3 * count)), directed=False)
+    length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    kept = np.flatnonzero(sharp)
+    kept = kept[np.argsort(-length[kept])][:_MOST_CREASES]
+    return edges[kept], sides[kept], smooth.reshape(-1, 3), int((size == 1).sum())

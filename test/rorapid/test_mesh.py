@@ -1,0 +1,157 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Meshes: files read, bad ones refused in a sentence, smooth parts followed by their outline."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.rorapid.model import read_model
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
+from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
+from selfcal_ros.synthetic.mesh_scenes import MeshRenderer, ring
+from selfcal_ros.synthetic.objects import object_poses, perturbed
+from selfcal_ros.values.mesh import MeshModel
+
+CAMERA = Camera(np.array([[520, 0, 320], [0, 520, 240], [0, 0, 1.0]]), (), 640, 480)
+CUBE = np.array([[x, y, z] for x in (0, 40) for y in (0, 40) for z in (0, 40)], float)
+SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def triangles():
+    return np.array([t for a, b, c, d in SIDES for t in ((a, b, c), (a, c, d))])
+
+
+def obj(path, vertices=CUBE, extra=''):
+    path.write_text(extra + ''.join(f'v {x} {y} {z}\n' for x, y, z in vertices) + ''.join(
+        'f ' + ' '.join(f'{i + 1}/1/1' for i in side) + '\n' for side in SIDES))
+    return path
+
+
+def stl(path):
+    corners = CUBE[triangles()].astype('<f4')
+    record = np.zeros(len(corners), np.dtype([('n', '<f4', 3), ('c', '<f4', (3, 3)),
+                                              ('r', '<u2')]))
+    record['c'] = corners
+    path.write_bytes(bytes(80) + len(corners).to_bytes(4, 'little') + record.tobytes())
+    return path
+
+
+def stl_text(path):
+    path.write_text('solid cube\n' + ''.join(
+        'facet normal 0 0 0\nouter loop\n' + ''.join(f'vertex {x} {y} {z}\n' for x, y, z in face)
+        + 'endloop\nendfacet\n' for face in CUBE[triangles()]) + 'endsolid\n')
+    return path
+
+
+def ply(path, binary=False):
+    kind = 'binary_little_endian' if binary else 'ascii'
+    head = (f'ply\nformat {kind} 1.0\nelement vertex 8\nproperty float x\nproperty float y\n'
+            'property float z\nelement face 6\nproperty list uchar int vertex_indices\n'
+            'end_header\n')
+    if binary:
+        body = CUBE.astype('<f4').tobytes() + b''.join(
+            b'\x04' + np.array(side, '<i4').tobytes() for side in SIDES)
+    else:
+        body = ''.join(f'{x} {y} {z}\n' for x, y, z in CUBE).encode() + ''.join(
+            '4 ' + ' '.join(map(str, side)) + '\n' for side in SIDES).encode()
+    path.write_bytes(head.encode() + body)
+    return path
+
+
+@pytest.mark.parametrize('write, name', (
+    (obj, 'a.obj'), (stl, 'a.stl'), (stl_text, 'b.stl'), (ply, 'a.ply'),
+    (lambda path: ply(path, binary=True), 'b.ply')))
+def test_every_format_gives_the_same_cube(tmp_path, write, name):
+    model = read_model(write(tmp_path / name), 0.001)
+    assert len(model.vertices) == 8 and len(model.triangles) == 12 and not model.remarks
+    assert len(model.lines) == 12              # the diagonals are no edges
+    assert model.diameter_m == pytest.approx(0.04 * 3**0.5)
+
+
+@pytest.mark.parametrize('text, words', (
+    ('v 0 0 0\nv 1 0 0\nv 0 1 0\n', 'no faces'),
+    ('v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n', 'finite'),
+    ('v 0 0 0\nv 0.1 0 0\nv 0.2 0 0\nf 1 2 3\n', 'area'),
+    ('v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n', 'does not exist'),
+    ('v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n', '--model-scale'),
+    ('v 0 0 x\n', 'cannot be read')))
+def test_what_is_wrong_with_a_file_is_one_sentence(tmp_path, text, words):
+    path = tmp_path / 'bad.obj'
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_model(path)
+
+
+def test_a_missing_texture_does_no_harm(tmp_path):
+    extra = 'mtllib nowhere.mtl\nusemtl gone\n'
+    assert len(read_model(obj(tmp_path / 'a.obj', extra=extra), 0.001).lines) == 12
+
+
+def test_open_meshes_flat_faces_and_too_many_are_told():
+    vertices, faces = ring()
+    opened = MeshModel.build(vertices, np.concatenate([faces[10:], [[0, 1, 1], [2, 2, 2]]]))
+    assert any('open' in remark for remark in opened.remarks)
+    assert any('2 faces without area' in remark for remark in opened.remarks)
+    n = 130
+    grid = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2) / n
+    sheet = np.column_stack([grid, 0.2 * np.sin(9 * grid[:, 0])])
+    a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    many = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)])
+    model = MeshModel.build(sheet, many)
+    assert len(many) > 20_000 >= len(model.triangles) > 2000
+    assert any('simplified' in remark for remark in model.remarks)
+    assert np.allclose(np.ptp(model.vertices, axis=0), np.ptp(sheet, axis=0), atol=0.03)
+
+
+def test_the_outline_of_a_ball_is_its_rim():
+    """Seen from a distance d a ball of radius r shows the circle of radius r sqrt(1 - (r/d)^2)."""
+    v, u = np.meshgrid(np.linspace(0, np.pi, 60), np.arange(120) * np.pi / 60, indexing='ij')
+    points = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], -1)
+    r, c = np.meshgrid(np.arange(59), np.arange(120), indexing='ij')
+    a, b = (r * 120 + c).ravel(), (r * 120 + (c + 1) % 120).ravel()
+    faces = np.concatenate([np.stack([a, a + 120, b + 120], 1), np.stack([a, b + 120, b], 1)])
+    visible = VisibleMesh(MeshModel.build(points.reshape(-1, 3), faces))
+    seen = visible.control_points(np.eye(3), [0, 0, 4.0])
+    place = seen.object_points
+    assert len(place) > 60 and not len(visible.model.lines)
+    assert np.allclose(np.hypot(*place.T[:2]), (1 - 1 / 16)**0.5, atol=3e-3)
+    assert np.allclose(place[:, 2], -0.25, atol=0.03)
+    assert np.abs((place * seen.tangents).sum(axis=1)).max() < 0.01
+
+
+@lru_cache(maxsize=None)
+def followed():
+    vertices, faces = ring()
+    model = MeshModel.build(vertices, faces, 'ring')
+    drawn = MeshRenderer(vertices, faces, CAMERA, np.random.default_rng(2))
+    poses = object_poses('general', 10, model.diameter_m, speed=0.7)
+    tracker = RorapidTracker(model, CAMERA)
+    tracker.start(*perturbed(poses[0][:, :3], poses[0][:, 3], np.random.default_rng(3), 0.05,
+                             0.003))
+    return poses, [tracker.track(drawn.render(pose, np.random.default_rng(k), 1.0))
+                   for k, pose in enumerate(poses)]
+
+
+def test_a_smooth_part_is_followed_by_its_outline():
+    poses, frames = followed()
+    assert all(frame.state is TrackerState.TRACKING for frame in frames)
+    for pose, frame in zip(poses, frames):
+        assert np.linalg.norm(frame.translation - pose[:, 3]) < 0.01 * np.linalg.norm(pose[:, 3])
+        turn = rotation_vector(frame.rotation @ pose[:, :3].T)
+        assert np.rad2deg(np.linalg.norm(turn)) < 2
