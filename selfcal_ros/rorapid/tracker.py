@@ -284,7 +284,8 @@ class RorapidTracker:
                 self._filter.restart(measured.state, wide)
         self._tries += 1
         good = measured.determined and measured.share >= self.options.lost_share
-        if good and check.confirms(support, self._rival):
+        if good and check.confirms(support, self._rival) and (
+                check.sure(support) or not isinstance(self.model, MeshModel)):
             self._sure = check.sure(support)
             self._size.measure(measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)

@@ -32,6 +32,7 @@ from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Un
 from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, MIN_TEXTURE
 from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
 from selfcal_ros.rorapid.texture.view_memory import ViewMemory
+from selfcal_ros.values.mesh import MeshModel
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
@@ -293,6 +294,10 @@ class RobustTracker:
 
         """
         prior = np.linalg.inv(spread)
+        if isinstance(self.control.visible_model.model, MeshModel):
+            # the outline of a round part looks much the same from other sides: nearby ones only
+            starts = turned(guess)
+            return self._best_of(image, starts[:len(starts) // 2], prior)
         state, support = self._best_of(image, turned(guess) + quartered(found), prior)
         if not self.check.plain(support):
             # what looks nearly right may be right but for a quarter of a turn
