@@ -160,7 +160,10 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
         found = ([Placed(anchor.camera, np.eye(3, 4))] if name == reference else
                  places_by_path(anchor, known[name]) if name in moving else [])
         if shared and name != reference:
-            found = [*found, *place_by_points(anchor, one)]
+            by_points = place_by_points(anchor, one)
+            # the lens is the one that it was calibrated with, if it was
+            found = [*found, *(replace(place, camera=known[name].camera) if name in known
+                               else place for place in by_points)]
         if not found:
             return _not_placed(name, alone[name], len(frames), shared)
         choices.append(found)
