@@ -34,9 +34,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.calibration.mount import NAMES
+from selfcal_ros.calibration.mounting.gyro import mount_by_gyro
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.values.angular_rates import AngularRates
 from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
@@ -123,6 +125,8 @@ def _recorded(report: Report, work: Path) -> None:
             stamps = {k: int(path.stem) + shift * 10**6 for k, path in enumerate(files)}
             rows.append(_row(f'euroc_v101, stamps {shift} ms late', found,
                              mount_camera(found, poses, stamps), np.array(T)))
+            rows.append(_row(f'the same by its gyro, {shift} ms late', found,
+                             mount_by_gyro(found, _gyro(folder), stamps), np.array(T)))
     folder = data_folder('planar_robot_odometry')
     if folder is not None:
         found = _kept(work / 'planar.result.pkl', lambda: _planar_robot(folder))
@@ -135,6 +139,14 @@ def _recorded(report: Report, work: Path) -> None:
         rows.append(_row('planar_robot_odometry', found, mount_camera(found, poses),
                          np.array(truth['T_base_cam'])))
     report.table(HEADER, [row + [''] * (len(HEADER) - len(row)) for row in rows])
+
+
+def _gyro(folder: Path) -> AngularRates:
+    """Read what the inertial unit of the drone measured."""
+    with (folder / 'imu.csv').open(encoding='utf-8', newline='') as file:
+        rows = list(csv.DictReader(file))
+    return AngularRates(np.array([int(row['stamp_ns']) for row in rows]), np.array(
+        [[float(row[f'gyro_{axis}']) for axis in 'xyz'] for row in rows]))
 
 
 def _planar_robot(folder: Path):
