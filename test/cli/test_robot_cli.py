@@ -11,12 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal calibrate --robot`: wrong options are a sentence, and end in status 2."""
+"""`selfcal calibrate --robot`: where the camera sits, in words and files; wrong options end in 2."""
+
+import json
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mount import mount_rotation
+from selfcal_ros.report.mounts.transform_reading import read_transform
 from selfcal_ros.synthetic.scenes import observe, sequence_si
 from test_support.command_line import selfcal, SIZE
 
@@ -26,9 +29,9 @@ UNIT_M = 0.5
 
 @pytest.fixture(scope='module')
 def arm(tmp_path_factory):
-    """Write tracks of a moving camera and the poses of the arm."""
+    """Write tracks of a moving camera and the poses of the arm; return both and the truth."""
     rng = np.random.default_rng(5)
-    still = sequence_si(rng, 0.0, points=rng.uniform(-1, 1, (80, 3)))
+    still = sequence_si(rng, 0.0, points=rng.uniform(-1, 1, (120, 3)))
     turns = Rotation.from_rotvec(rng.uniform(-0.25, 0.25, (14, 3))).as_matrix()
     places = np.array([0, 0, 4.0]) + rng.uniform(-0.4, 0.4, (14, 3))
     rotation = turns @ still.cam_from_world[0, :, :3]
@@ -50,7 +53,30 @@ def arm(tmp_path_factory):
         ','.join([str(k), *map(str, row)])
         for k, row in enumerate(np.column_stack([place, turn]).tolist()))]
     (folder / 'poses.csv').write_text('\n'.join(lines) + '\n', encoding='utf-8')
-    return folder
+    return folder, mount, cameras
+
+
+def test_an_arm_tells_where_its_camera_sits(arm, capsys):
+    folder, truth, cameras = arm
+    assert selfcal('calibrate', folder / 'tracks.csv', *SIZE, '--robot', folder / 'poses.csv',
+                   '--robot-frame', 'tool0', '--json', 'a.json', '--mount-output', 'a.urdf',
+                   '--camera-frame', 'eye', '--poses', 'a.tum') == 0
+    out = capsys.readouterr().out
+    assert 'The camera on tool0' in out and 'each pose belongs to its image' in out
+    told = json.loads(open('a.json', encoding='utf-8').read())['mount']
+    found = np.array(told['T_body_camera'])
+    sigma = np.array([told['sigma'][name] for name in ('x', 'y', 'z')])
+    assert (np.abs(found - truth)[:3, 3] < 4 * sigma).all() and sigma.max() < 2e-3
+    turned = Rotation.from_matrix(found[:3, :3] @ truth[:3, :3].T).magnitude()
+    assert turned < 4 * np.linalg.norm([told['sigma'][name] for name in ('roll', 'pitch', 'yaw')])
+    assert set(told['status'].values()) == {'estimated', 'held'}
+    _, urdf = read_transform('a.urdf')
+    assert (urdf.parent, urdf.child) == ('tool0', 'eye') and np.allclose(urdf.matrix, found)
+    # the path is as long as that of the arm's camera
+    rows = np.loadtxt('a.tum')
+    ways = [np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+            for places in (rows[:, 1:4], cameras[rows[:, 0].astype(int), :3, 3])]
+    assert ways[0] == pytest.approx(ways[1], rel=0.01)
 
 
 @pytest.mark.parametrize('options, words', [
@@ -68,6 +94,7 @@ def arm(tmp_path_factory):
     (['--robot', 'POSES', '--camera-frame', 'a b', '--mount-output', 'a.urdf'], 'name of a'),
     (['--robot', 'POSES', '--motion', 'repeated'], 'equal objects')])
 def test_wrong_options_are_a_sentence(arm, capsys, options, words):
-    given = [str(arm / 'poses.csv') if one == 'POSES' else one for one in options]
-    assert selfcal('calibrate', arm / 'tracks.csv', *SIZE, *given) == 2
+    folder = arm[0]
+    given = [str(folder / 'poses.csv') if one == 'POSES' else one for one in options]
+    assert selfcal('calibrate', folder / 'tracks.csv', *SIZE, *given) == 2
     assert words in capsys.readouterr().err
