@@ -61,6 +61,7 @@ BENCHES = {
     'shutter': 'rolling shutter: simulated coverage, rendered videos at 30 Hz: hours',
     'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',
+    'stages': 'every stage of photographs to K beside its floor; the command beside COLMAP',
     'long_recording': 'ten minutes of 1080p: time, memory, sigma beside every image: hours',
     'many_bags': 'a hundred bags on one core and on two, broken ones, the joint estimate',
     'monitor': 'how soon a changed camera is noticed, how often an unchanged one is blamed',

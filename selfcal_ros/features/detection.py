@@ -35,6 +35,8 @@ _FULL_SIZE_PIXELS = 1_200_000
 _LARGEST_SEARCH_PIXELS = 2_500_000
 #: Rows of a product at a time: what stays in the cache of a processor costs half.
 _BLOCK = 256
+#: Settings of SIFT: weak blobs, too, for most photographs have too few strong ones.
+SIFT = {'contrastThreshold': 0.015, 'edgeThreshold': 12}
 #: Not among the types that OpenCV states.
 _sift = cv2.SIFT_create             # type: ignore[attr-defined]
 
@@ -201,7 +203,7 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
         scale *= 2
     image = grey if scale == 1 else cv2.resize(grey, None, fx=1 / scale, fy=1 / scale,
                                                interpolation=cv2.INTER_AREA)
-    sift = _sift(nfeatures=0, contrastThreshold=0.015, edgeThreshold=12)
+    sift = _sift(nfeatures=0, **SIFT)
     points, descriptors = sift.detectAndCompute(image, None)
     at = np.array(cv2.KeyPoint.convert(points), dtype=float).reshape(-1, 2)
     size = np.array([point.size for point in points])

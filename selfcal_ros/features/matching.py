@@ -112,7 +112,7 @@ class _Gallery:
             rows = order[begin:begin + _BLOCK]
             ends = epipolar.off_curve(curves[rows[[0, -1]], None], second.xy)
             # curves of a block turn about the epipole: what they sweep lies between the ends
-            near = (ends[0] * ends[1] <= 0) | (np.abs(ends) < band_px).any(axis=0)
+            near = (ends[0] * ends[1] <= 0) | (np.abs(ends) < 2 * band_px).any(axis=0)
             columns, rows = np.flatnonzero(near), np.sort(rows)
             product = similarity(look.part(rows), other.part(columns))
             a, b = alike_in(product)

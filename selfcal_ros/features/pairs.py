@@ -20,6 +20,13 @@ import numpy as np
 from selfcal_ros.features.detection import Features, look_of
 from selfcal_ros.features.matching import RATIO
 
+#: Features of an image that judge whether another shows the same.
+_JUDGES = 300
+#: Up to so many images all pairs of them are judged; of more, those whose words agree best.
+_FEW, _CANDIDATES = 60, 16
+#: Words of the vocabulary (Sivic and Zisserman, 2003), taken from the images themselves.
+_WORDS = 2000
+
 
 def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int = 3):
     """
@@ -46,19 +53,38 @@ def propose_pairs(features: list[Features], neighbours: int = 3, relatives: int 
     pairs = {(i, i + gap) for gap in range(1, neighbours + 1) for i in range(count - gap)}
     if count <= 8:
         return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    coarse = [look_of(feature.sift[:min(300, len(feature.xy))]) for feature in features]
+    coarse = [look_of(feature.sift[:min(_JUDGES, len(feature.xy))]) for feature in features]
     shared = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i + neighbours + 1, count):
-            product = coarse[i] @ coarse[j].T
-            if not product.size:
-                continue
-            a, b = np.arange(len(product)), product.argmax(axis=1)
-            best = product[a, b]
-            product[a, b] = -1
-            clear = (1 - best) < RATIO ** 2 * (1 - product.max(axis=1))
-            shared[i, j] = shared[j, i] = len(np.unique(b[clear]))
+    for i, j in _candidates(coarse):
+        if j - i <= neighbours or not len(coarse[i]) or not len(coarse[j]):
+            continue
+        product = coarse[i] @ coarse[j].T
+        a, b = np.arange(len(product)), product.argmax(axis=1)
+        best = product[a, b]
+        product[a, b] = -1
+        clear = (1 - best) < RATIO ** 2 * (1 - product.max(axis=1))
+        shared[i, j] = shared[j, i] = len(np.unique(b[clear]))
     for i in range(count):
         nearest = np.argsort(-shared[i], kind='stable')[:relatives]
         pairs |= {(min(i, j), max(i, j)) for j in nearest.tolist() if shared[i, j] >= 12}
     return sorted(pairs)
+
+
+def _candidates(coarse: list[np.ndarray]):
+    """Pairs of images (i, j), i < j, that may show the same."""
+    count = len(coarse)
+    if count <= _FEW:
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    every = np.concatenate(coarse)
+    words = every[::max(1, len(every) // _WORDS)]
+    seen = np.zeros((count, len(words)), np.float32)
+    for row, looks in zip(seen, coarse):
+        if len(looks):
+            np.add.at(row, (looks @ words.T).argmax(axis=1), 1)
+    # a word that every image has tells nothing
+    seen *= np.log(count / np.maximum((seen > 0).sum(axis=0), 1))
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True) + 1e-9
+    alike = seen @ seen.T
+    np.fill_diagonal(alike, -1)
+    best = np.argsort(-alike, axis=1, kind='stable')[:, :_CANDIDATES]
+    return sorted({(min(i, j), max(i, j)) for i in range(count) for j in best[i].tolist()})

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from selfcal_ros.features.epipolar import (choose_division, EpipolarImages, estimate_fundamental,
                                            sampson_distance)
-from selfcal_ros.features import detection
-from selfcal_ros.features.detection import detect, Features
+from selfcal_ros.features import detection, matching
+from selfcal_ros.features.detection import alike_in, detect, Features, similarity
 from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import ImagePairMatches, match_pairs, moving_part
 from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
@@ -163,3 +163,31 @@ def test_matches_that_contradict_nothing_are_linked_as_they_are():
     at, place, track, dropped = link(features, [pair])
     assert dropped == 0 and len(at) == 2 * count and len(np.unique(track)) == count
     assert (place[at == 0] == place[at == 1]).all() and (track[at == 0] == track[at == 1]).all()
+
+
+def test_relatives_are_found_among_many_photographs_in_no_order():
+    rng = np.random.default_rng(2)
+    none = np.empty(0, int)
+    scenes = rng.integers(0, 256, (35, 60, 128))
+    photographs = [Features(np.zeros((60, 2)), np.ones(60),
+                            np.clip(scenes[k % 35] + rng.normal(0, 8, (60, 128)), 0,
+                                    255).astype(np.uint8),
+                            none, (none, none, np.empty(0, np.float32))) for k in range(70)]
+    pairs = propose_pairs(photographs, neighbours=1)
+    assert {(k, k + 35) for k in range(35)} <= set(pairs)
+    assert len(pairs) < 70 * 4
+
+
+def test_blocks_of_curves_find_what_every_pair_of_places_gives():
+    room, cameras = Room(), [pose(0, 0, 0, 10), pose(0.4, 0.3, 8, 10)]
+    features = [detect(room.image(camera)) for camera in cameras]
+    first, second = features
+    F, band_px = true_fundamental(*cameras), 2.0
+    epipolar = EpipolarImages(choose_division([], SIZE))
+    found = matching._Gallery(features).along_curves((0, 1), epipolar, F, band_px)
+    product = similarity(first.described(), second.described())
+    a, b = alike_in(product)
+    near = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < band_px
+    near &= np.abs(np.log2(first.size_px[a] / second.size_px[b])) < 1
+    assert near.sum() > 500
+    assert set(zip(found[0], found[1])) == set(zip(a[near], b[near]))
