@@ -61,7 +61,7 @@ class PointBlocks:
         order = np.lexsort((last, begin))
         self._groups = []
         # observations of one point in one view are added up before the points are eliminated
-        self._cells = np.flatnonzero(np.r_[True, (np.diff(point) > 0) | (np.diff(view) > 0)])
+        self._cells = np.flatnonzero(np.r_[True, (np.diff(point) != 0) | (np.diff(view) != 0)])
         first = np.searchsorted(self._cells, self.first)
         cells = np.diff(np.r_[first, len(self._cells)])
         cell_view = view[self._cells]

@@ -61,8 +61,10 @@ def ask_bash(text, line, folder):
 @pytest.mark.parametrize('line, expected', [
     ('selfcal c', ['calibrate', 'compare', 'convert', 'completion']),
     ('selfcal calibrate --motion p', ['planar']),
-    ('selfcal calibrate x.mcap --cam', ['--camera', '--camera-name']),
-    ('selfcal convert --to ', ['ros', 'opencv', 'kalibr', 'colmap', 'mrcal']),
+    ('selfcal calibrate x.mcap --cam', ['--camera', '--cameras', '--camera-name',
+                                        '--camera-frame']),
+    ('selfcal convert --to ', ['ros', 'opencv', 'kalibr', 'colmap', 'mrcal', 'urdf', 'tf',
+                               'moveit', 'easy_handeye2', 'easy_handeye']),
     ('selfcal convert d', ['drive.mcap', 'drives/']),
     ('selfcal calibrate --report dr', ['drive.mcap', 'drives/']),
     ('selfcal calibrate --skew ', []),

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`selfcal calibrate --robot`: where the camera sits, in words and files; wrong options end in 2."""
+"""`selfcal calibrate --robot`: where the camera sits, in words and files; wrong options."""
 
 import json
 

@@ -59,7 +59,7 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
     Returns
     -------
     ndarray of bool, shape (V,)
-        Views of the second camera; None where there is one.
+        Views of the camera that did not take the first; None where there is one camera.
 
     """
     shared, f = fit.linearisation.shared, fit.state.lens['f']
@@ -84,7 +84,8 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
         least, share = OF_PRINCIPAL_POINT
         if of_point < max(least, share * total):
             return None
-    return second
+    # the first image is the first camera's; which is which says nothing else
+    return second ^ second[0]
 
 
 def two_focal_lengths(log_focal: np.ndarray) -> np.ndarray | None:
