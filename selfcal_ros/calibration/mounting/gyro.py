@@ -33,13 +33,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
-from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
 from selfcal_ros.calibration.mount import Mount, NAMES
+from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.integrated_rates import RateSteps
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.calibration.structure.camera_path import camera_path, with_shared_errors
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix, rotation_vector
 from selfcal_ros.values.angular_rates import AngularRates
@@ -59,18 +57,17 @@ ITERATIONS, ROUNDS, START_ROUNDS = 30, 5, 6
 
 @dataclass(frozen=True)
 class _Views:
-    """Turns between successive views that the gyro covers, and by what they follow."""
+    """Turns between successive views, and how they follow unknowns of unit variance."""
 
     instants: np.ndarray
     later: np.ndarray
     turned: np.ndarray
     by_unknowns: np.ndarray
-    covariance: np.ndarray
 
     def of(self, chosen: np.ndarray) -> _Views:
         """Return some of them."""
         return _Views(self.instants[chosen], self.later[chosen], self.turned[chosen],
-                      self.by_unknowns[chosen], self.covariance)
+                      self.by_unknowns[chosen])
 
     @property
     def lasting_s(self) -> np.ndarray:
@@ -100,30 +97,25 @@ def mount_by_gyro(calibration: Calibration, rates: AngularRates, stamps_ns: Mapp
         a `NoMount`, and the camera is that of the images.
 
     """
-    views = _views(calibration, stamps_ns, int(rates.stamps_ns[0]))
-    gyro = RateSteps.of(rates)
-    if views is None:
+    precision, frames = calibration.reconstructed.pose_precision, calibration.reconstructed.frames
+    if precision is None or precision.own is not None or any(
+            int(frame) not in stamps_ns for frame in frames):
         return replace(calibration, mount=NoEstimate('gyro_without_poses'))
-    found = _estimate(gyro, views)
+    poses = camera_poses(calibration)
+    found = _estimate(RateSteps.of(rates), _views(poses, stamps_ns, int(rates.stamps_ns[0])))
     if isinstance(found, NoEstimate):
         return replace(calibration, mount=found)
-    return _with_gyro(calibration, rates.frame, found)
+    return _with_gyro(calibration, poses, rates.frame, found)
 
 
-def _views(calibration: Calibration, stamps_ns: Mapping[int, int], begin_ns: int) -> _Views | None:
-    """Collect the turns of the camera; None where their covariance is not known."""
-    path = camera_path(calibration)
-    precision = calibration.reconstructed.pose_precision
-    if precision is None or precision.own is not None or any(
-            int(frame) not in stamps_ns for frame in path.frames):
-        return None
-    instants = np.array([stamps_ns[int(frame)] - begin_ns for frame in path.frames]) * 1e-9
+def _views(poses: CameraPoses, stamps_ns: Mapping[int, int], begin_ns: int) -> _Views:
+    """Collect the turns of the camera."""
+    instants = np.array([stamps_ns[int(frame)] - begin_ns for frame in poses.frames]) * 1e-9
     order = np.argsort(instants, kind='stable')
-    R, turns = path.rotation[order], precision.by_unknowns[order, 3:]
+    R, turns = poses.rotation[order], poses.roots[order, 3:]
     back = np.swapaxes(R, 1, 2)
-    by_unknowns = back[1:] @ (turns[1:] - turns[:-1])
-    return _Views(instants[order][:-1], instants[order][1:], back[:-1] @ R[1:], by_unknowns,
-                  with_shared_errors(precision, calibration.covariance))
+    return _Views(instants[order][:-1], instants[order][1:], back[:-1] @ R[1:],
+                  back[1:] @ (turns[1:] - turns[:-1]))
 
 
 @dataclass(frozen=True)
@@ -132,8 +124,8 @@ class _Fit:
     What images and gyro say together.
 
     `covariance` (7, 7) is that of X (a turn about the body's axes), bias and offset. `unknowns`
-    (k,) is by how much those of the images move, `gain` (k, k) by how much their covariance
-    falls. Of `views` intervals `doubtful` contradict the others.
+    (k,) is by how much those of the images move, `spread` (k, k) their covariance then. Of
+    `views` intervals `doubtful` contradict the others.
     """
 
     R: np.ndarray
@@ -142,7 +134,7 @@ class _Fit:
     density: float
     covariance: np.ndarray
     unknowns: np.ndarray
-    gain: np.ndarray
+    spread: np.ndarray
     views: int
     doubtful: int
 
@@ -209,7 +201,7 @@ def _estimate(gyro: RateSteps, views: _Views) -> _Fit | NoEstimate:
         R, bias, offset_s = fit.R, fit.bias, fit.offset_s
         residual, _ = _misfit(gyro, views, R, bias, offset_s)
         expected = 3 * fit.density**2 * views.lasting_s + np.einsum(
-            'mij,jk,mik->m', views.by_unknowns, views.covariance, views.by_unknowns)
+            'mij,mij->m', views.by_unknowns, views.by_unknowns)
         near = np.einsum('mi,mi->m', residual, residual) < OUTLIER_SIGMAS**2 * expected
         if np.array_equal(near, kept):
             break
@@ -226,18 +218,18 @@ def _adjusted(gyro: RateSteps, views: _Views, R, bias, offset_s: float) -> _Fit:
     for _ in range(ITERATIONS):
         residual, slopes = _misfit(gyro, views, R, bias, offset_s)
         density = _density(views, residual, slopes)
-        step, covariance, unknowns, gain = _solved(views, residual, slopes, density)
+        step, covariance, unknowns, spread = _solved(views, residual, slopes, density)
         R, bias = rotation_matrix(step[:3]) @ R, bias + step[3:6]
         offset_s += float(step[6])
         if step @ np.linalg.pinv(covariance) @ step < 1e-6:
             break
-    return _Fit(R, bias, offset_s, density, covariance, unknowns, gain, len(views.instants), 0)
+    return _Fit(R, bias, offset_s, density, covariance, unknowns, spread, len(views.instants), 0)
 
 
 def _spread(views: _Views, density: float) -> np.ndarray:
     """Return the covariance of the residuals (3 M, 3 M): the gyro's noise and the images'."""
     J = views.by_unknowns.reshape(-1, views.by_unknowns.shape[2])
-    S = J @ views.covariance @ J.T
+    S = J @ J.T
     S[np.diag_indices_from(S)] += np.repeat(density**2 * views.lasting_s, 3)
     return S
 
@@ -271,18 +263,19 @@ def _solved(views: _Views, residual, slopes, density: float) -> tuple:
     rest = r + J @ step
     W_rest = cho_solve(factor, rest)
     # the unknowns of the images move the residual by minus their slopes
-    pull = views.covariance @ views.by_unknowns.reshape(len(r), -1).T
+    pull = views.by_unknowns.reshape(len(r), -1).T
     unknowns = pull @ W_rest
     gain = pull @ cho_solve(factor, pull.T) - (pull @ WJ) @ covariance @ (pull @ WJ).T
-    return step, covariance, unknowns, gain
+    return step, covariance, unknowns, np.eye(len(pull)) - gain
 
 
-def _with_gyro(calibration: Calibration, frame: str, fit: _Fit) -> Calibration:
+def _with_gyro(calibration: Calibration, poses: CameraPoses, frame: str,
+               fit: _Fit) -> Calibration:
     """Put an estimate into a calibration."""
-    sigmas, axes = np.linalg.eigh(fit.covariance[:3, :3])
-    if np.sqrt(sigmas[-1]) > OPEN_RAD:
+    largest = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
+    if largest > OPEN_RAD:
         return replace(calibration, mount=NoEstimate(
-            'gyro_leaves_an_axis_open', sigma_deg=float(np.degrees(np.sqrt(sigmas[-1])))))
+            'gyro_leaves_an_axis_open', sigma_deg=float(np.degrees(largest))))
     T = np.full((4, 4), np.nan)
     T[:3, :3], T[3] = fit.R, [0, 0, 0, 1]
     timed = float(np.sqrt(fit.covariance[6, 6])) < OPEN_S
@@ -301,18 +294,4 @@ def _with_gyro(calibration: Calibration, frame: str, fit: _Fit) -> Calibration:
             covariance[place, place] = np.inf
     mount = Mount(frame, T, covariance, status, np.nan, fit.offset_s if timed else np.nan,
                   missing, fit.views, fit.doubtful, np.nan, fit.density)
-    camera, stated = _camera_after(calibration, fit)
-    return replace(calibration, camera=camera, covariance=stated, mount=mount)
-
-
-def _camera_after(calibration: Calibration, fit: _Fit) -> tuple[Camera, np.ndarray]:
-    """Return the camera after the gyro spoke, and the covariance of its parameters."""
-    lens, camera = Lens.of(calibration.camera), calibration.camera
-    precision = calibration.reconstructed.pose_precision
-    assert precision is not None
-    known, places = len(precision.lens), lens.places(precision.lens)
-    step, gain = np.zeros(len(lens)), np.zeros((len(lens),) * 2)
-    step[places] = fit.unknowns[:known]
-    gain[np.ix_(places, places)] = fit.gain[:known, :known]
-    return (lens.moved(step).camera(camera.width, camera.height),
-            calibration.covariance - to_parameters(gain, lens))
+    return replace(with_lens(calibration, poses, fit.unknowns, fit.spread), mount=mount)

@@ -29,15 +29,9 @@ from selfcal_ros.values.angular_rates import AngularRates
 COLUMNS = ('gyro_x', 'gyro_y', 'gyro_z')
 
 
-def holds_rates(path, topic: str) -> bool:
-    """Tell whether a topic of a bag is that of an inertial unit."""
-    with open_bag(Path(path)) as bag:
-        return any(one.msgtype == IMU_TYPE for one in _of(bag, topic))
-
-
-def read_rate_topic(path, topic: str) -> AngularRates:
+def read_rate_topic(path, topic: str) -> AngularRates | None:
     """
-    Read what a gyro measured from a topic of sensor_msgs/Imu.
+    Read what a gyro measured from a topic of sensor_msgs/Imu; None where it carries others.
 
     Raises
     ------
@@ -47,7 +41,10 @@ def read_rate_topic(path, topic: str) -> AngularRates:
     """
     path = Path(path)
     with open_bag(path) as bag:
-        chosen = [one for one in _of(bag, topic) if one.msgtype == IMU_TYPE]
+        chosen = [one for one in bag.connections
+                  if one.topic in (topic, f'/{topic}') and one.msgtype == IMU_TYPE]
+        if not chosen:
+            return None
         read = [angular_rate(msg) for _, msg in bag.messages(chosen)]
     stamps = np.array([one[0] for one in read], np.int64)
     if len(read) < 2 or not stamps.any():
@@ -63,7 +60,3 @@ def read_rate_topic(path, topic: str) -> AngularRates:
         return AngularRates(stamps[first], rates[first], read[0][2] or 'imu_link')
     except InputError as error:
         raise InputError(f'{topic} of {path}: {error}') from None
-
-
-def _of(bag, topic: str) -> list:
-    return [one for one in bag.connections if one.topic in (topic, f'/{topic}')]

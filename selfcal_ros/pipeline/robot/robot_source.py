@@ -118,11 +118,10 @@ def robot_poses(robot: RobotSource, images: FrameSource) -> BodyPoses | AngularR
         from selfcal_ros.pipeline.robot.pose_topics import read_transforms
         poses = read_transforms(images.path, *robot.frames)
     else:
-        from selfcal_ros.pipeline.robot.rate_topics import holds_rates, read_rate_topic
-        if holds_rates(images.path, robot.topic):
-            return robot.reading.named(read_rate_topic(images.path, robot.topic))
         from selfcal_ros.pipeline.robot.pose_topics import read_pose_topic
-        poses = read_pose_topic(images.path, robot.topic)
+        from selfcal_ros.pipeline.robot.rate_topics import read_rate_topic
+        rates = read_rate_topic(images.path, robot.topic)
+        poses = read_pose_topic(images.path, robot.topic) if rates is None else rates
     if isinstance(poses, AngularRates):
         return robot.reading.named(poses)
     return robot.reading.applied(poses, str(robot))
