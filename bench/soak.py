@@ -15,7 +15,8 @@
 Do the nodes grow while they run? Hours of a recorded drive in a loop, as fast as they answer.
 
 Each node is a process of its own. It gets the next message when it has answered the last few, so
-that ten hours pass in some twenty minutes; timers tick in real time. The slope of its
+that ten hours pass in some twenty minutes; timers tick in real time. The live page answers nothing:
+it is sent 500 messages a second. The slope of its
 memory is that of a line through the second half. Its standard error allows for the steps in which
 an allocator grows: it is half of the widest change between neighbouring tenths.
 """
@@ -38,21 +39,27 @@ import numpy as np
 
 #: Images a second of the simulated time; of nodes that take milliseconds for one, fewer.
 RATE_HZ = 30.0
-SLOWER_HZ = {'planar_calibrator': 10.0, 'feature_tracker': 10.0, 'rorapid_tracker': 3.0}
+SLOWER_HZ = {'planar_calibrator': 10.0, 'affine_calibrator': 10.0, 'feature_tracker': 10.0,
+             'rorapid_tracker': 3.0}
 #: Simulated hours, and seconds of real time at most, a node.
 HOURS, MOST_S = 10.0, 3600.0
 #: So many messages may be unanswered; the tracker of objects takes the newest only.
 AHEAD, AHEAD_OF_OBJECTS = 8, 1
+#: Messages a second of real time to a node that answers none.
+UNANSWERED_HZ = 500.0
 #: More growth than this, beyond twice its error, fails; the calibrator's 54 MB an hour did.
 MOST_MB_PER_HOUR = 1.0
 BAG, OBJECT = ROOT / 'bags' / 'agv_drive', ROOT / 'bags' / 'tracked_object'
-#: Parameters of each node; the calibrator without its estimates, which would take all the time.
+#: Calibrators without their estimates, which would take all the time.
+COLLECTING = ['monitor:=false', 'max_keyframes:=400', 'first_estimate:=400', 'idle_s:=3600.0']
+#: Parameters of each node.
 NODES = {
     'bag_player': [f'bag:={BAG}', 'loop:=true', 'rate:=100.0'],
     'feature_tracker': [],
-    'planar_calibrator': ['monitor:=false', 'max_keyframes:=400', 'first_estimate:=400',
-                          'idle_s:=3600.0'],
+    'planar_calibrator': COLLECTING,
+    'affine_calibrator': COLLECTING,
     'camera_info_publisher': [],
+    'calibration_page': ['port:=0', 'calibrator:=planar_calibrator'],
     'rorapid_tracker': [f'model:={OBJECT}.model.yaml', f'camera_file:={OBJECT}.camera.yaml',
                         f'start_pose:={OBJECT}.pos'],
 }
@@ -160,9 +167,10 @@ class Feeder:
         self._ahead = AHEAD_OF_OBJECTS if name == 'rorapid_tracker' else AHEAD
         topic, kind = {'bag_player': ('image/compressed', CompressedImage),
                        'feature_tracker': ('tracks', PointCloud2),
-                       'rorapid_tracker': ('pose', PoseWithCovarianceStamped)}.get(
-                           name, ('camera_info', CameraInfo))
-        self._node.create_subscription(kind, topic, self._heard, 60)
+                       'rorapid_tracker': ('pose', PoseWithCovarianceStamped),
+                       'calibration_page': (None, None)}.get(name, ('camera_info', CameraInfo))
+        if topic is not None:
+            self._node.create_subscription(kind, topic, self._heard, 60)
         self._topic = topic
         if name == 'bag_player':
             return
@@ -173,6 +181,8 @@ class Feeder:
             'feature_tracker': lambda: ('image/compressed', images + images[::-1]),
             'rorapid_tracker': lambda: ('image/compressed', images + images[::-1]),
             'planar_calibrator': lambda: ('tracks', tracked(images)),
+            'affine_calibrator': lambda: ('tracks', tracked(images)),
+            'calibration_page': lambda: ('tracks', tracked(images)),
             'camera_info_publisher': lambda: ('driver/camera_info', [
                 CameraInfo(header=image.header, width=640, height=480) for image in images]),
         }[name]()
@@ -184,7 +194,7 @@ class Feeder:
     def connect(self) -> None:
         """Wait for the node."""
         import rclpy
-        while not self._node.count_publishers(self._topic) or (
+        while self._topic is not None and not self._node.count_publishers(self._topic) or (
                 self._publisher is not None and not self._publisher.get_subscription_count()):
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
@@ -202,6 +212,9 @@ class Feeder:
         import rclpy
         end = time.monotonic() + seconds
         while time.monotonic() < end:
+            if self._topic is None:
+                self._deliver()
+                continue
             if self._publisher is not None:
                 self._publisher.publish(self._stamped(self._number))
                 self._number += 1
@@ -214,6 +227,13 @@ class Feeder:
                 if time.monotonic() > wait:
                     self._sent = self.images
                     break
+
+    def _deliver(self) -> None:
+        """Send one message to a node that answers none."""
+        self._publisher.publish(self._stamped(self._number))
+        self._number += 1
+        self.images += 1
+        time.sleep(1 / UNANSWERED_HZ)
 
 
 def recorded(bag) -> list:

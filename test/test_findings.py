@@ -14,6 +14,7 @@
 """Findings: one shape, each kind with words, a place in the code and an entry in the documents."""
 
 import ast
+from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 import pickle
@@ -37,6 +38,7 @@ MAX_WORDS = 25
 FROM_FILES = {'note'}
 
 
+@cache
 def _trees():
     return {path: ast.parse(path.read_text(encoding='utf-8'), str(path))
             for path in sorted(PACKAGE.rglob('*.py'))
