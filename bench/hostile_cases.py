@@ -34,6 +34,7 @@ from selfcal_ros.report.result_json import result_to_json
 from selfcal_ros.rorapid.model import read_model, write_model
 from selfcal_ros.synthetic.special_scenes import drive
 
+from bench.hostile_robots import write_robot_files
 from bench.inputs import ROOT
 
 #: Numbers and words that are seldom thought of.
@@ -43,7 +44,8 @@ ODD = ('nan', 'inf', '-inf', '1e999', '1e308', '1e-308', '-1', '0', '-0.0', '1e3
        '1e', '--', '~', '&a', '*a', '<<', '!!binary x', '%', "'", '"', '\\', '#', '...',
        '9' * 5000)
 OUTPUTS = ('out.yaml', 'out.json', 'out.html', 'out.csv', 'out.mp4', 'out.cao', 'out.obj',
-           'out_bag', 'out.ply', 'out.tum', 'out.xml', 'out.cameramodel', 'out.txt', 'out.bin')
+           'out_bag', 'out.ply', 'out.tum', 'out.urdf', 'out.calib', 'out.xml',
+           'out.cameramodel', 'out.txt', 'out.bin')
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ def write_good_files(folder: Path) -> None:
         'vertices:\n  a: [20, 20, 22, 20]\n  b: [90, 25, 93, 25]\n  c: [60, 80, 64, 80]\n'
         '  d: [30, 70, 35, 70]\n'
         'faces:\n- [a, b, c]\nframe: [a, b, c]\n', encoding='utf-8')
+    write_robot_files(folder, np.stack([frame.image for frame in few]))
 
 
 #: What is read by which command; @ stands for the bad file.
@@ -156,6 +159,14 @@ READERS: tuple[tuple[str, str], ...] = (
                            'out.csv'),
     ('object', 'track @ --camera object.camera.yaml --model model.cao --init object.pos --output '
                'out.csv'),
+    *((name, 'track object --camera object.camera.yaml --model @ --init object.pos --output '
+             'out.csv') for name in ('mesh.obj', 'mesh.ply', 'mesh.stl')),
+    ('robot.csv', 'calibrate tracks.csv --image-size 640 480 --motion planar --lens none '
+                  '--robot @ --json out.json --mount-output out.urdf --report out.html'),
+    ('gyro.csv', 'calibrate robot_bag --robot @ --output out.yaml --json out.json'),
+    ('robot_bag', 'calibrate @ --robot /odom --output out.yaml --mount-output out.calib'),
+    ('left', 'calibrate left right --cameras left,right --baseline 0.1:0.001 --output out.yaml '
+             '--json out.json'),
     ('picked.yaml', 'model images --camera camera.yaml --vertices @ --baseline 0.1 --output '
                     'out.cao --obj out.obj'),
 )
@@ -251,10 +262,20 @@ OPTIONS = {
         '--views', '--translation-frames', '--motion', '--lens', '--focal', '--shutter',
         '--line-delay', '--mode', '--object', '--mask', '--output', '--json', '--report', '--ply',
         '--camera-name', '--topic', '--jobs', '--output-dir', '--principal-point-sigma',
-        '--model', '--init', '--camera', '--clicks', '--trust-facts', '--engine'),
+        '--model', '--init', '--camera', '--clicks', '--trust-facts', '--engine', '--start',
+        '--duration', '--every', '--seed', '--flatness', '--poses', '--poses-format', '--colmap',
+        '--transforms', '--robot', '--robot-kind', '--robot-sigma', '--robot-unit',
+        '--robot-frame', '--mount-fact', '--mount-output', '--camera-frame', '--cameras',
+        '--baseline'),
+    'calibrate tracks.csv --image-size 640 480 --lens none --motion planar --robot robot.csv': (
+        '--robot', '--robot-kind', '--robot-sigma', '--robot-unit', '--robot-frame',
+        '--mount-fact', '--mount-output', '--camera-frame'),
+    'calibrate left right --cameras left,right': (
+        '--cameras', '--baseline', '--mask', '--motion', '--lens', '--output', '--json'),
     'track object --camera object.camera.yaml --model model.cao --init object.pos': (
         '--output', '--overlay', '--init', '--clicks', '--camera', '--model', '--method',
-        '--motion', '--plane-axis', '--camera-model', '--topic'),
+        '--motion', '--plane-axis', '--camera-model', '--topic', '--model-scale',
+        '--init-sigma', '--start', '--duration', '--every', '--seed'),
     'model images --camera camera.yaml --vertices picked.yaml --baseline 0.1': (
         '--images', '--length', '--between', '--baseline', '--region', '--vertices', '--obj',
         '--topic', '--output'),
@@ -268,7 +289,9 @@ VALUES = (*ODD, '/dev/null', '/dev/zero', '/dev/full', '/', '.', '..', '', ' ', 
           'nowhere/x', 'tracks.csv', 'out.yaml', '1', '2', '0.5', '3 3', 'a' * 300, '-', '--',
           'chessboard:4x3:0.1', 'chessboard:0x3:0.1', 'charuco:5x4:0.1:9', 'tsai:2x2:1:1:1',
           'chessboard:1000000x1000000:1', 'chessboard:4x3:1e-300', '1 2 3 4 5 6', '0 1', '1 0',
-          'result.json', os.fsdecode(b'\xff\xfe'), '1e-300 1e300')
+          'robot.csv', 'robot.csv --mount-fact x=0.1:0.01', '/odom', '/tf:a:b', 'x=0.1:0.01',
+          'roll=0:0', 'q=1:1', 'x=1e999:0', '0.01:1', 'absolute', 'left,right', 'left,left',
+          'out.urdf', 'mesh.obj', 'result.json', os.fsdecode(b'\xff\xfe'), '1e-300 1e300')
 
 
 def draw(rng: np.random.Generator) -> Case:

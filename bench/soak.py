@@ -15,10 +15,10 @@
 Do the nodes grow while they run? Hours of a recorded drive in a loop, as fast as they answer.
 
 Each node is a process of its own. It gets the next message when it has answered the last few, so
-that ten hours pass in some twenty minutes; timers tick in real time. The live page answers nothing:
-it is sent 500 messages a second. The slope of its
-memory is that of a line through the second half. Its standard error allows for the steps in which
-an allocator grows: it is half of the widest change between neighbouring tenths.
+that ten hours pass in some twenty minutes; timers tick in real time. The live page answers nothing
+and is sent 500 messages a second. The slope of a node's memory is that of a line through the
+second half. Its standard error allows for the steps in which an allocator grows: it is half of the
+widest change between neighbouring tenths.
 """
 
 from __future__ import annotations
