@@ -98,6 +98,14 @@ def test_what_is_wrong_with_a_file_is_one_sentence(tmp_path, text, words):
         read_model(path)
 
 
+def test_a_ply_without_a_format_is_one_sentence(tmp_path):
+    path = ply(tmp_path / 'bad.ply')
+    for instead in (b'', b'format\n', b'format odd 1.0\n'):
+        path.write_bytes(ply(path).read_bytes().replace(b'format ascii 1.0\n', instead))
+        with pytest.raises(InputError, match='names no format|cannot be read'):
+            read_model(path)
+
+
 def test_a_missing_texture_does_no_harm(tmp_path):
     extra = 'mtllib nowhere.mtl\nusemtl gone\n'
     assert len(read_model(obj(tmp_path / 'a.obj', extra=extra), 0.001).lines) == 12

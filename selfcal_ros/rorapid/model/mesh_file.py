@@ -37,6 +37,7 @@ _SMALLEST_M, _LARGEST_M = 0.002, 50.0
 _TYPES = {'char': 'i1', 'int8': 'i1', 'uchar': 'u1', 'uint8': 'u1', 'short': 'i2', 'int16': 'i2',
           'ushort': 'u2', 'uint16': 'u2', 'int': 'i4', 'int32': 'i4', 'uint': 'u4',
           'uint32': 'u4', 'float': 'f4', 'float32': 'f4', 'double': 'f8', 'float64': 'f8'}
+_ORDERS = {'ascii': '', 'binary_little_endian': '<', 'binary_big_endian': '>'}
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
@@ -115,7 +116,9 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     end = data.index(b'end_header')
     head = data[:end].decode('ascii', errors='replace').split('\n')
     body = data[data.index(b'\n', end) + 1:]
-    kind = next(line.split()[1] for line in head if line.startswith('format'))
+    kind = next((line.split()[1] for line in head if line.startswith('format ')), '')
+    if kind not in _ORDERS:
+        raise ValueError('its header names no format that is known')
     elements: list[tuple[str, int, list[list[str]]]] = []
     for line in head:
         words = line.split()
@@ -125,7 +128,7 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
             elements[-1][2].append(words[1:])
     if kind == 'ascii':
         return _ply_text(body, elements)
-    order = '<' if 'little' in kind else '>'
+    order = _ORDERS[kind]
     vertices, triangles, at = np.zeros((0, 3)), [], 0
     for name, count, properties in elements:
         if name != 'face' or properties[0][0] != 'list':
