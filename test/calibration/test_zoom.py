@@ -31,7 +31,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict
-from selfcal_ros.synthetic.hard_scenes import hand, rolled, s_curve, scene, vehicle
+from selfcal_ros.synthetic.hard_scenes import bumpy, hand, rolled, s_curve, scene, vehicle
 from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
@@ -109,6 +109,16 @@ def test_a_constant_focal_length_is_called_so():
     np.testing.assert_array_equal(result.camera.parameters, stated.camera.parameters)
     assert result.camera_of(3) is result.camera
     assert result.focal_of(3).value == result.camera.K[0, 0]
+
+
+def test_a_plane_that_is_left_is_not_made_up_for_by_the_focal_length():
+    rng = np.random.default_rng([0, 140])
+    sequence = bumpy(rng, 5.0, count=120)
+    result = calibrate(sequence.tracks, facts=FACTS)
+
+    # the usual unevenness of a ground held the views by force: no calibration at all
+    assert result and result.focal is None and result.motion == 'general'
+    assert abs(result.camera.K[0, 0] - sequence.camera.K[0, 0]) < 4 * result.sigma['fx']
 
 
 def test_a_warm_up_is_one_unknown():

@@ -22,8 +22,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, choose_motion, fit_robustly,
-                                                       is_chance, Observations, refit,
-                                                       RobustFit, with_all_points)
+                                                       is_chance, Observations, out_of_plane,
+                                                       refit, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
                                                                REGULARISED)
@@ -41,6 +41,9 @@ from selfcal_ros.calibration.uncertainty.second_order import second_order_covari
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.rotation import rotation_vector
+
+#: A motion leaves the plane by far more than supposed: so many times the sigma.
+STRAINED = 2.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,37 @@ def first_fit(problem: SelfCalibrationProblem, observations: Observations, state
         known = replace(facts, lens_population=True)
         priors = lens_priors(known, problem.size, state.lens['f']).under(usual_matrix(problem))
     return fit_robustly(observations, state, problem.motion, priors, 1.5 * problem.noise_px)
+
+
+def as_uneven_as_told(fit: RobustFit, tried: Observations) -> RobustFit:
+    """
+    Widen what a vehicle may leave the plane by, where the images contradict it.
+
+    The usual unevenness of a ground is soft. Where a camera leaves the plane by far more, single
+    views or the focal length would pay for it, and be taken for something else.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        Of the usual unevenness.
+    tried : Observations
+        That the fit began with.
+
+    """
+    for _ in range(3):
+        motion = fit.motion
+        if not motion.keeps_plane or not motion.tilt_sigma_rad:
+            break
+        tilt, height = out_of_plane(fit)
+        if tilt < STRAINED * motion.tilt_sigma_rad and height < STRAINED * motion.height_sigma:
+            break
+        wider = replace(motion, tilt_sigma_rad=max(tilt, motion.tilt_sigma_rad),
+                        height_sigma=max(height, motion.height_sigma))
+        start = with_all_points(fit.state, tried)
+        if start is None:
+            break
+        fit = fit_robustly(tried, start, wider, fit.bundle.priors, fit.bundle.sigma_px)
+    return fit
 
 
 def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: float,

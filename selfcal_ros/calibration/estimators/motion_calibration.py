@@ -33,7 +33,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
-from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
+from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
+                                                                choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
                                                                 ModelDecision,
                                                                 robust_covariance_of)
@@ -199,6 +200,11 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if near is not None:
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
+    if problem.motion.keeps_plane:
+        # before what the plane forbids is taken for something else
+        fit = as_uneven_as_told(fit, medium)
+        if out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
+            return not_planar(out_of_plane_rad(fit.state.path))
     if window.views == problem.views:
         # before what moves is taken for a shutter or a zoom
         again = _of_still_tracks(fit, medium, problem, graph)
