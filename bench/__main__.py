@@ -93,7 +93,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--no-peer', action='store_true',
                         help='leave COLMAP out of the rendered drives')
     parser.add_argument('--cache', metavar='FOLDER',
-                        help='wide lenses: keep images, tracks and results here, and use them')
+                        help='keep what takes long here (images, tracks, single runs), and use it')
     args = parser.parse_args(argv)
     unknown = set(args.names) - set(BENCHES)
     if unknown or (args.runs is not None and args.runs < 2):

@@ -59,6 +59,9 @@ NEARLY_FIXED = 6.0
 MOST_LOST = 0.1
 #: A lever that lowers the cost by more than so many sigmas beyond chance may as well be there.
 TOLD_SIGMAS = 2.0
+#: Where the likeliest turn leaves more than so many times the noise, and so do rotations alone, no
+#: model of lens or shutter makes a turn of it.
+HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,7 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     SelfCalibrationProblem
         With the path that was found.
     PivotDecision
+        No estimate where it does not turn, or nothing to start with is found.
 
     """
     place = {int(frame): k for k, frame in enumerate(turning.frames)}
@@ -164,7 +168,11 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     standing = with_all_points(start, medium)
     if standing is None:
         return NoEstimate('start_distortion_not_invertible')
-    shutter = choose_shutter(first_fit(window, medium, standing), medium, window)
+    fit = first_fit(window, medium, standing)
+    if min(fit.bundle.sigma_px, turning.left_px) > HOPELESS * problem.noise_px:
+        return NoEstimate('moved_not_rotated', left_px=fit.bundle.sigma_px,
+                          noise_px=problem.noise_px)
+    shutter = choose_shutter(fit, medium, window)
     fit = shutter.fit
     mixed = of_two_cameras(fit, window, graph)
     if mixed is not None:

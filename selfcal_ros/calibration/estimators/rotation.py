@@ -68,6 +68,8 @@ MAX_FOCAL_FRACTION = 30.0
 MAX_SKEW_FRACTION = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
+#: Starts whose costs differ by less than this share led to one optimum.
+SAME_COST = 0.01
 #: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
@@ -213,13 +215,15 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
         state = _start(K, H, order, observed, priors.lens.name)
         state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
         cost = bundle.cost(state)
+        # where no rotation is expected, two starts with one optimum speak for the others
+        agree = hopeless_px < np.inf and abs(cost - least) < SAME_COST * cost
         if best is None or cost < least:
             best, least = state, cost
         left_px = bundle.noise_sigma(state)
         if left_px > hopeless_px:
             return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
                               facts=facts)
-        if left_px < 1.3 * sigma_px:
+        if agree or left_px < 1.3 * sigma_px:
             break
     assert best is not None     # a range of focal lengths is always supposed
     return _richest_lens(best, observed, motion, facts, size)
