@@ -15,7 +15,7 @@
 
 from types import SimpleNamespace
 
-from bench import lenses
+from bench import lens_runs, lenses
 from bench.lens_population import profile_path
 import numpy as np
 import pytest
@@ -38,11 +38,11 @@ def _calibration(parameters, model='plumb_bob'):
         status={name: 'held' if name == 'skew' else 'estimated' for name in names})
 
 
-@pytest.mark.parametrize('lens', lenses.LENSES)
+@pytest.mark.parametrize('lens', lens_runs.LENSES)
 def test_drawn_lenses_see_their_image(lens):
     if profile_path() is None:
         pytest.skip('../shared/data/lens_profiles.csv is not there')
-    camera = lenses.draw_camera(np.random.default_rng(5), lens)
+    camera = lens_runs.draw_camera(np.random.default_rng(5), lens)
     assert np.isfinite(camera.rays([[0, camera.K[1, 2]], camera.K[:2, 2]])).all()
     across = np.degrees(camera.field_of_view()[0])
     if lens.startswith('equidistant'):
@@ -56,7 +56,7 @@ def test_true_draws_lie_inside_as_often_as_they_should():
     for _ in range(40):
         away = SIGMA * rng.standard_normal(len(SIGMA))
         away[1] = away[0]
-        outcomes.append(lenses.compared(_calibration(TRUTH.parameters + away), TRUTH))
+        outcomes.append(lens_runs.compared(_calibration(TRUTH.parameters + away), TRUTH))
     assert np.mean([one.distance for one in outcomes]) == pytest.approx(8, rel=0.25)
     assert 0.4 < lenses.inside(outcomes)[0] < 0.8 < lenses.inside(outcomes)[-1]
     assert outcomes[0].size == 8 and outcomes[0].same_family
@@ -66,8 +66,25 @@ def test_true_draws_lie_inside_as_often_as_they_should():
 
 def test_another_family_is_judged_by_its_matrix_and_its_rays():
     fisheye = np.r_[TRUTH.parameters[:5], 0.2, 0, 0, 0]
-    outcome = lenses.compared(_calibration(fisheye, 'equidistant'), TRUTH)
+    outcome = lens_runs.compared(_calibration(fisheye, 'equidistant'), TRUTH)
     assert not outcome.same_family and outcome.size == 3 and outcome.distance == 0
     assert outcome.ray_px['corners'].max() > 5 > 0.01 > outcome.ray_px['middle'].max()
     refused = NotCalibrated('why', kind='straight_motion')
-    assert lenses.compared(refused, TRUTH).reason == 'straight_motion'
+    assert lens_runs.compared(refused, TRUTH).reason == 'straight_motion'
+
+
+def test_runs_that_lie_in_the_cache_are_not_made_again(tmp_path, monkeypatch):
+    rng, made = np.random.default_rng(2), []
+
+    def one_run(task):
+        made.append(task)
+        return lens_runs.compared(_calibration(TRUTH.parameters + 1e-4 * rng.random(10)), TRUTH)
+
+    monkeypatch.setattr(lens_runs, 'one_run', one_run)
+    options = SimpleNamespace(cache=tmp_path / 'runs', processes=1)
+    first = lens_runs.kept_runs([('none', 'drive', 0)], options)
+    both = lens_runs.kept_runs([('none', 'drive', 0), ('none', 'drive', 1)], options)
+    assert made == [('none', 'drive', 0), ('none', 'drive', 1)]
+    again, before = both['none', 'drive', 0], first['none', 'drive', 0]
+    assert again.distance == before.distance
+    np.testing.assert_array_equal(again.rays['corners'], before.rays['corners'])

@@ -46,6 +46,9 @@ DECENTRING = np.geomspace(2e-4, 5e-3, 9)
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12
+#: Where the corner lies further from the axis, in focal lengths, lenses with little distortion are
+#: hardly polynomials either: all families are tried.
+WIDE_CORNER = 1.0
 #: Log of the odds beyond which a family is certain: 400 to 1.
 CERTAIN = 6.0
 
@@ -135,7 +138,8 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
     if len(tried) > 1:
-        excess = _between(found, tried[1][1], best - tried[1][0])
+        excess = _between(found, [(best - one, other) for one, other, _ in tried[1:]],
+                          dependence)
     for poorer in (None, *POORER[stated.distortion]):
         if poorer is not None:
             stated = replace(stated, distortion=poorer)
@@ -155,7 +159,7 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     lens = fit.state.lens
     if not lens.model.is_perspective:
         return 'equidistant', 'plumb_bob', 'rational'
-    if _is_barrel(lens, size):
+    if _is_barrel(lens, size) or float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f']:
         return 'plumb_bob', 'equidistant', 'rational'
     return ('plumb_bob',)
 
@@ -187,7 +191,8 @@ def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependenc
     state = with_lens(fit.state, fit.observations.xy, facts.distortion)
     priors = lens_priors(facts, size, state.lens['f'], decentring or DECENTRING[-1])
     found = _refitted(fit, state, priors)
-    if facts.distortion == 'plumb_bob' and priors.population is not None and decentring is None:
+    decentred = facts.distortion in ('plumb_bob', 'rational')
+    if decentred and priors.population is not None and decentring is None:
         places = found.state.lens.places(('p1', 'p2'))
         variance = dependence * found.lens_covariance[np.ix_(places, places)]
         decentring = likely_decentring(found.state.lens.values[places], variance)
@@ -289,14 +294,27 @@ def _evidence(fit: RobustFit, dependence: float) -> float:
     return float(-cost + 0.5 * (log_after + np.linalg.slogdet(population.information)[1]))
 
 
-def _between(fit: RobustFit, other: RobustFit, log_odds: float) -> np.ndarray | None:
-    """Covariance between two families that explain the images about alike; None if they don't."""
-    if log_odds > CERTAIN:
+def _between(fit: RobustFit, others: list[tuple[float, RobustFit]], dependence: float,
+             ) -> np.ndarray | None:
+    """
+    Covariance between families that explain the images about alike, and of what only they leave.
+
+    That of the mixture, less that of the fit. The others come with the log of the odds against
+    them. None if they are certainly worse.
+    """
+    rivals = [(np.exp(-log_odds), other) for log_odds, other in others if log_odds <= CERTAIN]
+    if not rivals:
         return None
-    weight = 1 / (1 + np.exp(log_odds))
-    count = len(MATRIX_NAMES)
-    apart = other.state.lens.values[:count] - fit.state.lens.values[:count]
-    excess = _nothing(fit)
-    excess[:count, :count] = weight * np.outer(apart, apart)
-    return excess * np.outer(fit.bundle.unknowns.free[:len(excess)],
-                             fit.bundle.unknowns.free[:len(excess)])
+    total = 1 + sum(odds for odds, _ in rivals)
+    matrix = slice(len(MATRIX_NAMES))
+    own = fit.lens_covariance[matrix, matrix]
+    excess, wider = _nothing(fit), np.zeros_like(own)
+    for odds, other in rivals:
+        apart = other.state.lens.values[matrix] - fit.state.lens.values[matrix]
+        excess[matrix, matrix] += odds / total * np.outer(apart, apart)
+        wider += odds / total * dependence * (other.lens_covariance[matrix, matrix] - own)
+    # a rival that determines more does not make this one surer
+    values, vectors = np.linalg.eigh(wider)
+    excess[matrix, matrix] += (vectors * np.maximum(values, 0)) @ vectors.T
+    free = fit.bundle.unknowns.free[:len(excess)]
+    return excess * np.outer(free, free)
