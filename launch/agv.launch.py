@@ -17,6 +17,7 @@ Calibrate the camera of a robot while it drives; from a live camera, or from a b
 ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw camera_name:=front
 ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw composed:=true rviz:=true
 ros2 launch selfcal_ros agv.launch.py bag:=/path/to/bag watch:=true
+ros2 launch selfcal_ros agv.launch.py image:=/camera/image_raw robot:=/odom publish_tf:=true
 """
 
 from launch import LaunchDescription
@@ -44,6 +45,10 @@ ARGUMENTS = {
     'output': ('', 'calibration file; empty: where camera drivers look'),
     'auto_save': ('false', 'write the file after every estimate'),
     'calibrator': ('planar_calibrator', 'planar_calibrator or affine_calibrator'),
+    'robot': ('', 'poses of the robot, such as /odom or /tf:odom:base_link: where the camera sits '
+              'is estimated, too; empty: none'),
+    'mount_facts': ('', 'known parts of the mount, such as "z=0.52:0.01 roll=0"'),
+    'publish_tf': ('false', 'publish the mount on /tf_static, once it is known'),
     'composed': ('false', 'all nodes in one process: least latency from image to CameraInfo'),
     'respawn': ('false', 'start a node again that has crashed'),
     'use_sim_time': ('false', 'take the time from /clock, as of a bag or a simulation'),
@@ -61,8 +66,9 @@ def generate_launch_description():
     share = FindPackageShare('selfcal_ros')
     # launch writes each group to a file of its own: a node reads what it knows
     calibrator = {name: ParameterValue(value[name], value_type=str) for name in (
-        'camera_name', 'output', 'set_camera_info_service')}
-    calibrator['auto_save'] = ParameterValue(value['auto_save'], value_type=bool)
+        'camera_name', 'output', 'set_camera_info_service', 'robot', 'mount_facts')}
+    for name in ('auto_save', 'publish_tf'):
+        calibrator[name] = ParameterValue(value[name], value_type=bool)
     player = {'bag': ParameterValue(value['bag'], value_type=str),
               'rate': ParameterValue(value['rate'], value_type=float),
               'loop': ParameterValue(value['loop'], value_type=bool)}

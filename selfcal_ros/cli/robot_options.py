@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-import re
 from typing import TYPE_CHECKING
 
 from selfcal_ros.errors import ArgumentError
@@ -25,12 +24,6 @@ from selfcal_ros.errors import ArgumentError
 if TYPE_CHECKING:
     from selfcal_ros.calibration.mount import MountFacts
     from selfcal_ros.pipeline.robot.robot_source import RobotSource
-
-#: Parts of a mount that can be stated, with their units on the command line.
-PARTS = {'x': 'm', 'y': 'm', 'z': 'm', 'roll': 'degrees', 'pitch': 'degrees', 'yaw': 'degrees',
-         'scale': '', 'time_offset': 's'}
-_ANGLES = ('roll', 'pitch', 'yaw')
-_FACT = re.compile(r'^(\w+)=([^:]+)(?::(.+))?$')
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,7 +83,8 @@ def robot_from(args: argparse.Namespace) -> tuple[RobotSource | None, MountFacts
         if given:
             raise ArgumentError(f'--{given[0].replace("_", "-")} needs the poses of a robot: '
                                 '--robot poses.csv, or a topic of the bag.')
-        return None, mount_facts([])
+        from selfcal_ros.calibration.mount import MountFacts
+        return None, MountFacts()
     if args.track:
         raise ArgumentError('--robot is for images of a scene or of an --object; --track follows '
                             'an object that moves. Leave one of them out.')
@@ -99,69 +93,13 @@ def robot_from(args: argparse.Namespace) -> tuple[RobotSource | None, MountFacts
                             'one; leave it out.')
     from selfcal_ros.pipeline.robot.pose_checks import PoseReading
     from selfcal_ros.pipeline.robot.robot_source import RobotSource
+    from selfcal_ros.pipeline.robot.stated import mount_facts, stated_sigmas
     if args.mount_output is not None:
         from selfcal_ros.report.mounts.transform_files import kind_of_name
         kind_of_name(args.mount_output)
     if args.robot_unit is not None and not 0 < args.robot_unit < float('inf'):
         raise ArgumentError('--robot-unit is the metres in a unit, such as 0.001 for '
                             'millimetres.')
-    position, rotation = _sigmas(args.robot_sigma)
+    position, rotation = stated_sigmas(args.robot_sigma)
     reading = PoseReading(args.robot_kind, position, rotation, args.robot_unit, args.robot_frame)
     return RobotSource.parse(args.robot, reading), mount_facts(args.mount_fact)
-
-
-def _sigmas(text: str | None) -> tuple[float | None, float | None]:
-    """Read metres and degrees."""
-    if text is None:
-        return None, None
-    from math import radians
-    words = text.split(':')
-    numbers = [_number(word) for word in words]
-    if len(numbers) != 2 or any(number is None or number <= 0 for number in numbers):
-        raise ArgumentError(f'--robot-sigma takes metres and degrees, such as 0.001:0.05, not '
-                            f'{text!r:.40}.')
-    return numbers[0], radians(numbers[1] or 0.0)
-
-
-def mount_facts(texts: list[str]) -> MountFacts:
-    """
-    Return what is stated of the mount.
-
-    Parameters
-    ----------
-    texts : list of str
-        NAME=VALUE:SIGMA or NAME=VALUE each; angles in degrees.
-
-    Returns
-    -------
-    MountFacts
-
-    Raises
-    ------
-    ArgumentError
-        If one is no such fact.
-
-    """
-    from math import radians
-
-    from selfcal_ros.calibration.mount import MountFacts
-    stated: dict[str, tuple[float, float]] = {}
-    for text in texts:
-        match = _FACT.match(text)
-        value = match and _number(match[2])
-        sigma = match and (0.0 if match[3] is None else _number(match[3]))
-        if not match or match[1] not in PARTS or value is None or sigma is None:
-            raise ArgumentError(f'--mount-fact takes NAME=VALUE or NAME=VALUE:SIGMA with one of '
-                                f'{", ".join(PARTS)}, such as z=0.52:0.01; got {text!r:.40}.')
-        if match[1] in stated:
-            raise ArgumentError(f'--mount-fact states {match[1]} twice; leave one out.')
-        turn = match[1] in _ANGLES
-        stated[match[1]] = (radians(value), radians(sigma)) if turn else (value, sigma)
-    return MountFacts(**stated)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None

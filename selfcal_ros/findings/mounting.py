@@ -65,6 +65,10 @@ MOUNTING: dict[str, Phrase] = {
         '{share:percent} % of the poses of the body contradict the others.',
         'A few wrong poses are set aside. So many leave open which are right.',
         'Check the names of the frames and the clocks, or record anew.'),
+    'body_poses_unusable': Phrase(
+        'The poses of the robot cannot be used: {why}',
+        'The calibration stands without them.',
+        'Correct what publishes the poses, or the names of the frames.'),
     'no_mount_fits': Phrase(
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',

@@ -39,15 +39,18 @@ from selfcal_ros.nodes.estimation_worker import EstimationWorker
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
+from selfcal_ros.nodes.mount_publisher import mount_values, MountPublisher
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
+from selfcal_ros.nodes.robot_topic import live_robot, RobotTopic
 from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
 from selfcal_ros.nodes.sensor_roi import SensorRoi
 from selfcal_ros.nodes.session_settings import monitor_settings, session_settings
 from selfcal_ros.nodes.stored_camera import StoredCamera
+from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.upload import CameraInfoUpload, check_service
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
                                                       Interruption)
@@ -79,6 +82,8 @@ class Calibrator(Node):
         self._session = CalibrationSession(session_settings(self.parameters))
         self._stored = StoredCamera(self._file, self.get_logger()
                                     ) if self.parameters.begin_with_file else None
+        self._robot = RobotTopic(self, self._session, live_robot(self.parameters))
+        self._mount = MountPublisher(self, self.parameters.publish_tf)
         self._scene = ScenePublisher(self, self.parameters.world_frame)
         self._worker = worker()
         self._watch = ChangeWatch(self._session, self.get_logger(),
@@ -115,6 +120,9 @@ class Calibrator(Node):
         session_settings(new), monitor_settings(new)
         CalibrationFile(new.camera_name, new.output)
         check_service(self, new.set_camera_info_service)
+        live_robot(new)
+        if new.publish_tf:
+            transform_type('publish_tf')
 
     def _change(self, new: CalibratorParameters, old: CalibratorParameters):
         """Do what changed parameters say, from the next estimate on."""
@@ -125,6 +133,7 @@ class Calibrator(Node):
             self._upload = CameraInfoUpload(self, new.set_camera_info_service)
         self._session.change(session_settings(new))
         self._watch.change(monitor_settings(new))
+        self._mount.change(new.publish_tf)
 
     def _on_tracks(self, msg: PointCloud2, about: dict):
         self._watchdog.heard()
@@ -156,6 +165,7 @@ class Calibrator(Node):
         self._watch.offer(image_size)
 
     def _publish_camera_info(self, header):
+        self._mount.camera_frame = self.parameters.camera_frame or header.frame_id.lstrip('/')
         calibration = self._session.calibration
         camera = calibration.camera_of(self._session.newest) if calibration else None
         if camera is None and self._stored is not None:
@@ -178,7 +188,7 @@ class Calibrator(Node):
         request = self._session.request()
         if request is None:
             return 0
-        self._worker.submit(Job(JobKind.ESTIMATE, request,
+        self._worker.submit(Job(JobKind.ESTIMATE, self._robot.with_poses(request),
                                 partial(prepare_scene, self.parameters.world_frame)))
         return request.keyframes
 
@@ -208,6 +218,7 @@ class Calibrator(Node):
             'from {} views'.format(*(v for name, value in zip(
                 ('fx', 'fy', 'cx', 'cy'), result.camera.parameters) for v in (value, sigma[name])),
                 len(result.frames)))
+        self._mount.take(result.mount)
         if scene is not None:
             self._scene.publish(scene)
         if self.parameters.auto_save:
@@ -245,12 +256,14 @@ class Calibrator(Node):
         self.get_logger().info(f'starting anew: {reason}')
         self._watch.forget()
         self._publish_result(NotCalibrated.of(NoEstimate('session_reset', why=reason)))
+        self._mount.forget()
         self._scene.clear()
 
     def _on_calibrate(self, _, response):
         self._watch.release()
         state = self._session.snapshot()
-        if state.calibration and not state.new_keyframes and not state.estimating:
+        if (state.calibration and not state.new_keyframes and not state.estimating
+                and not self._robot.lacks):
             self._publish_result(state.calibration)
             response.success = True
             response.message = 'nothing new since the last result, which is published again'
@@ -294,7 +307,12 @@ class Calibrator(Node):
             *calibration_status(self._session.snapshot()))
         if self._stored is not None and self._stored.used and self._session.calibration is None:
             text = f'the calibration of {self._file.path} is in force; {text}'
-        complaint = self._rivals.complaint or self._loss()
+        complaint = self._rivals.complaint or self._loss() or self._robot.complaint()
+        values |= self._robot.values()
+        calibration = self._session.calibration
+        values |= mount_values(calibration.mount if calibration else None)
+        if self._mount.why_not and calibration:
+            text = f'{text}; {self._mount.why_not}'
         if self._watchdog.too_long_s:
             level, text = WARN, f'no tracks for {self._watchdog.silent_s:.0f} s; {text}'
         elif complaint:

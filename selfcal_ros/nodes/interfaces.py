@@ -56,6 +56,10 @@ _CALIBRATOR = (
              'poses of the camera in `world_frame`, with the stamps of their images; latched'),
     Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
              'path, cameras and structure for RViz and Foxglove; latched'),
+    Endpoint('out', '~/mount', 'geometry_msgs/TransformStamped',
+             'with `robot`: from its frame to that of the camera, once all six numbers are known; '
+             'latched'),
+    Endpoint('out', '/tf_static', 'tf2_msgs/TFMessage', 'with `publish_tf`: the same; latched'),
     Endpoint('out', '/diagnostics', 'diagnostic_msgs/DiagnosticArray',
              'once a second: calibrated or what is missing, every parameter with its sigma; a '
              'warning when the camera has changed'),

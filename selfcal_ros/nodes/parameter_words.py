@@ -33,6 +33,11 @@ _WORDS = (
     (r'--init FILE\.init with --clicks', 'start_pose:=FILE.pos'),
     (r'--init (")', r'start_pose:=\1'),
     (r'--init\b', 'the parameter start_pose'),
+    (r'--robot-(kind|sigma|unit|frame) ([\d.:]+\d|\d)', r'robot_\1:=\2'),
+    (r'--robot-(kind|sigma|unit|frame)', r'the parameter robot_\1'),
+    (r'--robot\b(?!-)', 'the parameter robot'),
+    (r'--mount-fact (\w+=)', r'mount_facts:=\1'),
+    (r'--mount-fact', 'the parameter mount_facts'),
     (r'--topic\b', 'the parameter topic'),
     (r'--camera\b(?!-)', 'the parameter camera_file'),
 )

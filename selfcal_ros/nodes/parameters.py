@@ -136,6 +136,28 @@ class CalibratorParameters:
     world_frame: str = parameter(
         'calibration_world_unscaled', 'frame of structure, camera_path and markers: the body '
         'frame of the first view, the median step between views being 1 (no metres)')
+    robot: str = parameter(
+        '', 'topic of poses of the robot: Odometry, PoseStamped or PoseWithCovarianceStamped, '
+        'such as /odom, or /tf:FIXED:BODY, such as /tf:odom:base_link; then where the camera sits '
+        'on it is estimated, too; empty: none')
+    robot_kind: str = parameter(
+        'auto', 'whether each pose errs by itself, or the way from one to the next; auto: '
+        'odometry for Odometry and TF from odom', one_of=('auto', 'absolute', 'odometry'))
+    robot_sigma: str = parameter(
+        '', 'standard deviation of a pose, metres:degrees, such as 0.001:0.05; of odometry, after '
+        'one metre, and after turning by one radian; empty: found from the misfit')
+    robot_unit: float = parameter(0.0, 'metres in a unit of the positions, such as 0.001 for '
+                                  'millimetres; 0: they are metres', 0.0, 1e6)
+    robot_frame: str = parameter('', 'name of the frame whose poses these are; empty: what '
+                                 'messages call it, else base_link')
+    mount_facts: str = parameter(
+        '', 'known parts of the mount, such as z=0.52:0.01 roll=0: x, y, z (metres), roll, pitch, '
+        'yaw (degrees), scale (of odometry), time_offset (seconds), each with its sigma, or exact')
+    camera_frame: str = parameter('', 'frame of the camera in the mount; empty: that of the '
+                                  'images')
+    publish_tf: bool = parameter(
+        False, 'publish the mount on /tf_static, once all six numbers are known; a frame may have '
+        'one parent only', live=True)
     idle_s: float = parameter(1.0, 'estimate with what there is when no tracks come for so long',
                               0.1, 3600.0, live=True)
     silence_s: float = _silence_s('no tracks have')

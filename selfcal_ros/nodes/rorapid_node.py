@@ -34,6 +34,7 @@ from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
+from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackedImage, TrackingWorker
 from selfcal_ros.pipeline.tracking_run import read_start
@@ -115,12 +116,7 @@ class RorapidNode(Node):
 
     @staticmethod
     def _transform_type() -> type:
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ImportError:
-            raise InputError('publish_tf needs the package tf2_msgs (ros-jazzy-tf2-msgs), which '
-                             'is not installed.') from None
-        return TFMessage
+        return transform_type('publish_tf')
 
     def _check_change(self, new: RorapidTrackerParameters):
         """Refuse parameters that contradict each other, or ask for what is not installed."""

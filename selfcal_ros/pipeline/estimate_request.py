@@ -25,6 +25,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.selection import drop_static, verify
 from selfcal_ros.features.still_features import without_still
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.values.neighbours import Filmed
 from selfcal_ros.values.tracks import Tracks
 
@@ -124,6 +125,8 @@ class EstimateRequest:
     generation, section : int
         Resets of the session before, and steps of the clock since the last of them.
     keyframes : int
+    robot : RobotSnapshot or None
+        What its robot has told: the mount of the camera is estimated, too.
 
     """
 
@@ -133,6 +136,11 @@ class EstimateRequest:
     generation: int
     keyframes: int
     section: int = 0
+    robot: RobotSnapshot | None = None
+
+    def with_robot(self, robot: RobotSnapshot | None) -> EstimateRequest:
+        """Return the request with poses of the robot."""
+        return replace(self, robot=robot)
 
     def run(self, calibrate: Callable | None = None) -> Calibration | NotCalibrated:
         """
@@ -152,4 +160,8 @@ class EstimateRequest:
         tracks, _, _ = verify(tracks)
         result = calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
                            start=self.start.camera if self.start else None)
-        return replace(result, findings=(*told, *result.findings)) if told else result
+        if told:
+            result = replace(result, findings=(*told, *result.findings))
+        if self.robot is not None and isinstance(result, Calibration):
+            return self.robot.mounted(result, self.tracks.stamps_ns)
+        return result

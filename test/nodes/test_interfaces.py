@@ -33,7 +33,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize('name', ['planar_calibrator', 'affine_calibrator'])
 def test_calibrators_have_what_is_written(graph, name):
-    assert has(graph().add(Calibrator(name, PARAMETERS[name]))) == written(name)
+    # in TF it speaks where it is asked to
+    assert has(graph().add(Calibrator(name, PARAMETERS[name]))) == {
+        end for end in written(name) if end[1] != '/tf_static'}
 
 
 def test_the_tracker_has_what_is_written(graph):

@@ -1,0 +1,195 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A calibrator that hears the robot, too: where the camera sits, live, with poses that lie."""
+
+from importlib.util import find_spec
+import json
+
+from bench.mount_worlds import odometry
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from msg_adapters.message_types import rclpy_types
+from msg_adapters.poses import pose_message
+from msg_adapters.stamps import header_message
+from msg_adapters.tracks import tracks_message
+from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.nodes import mount_publisher
+from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.synthetic.special_scenes import drive
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import String
+
+START_NS, STEP_NS = 1_700_000_000_123_456_789, 200_000_000
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+VIEWS = 20
+
+
+def robot_of(sequence, rng):
+    """Return the mount that a drive may have, and its odometry, message by message."""
+    cameras = np.broadcast_to(np.eye(4), (VIEWS, 4, 4)).copy()
+    cameras[:, :3] = sequence.cam_from_world
+    cameras = np.linalg.inv(cameras)
+    mount = np.eye(4)
+    # the scene's camera is pitched by 20 degrees; beside, it looks 5 degrees to the left
+    mount[:3, :3], mount[:3, 3] = mount_rotation(0, np.radians(20), np.radians(5)), (0.3, 0.1, 0.6)
+    body = cameras @ np.linalg.inv(mount)
+    poses = odometry(rng, body[:, :3, :3], body[:, :3, 3], (1e-3, 1e-3, 1e-3),
+                     frames=np.arange(VIEWS))
+    return mount, poses
+
+
+def odometry_message(rotation, position, stamp):
+    pose, types = np.eye(4), rclpy_types()
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    message = Odometry(header=header_message(stamp, 'odom', types), child_frame_id='base_link')
+    message.pose.pose = pose_message(pose, types)
+    return message
+
+
+@pytest.mark.ros
+def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch):
+    sequence = drive(np.random.default_rng(11), noise_px=0.1, views=VIEWS, tracks=700)
+    mount, poses = robot_of(sequence, np.random.default_rng(3))
+    graph, types = graph(), rclpy_types()
+    infos = graph.listen(CameraInfo, 'camera_info')
+    results = graph.listen(String, 'planar_calibrator/result', LATCHED)
+    diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+    tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
+    odom = graph.probe.create_publisher(Odometry, '/wheels/odom', 100)
+    launch('planar_calibrator', '-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=20',
+           '-p', 'idle_s:=0.5', '-p', 'distortion:=none', '-p', 'robot:=/wheels/odom', '-p',
+           'mount_facts:=time_offset=0 z=0.6:0.01')
+    graph.wait_for(lambda: odom.get_subscription_count() and tracks.get_subscription_count())
+    graph.wait_for(lambda: graph.probe.count_publishers('camera_info'))
+    graph.spin_for(0.3)
+    wrong = odometry_message(np.eye(3), np.zeros(3), START_NS)
+    wrong.pose.pose.position.x = float('nan')
+    stray = odometry_message(np.eye(3), np.zeros(3), START_NS - 10 * 10**9)
+    for view in range(VIEWS):
+        stamp = START_NS + view * STEP_NS
+        odom.publish(wrong)
+        odom.publish(odometry_message(poses.rotation[view], poses.position[view], stamp))
+        odom.publish(stray)
+        mask, known = sequence.tracks.frame == view, len(infos)
+        tracks.publish(tracks_message(
+            sequence.tracks.track[mask], sequence.tracks.xy[mask], (640, 480),
+            header_message(stamp, 'eye', types), types))
+        graph.wait_for(lambda: len(infos) > known, what='camera_info')
+    graph.wait_for(lambda: results and 'mount' in json.loads(results[-1].data), 60, 'mount')
+    found = json.loads(results[-1].data)['mount']
+    assert found['frame'] == 'base_link', found
+    errors = np.concatenate([
+        np.array(found['T_body_camera'])[:3, 3] - mount[:3, 3],
+        rotation_vector(np.array(found['T_body_camera'])[:3, :3] @ mount[:3, :3].T)])
+    sigma = np.array([found['sigma'][name] for name in NAMES[:6]])
+    assert (np.abs(errors) < 4 * sigma).all() and sigma[[0, 1]].max() < 0.03
+    assert sigma[3:].max() < np.radians(0.5)
+    # who comes late gets it, too
+    late = graph.listen(TransformStamped, 'planar_calibrator/mount', LATCHED)
+    graph.wait_for(lambda: late, what='the latched mount')
+    assert (late[0].header.frame_id, late[0].child_frame_id) == ('base_link', 'eye')
+    assert late[0].transform.translation.z == pytest.approx(0.6, abs=0.03)
+    seen = len(diagnostics)
+    graph.wait_for(lambda: len(diagnostics) > seen)
+    values = {v.key: v.value for v in diagnostics[-1].status[0].values}
+    assert int(values['robot poses dropped']) >= VIEWS
+    assert 'not finite' in values['robot poses last dropped']
+    assert float(values['mount x']) == pytest.approx(found['T_body_camera'][0][3], abs=1e-4)
+
+
+def test_a_topic_that_is_not_there_lists_those_that_are(graph):
+    graph = graph('-p', 'robot:=/odometry')
+    graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+    graph.probe.create_publisher(Odometry, '/wheels/odom', 10)
+    graph.probe.create_publisher(PoseStamped, '/mocap', 10)
+    graph.wait_for(lambda: any('poses are on /mocap, /wheels/odom' in one.status[0].message
+                               for one in diagnostics))
+    assert 'no poses on /odometry yet' in diagnostics[-1].status[0].message
+
+
+@pytest.mark.parametrize('given, words', [
+    (('robot_sigma:=0.1:1.0',), 'robot_sigma needs the poses of a robot'),
+    (('robot:=/odom', 'robot_sigma:="0.1"'), 'metres and degrees'),
+    (('robot:=/odom', 'mount_facts:=height=1'), 'NAME=VALUE:SIGMA'),
+    (('robot:=poses.csv',), 'takes a topic'), (('robot:=/tf:odom',), '/tf:FIXED:BODY'),
+    (('publish_tf:=true',), 'publish_tf needs the poses of a robot')])
+def test_parameters_that_cannot_be_are_refused(graph, given, words):
+    graph(*(word for one in given for word in ('-p', one)))
+    with pytest.raises(ArgumentError, match=words):
+        Calibrator('planar_calibrator', PlanarCalibratorParameters)
+
+
+@pytest.mark.skipif(find_spec('tf2_msgs') is not None, reason='tf2_msgs is installed')
+def test_tf_without_its_messages_is_refused_at_run_time(graph):
+    graph = graph('-p', 'robot:=/odom')
+    graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    refused, = graph.set_parameters('planar_calibrator', publish_tf=True)
+    assert refused.startswith('publish_tf needs the package tf2_msgs')
+
+
+class Recorder:
+    """A node that only remembers what is published where."""
+
+    def __init__(self):
+        self.sent = {}
+
+    def create_publisher(self, kind, topic, qos):
+        self.sent[topic] = messages = []
+        return type('Publisher', (), {'publish': lambda _, message: messages.append(message)})()
+
+    def get_clock(self):
+        return type('Clock', (), {'now': lambda _: type('Now', (), {'nanoseconds': 7})()})()
+
+
+class Transforms:
+    """Stands for tf2_msgs/TFMessage where that is not installed."""
+
+    def __init__(self, transforms):
+        self.transforms = transforms
+
+
+def a_mount(x, z_known=True):
+    status = dict.fromkeys(NAMES, 'estimated')
+    pose = np.eye(4)
+    pose[:3, 3] = x, 0, 0.5
+    if not z_known:
+        status['z'], pose[2, 3] = 'unobservable', np.nan
+    covariance = np.diag([1e-4] * 8)
+    if not z_known:
+        covariance[2, 2] = np.inf
+    return Mount('base_link', pose, covariance, status, 1.0, 0.0, {}, 20, 0, 1e-3, 1e-3)
+
+
+def test_a_mount_goes_to_tf_once_and_again_only_where_it_is_news(monkeypatch):
+    monkeypatch.setattr(mount_publisher, 'transform_type', lambda _: Transforms)
+    node = Recorder()
+    publisher = mount_publisher.MountPublisher(node, True)
+    publisher.camera_frame = 'eye'
+    publisher.take(a_mount(0.3, z_known=False))
+    assert not node.sent['/tf_static'] and publisher.why_not.startswith('z of the mount')
+    for x in (0.300, 0.305, 0.295):
+        publisher.take(a_mount(x))
+    sent, = node.sent['/tf_static']
+    assert sent.transforms[0].transform.translation.x == 0.3 and not publisher.why_not
+    assert sent.transforms[0].child_frame_id == 'eye' and len(node.sent['~/mount']) == 1
+    publisher.take(a_mount(0.35))
+    assert len(node.sent['/tf_static']) == len(node.sent['~/mount']) == 2
