@@ -64,7 +64,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
     data = read_limited(path, _LARGEST)
     try:
         vertices, triangles = _READERS[path.suffix.lower()](data)
-    except (ValueError, IndexError, KeyError, TypeError) as error:
+    except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f'{path} cannot be read as {path.suffix[1:]}: {error}.') from None
     if not len(triangles):
         raise InputError(f'{path} holds no faces; points alone cannot be tracked.')
