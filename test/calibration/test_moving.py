@@ -19,7 +19,9 @@ import numpy as np
 import pytest
 
 from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
+from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
+from selfcal_ros.calibration.moving.rigid_bodies import find_bodies
 from selfcal_ros.calibration.moving.track_test import judged
 from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -157,3 +159,24 @@ def test_an_absurd_bend_is_no_lens():
     # what things that move made of the epipolar lines of a recording
     camera = supposed_camera(500.0, (640, 480), CameraFacts(), (-9.0, 40.0))
     assert np.isfinite(camera.rays(np.array([[320.0, 240.0], [400.0, 300.0]]))).all()
+
+
+def test_a_body_that_keeps_ahead_is_found_by_its_size():
+    rng, views = np.random.default_rng(11), 16
+    box = rng.uniform(-0.4, 0.4, (26, 3))
+    # it hardly turns before the camera, and is now near, now far
+    centre = np.column_stack([np.full(views, 0.2), np.full(views, 0.1),
+                              1.8 + 0.3 * np.sin(np.linspace(0, 6, views))])
+    xy = CAMERA.project((box + centre[:, None]).reshape(-1, 3)).reshape(views, 26, 2)
+    xy += NOISE_PX * rng.standard_normal(xy.shape)
+    wrong = rng.random((views, 26)) < 0.03
+    xy[wrong] += rng.uniform(-40, 40, (wrong.sum(), 2))
+    stray = rng.uniform(100, 400, (views, 6, 2))
+    view, point = (one.ravel() for one in np.indices((views, 32)))
+    order = np.lexsort((view, point))
+    observations = Observations(view[order], point[order],
+                                np.concatenate([xy, stray], axis=1).reshape(-1, 2)[order],
+                                np.arange(32))
+    _, members = next(find_bodies(observations, CAMERA, NOISE_PX, rng))
+
+    assert set(members) <= set(range(26)) and len(members) >= 24

@@ -22,16 +22,19 @@ from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
+                                                       RobustFit)
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
-from selfcal_ros.calibration.uncertainty.focal_course import focal_evidence, shape_gain
+from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, gain_of_most,
+                                                              shape_gain, SURE)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict
-from selfcal_ros.synthetic.hard_scenes import bumpy, hand, rolled, s_curve, scene, vehicle
+from selfcal_ros.synthetic.hard_scenes import (bumpy, hand, rolled, s_curve, scene, short_tracks,
+                                               vehicle)
 from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
@@ -176,6 +179,23 @@ def test_images_that_change_their_shape_are_no_zooms():
     assert focal_evidence(rolls, tuple(range(VIEWS)), 1.0).gain < 0.5 * shape_gain(rolls, 1.0)
     quiet = focal_evidence(fitted(zoomed(still, np.ones(VIEWS), rng)), tuple(range(VIEWS)), 1.0)
     assert not quiet.varies
+
+
+def test_what_rests_on_a_few_tracks_is_no_zoom():
+    rng, instants = np.random.default_rng([2, 15]), tuple(range(14))
+    turns = 8 * np.sin(np.linspace(0, 9, 14))[:, None] * [0.3, 1.0, 0.5]
+    still = hand(rng, turns, shift_m=0.1, count=250, seen=short_tracks(rng, 3))
+    tracks = still.tracks
+    # gross errors along the epipolar lines of short tracks stay
+    wrong = rng.random(len(tracks.frame)) < 0.08
+    xy = tracks.xy + wrong[:, None] * rng.uniform(-40, 40, tracks.xy.shape)
+    start = fitted(replace(still, tracks=replace(tracks, xy=xy)))
+    errors = fit_robustly(start.observations, start.state, GENERAL, start.bundle.priors, 0.2)
+    zooms = fitted(zoomed(still, np.where(np.arange(14) < 3, 1.0, 1.02), rng))
+
+    found, few = (focal_evidence(fit, instants, 1.0) for fit in (zooms, errors))
+    assert gain_of_most(zooms, instants, found, 1.0) > 4 * SURE
+    assert few.varies and gain_of_most(errors, instants, few, 1.0) < SURE
 
 
 def test_steps_of_a_free_view_sum_to_zero():

@@ -31,7 +31,7 @@ from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, FocalEvidence,
-                                                              shape_gain)
+                                                              gain_of_most, shape_gain, SURE)
 from selfcal_ros.geometry.camera import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
@@ -71,7 +71,8 @@ def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, 
     """Test whether the images contradict a constant focal length."""
     dependence = robust_covariance_of(fit, size).inflation**2
     found = focal_evidence(fit, instants, dependence)
-    return found is not None and _is_zoom(found, fit, dependence)
+    return (found is not None and _is_zoom(found, fit, dependence)
+            and gain_of_most(fit, instants, found, dependence) > SURE)
 
 
 def _is_zoom(found: FocalEvidence, fit: RobustFit, dependence: float) -> bool:

@@ -34,7 +34,9 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry, planar_start
+from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
+                                                                      planar_start,
+                                                                      spanning_order)
 from selfcal_ros.calibration.moving.track_test import test_tracks, TrackTest
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.relative_pose import relative_motion
@@ -50,6 +52,8 @@ LEAST_SHARE = 0.3
 MOST_LOST = 0.2
 #: Matches agree within so many sigmas.
 MATCH_SIGMAS = 4.0
+#: Turns of leaving out what agrees least.
+TRIMS = 4
 #: Sigmas at which residuals begin to weigh less, at first.
 COARSE = 20.0
 
@@ -226,50 +230,82 @@ def _adjusted(observations: Observations, pairs: list[PairGeometry], turns: np.n
     bundle = bundle_of(observations, GENERAL, fixed, sigma_px)
     best, least = None, np.inf
     for state in (planar_start(pairs, bundle.blocks, observations.xy, camera, False, turns),
-                  _from_afar(bundle, camera, rng)):
+                  _from_afar(bundle, camera, pairs, rng)):
         if state is None or not np.isfinite(bundle.cost(state)):
             continue
         for sigmas in (COARSE, 2.0):
             loose = bundle.with_sigma(sigmas * sigma_px)
             state = loose.optimise(state, iterations=25, tolerance=0.5)
-        cost = bundle.cost(state)
-        if cost < least:
-            best, least = state, cost
-        if least < 2 * bundle.degrees_of_freedom:
+        trimmed = _trimmed(observations, state, bundle)
+        if trimmed[2] < least:
+            best, least = trimmed[:2], trimmed[2]
+        if least < 2:
             break
-    return None if best is None else (bundle, best)
+    return best
 
 
-def _from_afar(bundle: Bundle, camera: Camera, rng: np.random.Generator) -> SceneState:
+def _trimmed(observations: Observations, state: SceneState, bundle: Bundle,
+             ) -> tuple[Bundle, SceneState, float]:
+    """Leave out what agrees least, in turns; returns the cost of a degree of freedom, too."""
+    views = bundle.blocks.view_count
+    for _ in range(TRIMS):
+        distance = np.linalg.norm(bundle.residuals(state), axis=1) / bundle.sigma_px
+        limit = max(MATCH_SIGMAS, 3 * float(np.nanmedian(distance)))
+        agrees = distance < limit
+        rest, points = observations.select(
+            agrees & (2 * np.bincount(observations.point, agrees)
+                      > np.bincount(observations.point))[observations.point], LEAST_VIEWS)
+        if len(points) < LEAST_TRACKS or len(np.unique(rest.view)) < views:
+            break
+        settled = len(rest.view) == len(observations.view)
+        observations, state = rest, replace(state, points=state.points[points])
+        bundle = bundle_of(observations, GENERAL, bundle.priors, bundle.sigma_px)
+        state = bundle.optimise(state, iterations=25, tolerance=0.5)
+        if settled:
+            break
+    return bundle, state, bundle.cost(state) / max(bundle.degrees_of_freedom, 1)
+
+
+def _from_afar(bundle: Bundle, camera: Camera, pairs: list[PairGeometry],
+               rng: np.random.Generator) -> SceneState:
     """
     Start as if a small body stood far off before a camera that turns after it.
 
-    Where little but the turn is seen, pairs of views do not tell depths. They begin at random,
-    about one distance, and the adjustment finds them.
+    Where little but the turn is seen, pairs of views do not tell depths. The body's size in the
+    image tells how far off it is in each view. Depths within it begin at random, and the
+    adjustment finds them.
     """
     blocks = bundle.blocks
-    rays = all_rays(camera, bundle.xy)
     rotations = np.tile(np.eye(3), (blocks.view_count, 1, 1))
-    row = np.full((blocks.view_count, blocks.point_count), -1)
-    row[blocks.view, blocks.point] = np.arange(len(bundle.xy))
-    for view in range(1, blocks.view_count):
-        for before in range(view - 1, -1, -1):
-            both = np.flatnonzero((row[before] >= 0) & (row[view] >= 0))
-            if len(both) >= 3:
-                break
-        a, b = rays[row[before, both]], rays[row[view, both]]
+    distance = np.zeros(blocks.view_count)
+    for k, standing, new in spanning_order(pairs, blocks.view_count):
+        pair = pairs[k]
+        a, b = camera.rays(pair.xy_first), camera.rays(pair.xy_second)
+        if pair.first == new:
+            a, b = b, a
         # the turn that carries rays onto rays
         U, _, Vt = np.linalg.svd(b.T @ a)
         turn = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-        rotations[view] = turn @ rotations[before]
-    directions = np.einsum('nji,nj->ni', rotations[blocks.view], rays)
+        rotations[new] = turn @ rotations[standing]
+        distance[new] = distance[standing] + np.median(np.log(_apart(a) / _apart(b)))
+    distance = np.exp(distance - distance.mean())
+    directions = np.einsum('nji,nj->ni', rotations[blocks.view], all_rays(camera, bundle.xy))
     mean = blocks.sum_over_points(directions)
     mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    middle = np.median(mean, axis=0)
     spread = float(np.sqrt(np.mean(np.sum((mean - mean.mean(axis=0))**2, axis=1))))
     depth = 1 + 0.5 * spread * rng.standard_normal(len(mean))
     points = np.column_stack([mean * depth[:, None], np.ones(len(mean))])
-    # seen from the origin alone nothing has a depth: views stand apart by chance
-    centres = 0.1 * spread * rng.standard_normal((blocks.view_count, 3))
+    # seen from one line alone nothing has a depth: views stand apart by chance
+    centres = ((1 - distance)[:, None] * middle
+               + 0.03 * spread * rng.standard_normal((blocks.view_count, 3)))
     poses = np.concatenate([rotations, -rotations @ centres[..., None]], axis=2)
     return SceneState(Lens.of(camera), AxisPath.of_poses(np.eye(3), poses),
                       points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def _apart(rays: np.ndarray) -> np.ndarray:
+    """Return the distances between any two of some rays (n, 3)."""
+    first, second = np.triu_indices(len(rays), 1)
+    apart: np.ndarray = np.linalg.norm(rays[first] - rays[second], axis=1)
+    return apart + 1e-12

@@ -27,12 +27,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
+from selfcal_ros.calibration.bundle.bundle import BEHIND_SIGMAS, Bundle
+from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, ZoomModel
 from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.optimise import huber_loss
 
 #: Least gain of log probability: half the square of four sigmas.
 SURE = 8.0
@@ -40,6 +43,9 @@ SURE = 8.0
 BEYOND = 2.0
 #: Standard deviations of a step of the random walk that are tried.
 SIZES = 1e-5 * 2.0**(0.5 * np.arange(30))
+
+#: Share of the tracks on either side that a gain may not rest on, and how many at least.
+FEW, LEAST_FEW = 0.02, 3
 
 
 @dataclass(frozen=True)
@@ -145,6 +151,52 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
                                            pull + rate * (own @ steady))
     return FocalEvidence(rate, 1 / np.sqrt(max(information, 1e-300)), walk_sigma,
                          0.5 * rate**2 * information, walk_gain, beyond_gain, beyond_sigma)
+
+
+def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEvidence,
+                 dependence: float) -> float:
+    """
+    Tell what remains of the gain without the few tracks that say most for it, and against.
+
+    A zoom shows in all that a view sees. A few gross errors along epipolar lines, which leave
+    small residuals, can ask for another focal length where a view tells little of its own.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum of constant focal length.
+    instants : tuple of float
+        Of `ZoomModel`.
+    found : FocalEvidence
+    dependence : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    float
+        Log of the probability over that of a constant focal length.
+
+    """
+    sigma = 0.0 if found.steady_gain >= found.walk_gain else found.walk_sigma
+    model = ZoomModel(instants, sigma)
+    bundle = bundle_of(fit.observations, replace(fit.motion, zoom=model), fit.bundle.priors,
+                       fit.bundle.sigma_px)
+    constant = replace(fit.state, zoom=Zoom.constant(len(instants)))
+    varying = bundle.optimise(constant, iterations=4, tolerance=0.1)
+    less = np.sort(_cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying))
+    less /= dependence
+    few = max(LEAST_FEW, int(np.ceil(FEW * len(less))))
+    if len(less) <= 4 * few:
+        return found.gain
+    most = less[few:-few].sum() * len(less) / (len(less) - 2 * few)
+    return found.gain + float(most - less.sum())
+
+
+def _cost_of_tracks(bundle: Bundle, state: SceneState) -> np.ndarray:
+    """Robust cost of every track (P,), units of sigma²."""
+    distance = np.linalg.norm(bundle.residuals(state), axis=1) / bundle.sigma_px
+    loss = huber_loss(np.nan_to_num(distance, nan=BEHIND_SIGMAS), HUBER_SIGMAS)
+    return bundle.blocks.sum_over_points(loss)
 
 
 def shape_gain(fit: RobustFit, dependence: float) -> float:
