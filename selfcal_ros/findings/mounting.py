@@ -108,6 +108,12 @@ MOUNTING: dict[str, Phrase] = {
         '{count} of {of} poses of the body contradict the others and were set aside.',
         'Wheels slip, and a pose may be of another moment. The estimate goes without them.',
         'Nothing; many of them mean wrong stamps or frames.'),
+    'body_places_late': Phrase(
+        'Places of the body are {late_ms:.1f} ms behind its turns (sigma {sigma_ms:.1f} ms).',
+        'A filter delays what it smooths, and a gyro is quicker than cameras or wheels. The '
+        'estimate allows for it. The offset of the clocks is that of the turns, and its sigma '
+        'covers both.',
+        'Stamp places and turns alike, or take poses before they are smoothed.'),
     'metre_of_odometry': Phrase(
         'Lengths are in metres of the odometry: the scale of its wheels is taken as it is.',
         'Nothing else here knows the metre. Wheels wear, and tyres are softer or harder.',

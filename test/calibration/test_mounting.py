@@ -82,6 +82,28 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     assert _in_sigmas(mount, errors)[0] < 24.3
 
 
+def test_places_that_are_late_behind_turns_are_told_and_widen_the_offset():
+    images, own = 0.5 + 0.5 * np.arange(VIEWS), np.arange(0, 11.5, 0.04)
+    for late_s in (0.0, 0.01):
+        rng = np.random.default_rng(3)
+        world = worlds.World(*worlds.hand(images - 0.02), worlds.mount_of(rng), False)
+        calibration = worlds.calibrated(rng, world)
+        poses = worlds.measured(rng, worlds.hand(own)[0], worlds.hand(own - late_s)[1], SIGMA_M,
+                                SIGMA_RAD, stamps_ns=np.round(own * 1e9).astype(int))
+        result = mount_camera(calibration, poses,
+                              {k: int(round(t * 1e9)) for k, t in enumerate(images)})
+        mount = result.mount
+        told = [one for one in result.findings if one.kind == 'body_places_late']
+        assert len(told) == (late_s > 0)
+        errors = worlds.mount_errors(mount, world.T_body_camera,
+                                     worlds.true_scale(world, calibration), 0.02)
+        sigma = mount.sigma['time_offset']
+        # the offset of the turns, with room for that of the places
+        assert abs(errors[-1]) < 3e-3 and (sigma > late_s) and sigma < 1e-3 + 1.2 * late_s
+        assert _in_sigmas(mount, errors)[0] < 26
+    assert told[0].values['late_ms'] == pytest.approx(10, abs=2)
+
+
 def test_a_straight_drive_shows_pitch_and_yaw_only():
     rng = np.random.default_rng(0)
     world = worlds.World(np.tile(np.eye(3), (14, 1, 1)),

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Cameras that move together: derivatives of the rig block, the start, truth and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from selfcal_ros import CameraFacts
@@ -26,6 +28,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.alignment import align
 from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
+from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.lenses.catalogue import lens_model
@@ -156,6 +159,20 @@ def test_cameras_side_by_side_are_found_with_their_scale():
     # without what both see it is not, and the reason is its own
     refused = calibrate_rig(scene.tracks, facts=FACTS, alone={**result.alone, 'right': nothing})
     assert not refused and refused.kind == 'rig_camera_refused' and 'rotated' in str(refused)
+
+
+def test_lenses_beside_their_model_widen_the_sigmas_of_a_rig():
+    rng = np.random.default_rng(3)
+    scene = rig_scene(rng, hand_path(rng, 6), overlap=True, points=70)
+    tracks = {}
+    for name, one in scene.tracks.items():
+        size = scene.cameras[name].width, scene.cameras[name].height
+        modes = displacement_modes(one.xy, size)
+        tracks[name] = replace(one, xy=one.xy + modes @ rng.normal(0, 0.3, modes.shape[2]))
+    result = calibrate_rig(tracks, shared_tracks=True, facts=FACTS)
+    assert 'lens_deviates' in [one.kind for one in result.findings]
+    assert np.abs(_errors(result, scene)).max() < 3.5
+    assert result.reprojection_rms_px / np.sqrt(2) < 0.8 * result.noise_sigma_px
 
 
 def test_a_drive_without_overlap_leaves_the_height_open_and_says_so():

@@ -85,6 +85,11 @@ class Lens:
         return cls(np.array([fx, fy / fx, *rest]), camera.lens)
 
     @property
+    def focal_lengths(self) -> np.ndarray:
+        """The focal length of every camera, pixels, shape (C,)."""
+        return self.values[[_F]]
+
+    @property
     def distortion(self) -> np.ndarray:
         """The coefficients of the model."""
         return self.values[len(MATRIX_NAMES):]

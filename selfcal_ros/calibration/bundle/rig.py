@@ -95,6 +95,11 @@ class Rig(Lens):
         """Return the lens of a camera."""
         return Lens(self.values[self.of_lens(k)], self.models[k])
 
+    @property
+    def focal_lengths(self) -> np.ndarray:
+        """The focal length of every camera, pixels, shape (C,)."""
+        return self.values[[self.of_lens(k).start for k in range(len(self.cameras))]]
+
     def place(self, k: int) -> np.ndarray:
         """Return the centre of a camera in the rig, shape (3,)."""
         return self.values[self.of_pose(k)][:3] if k else np.zeros(3)

@@ -24,7 +24,7 @@ from selfcal_ros.calibration.mount import mount_angles, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.model import (
-    COUNT, METRE, OFFSET, predict, Prediction, SCALE, State, T, TURN, WORLD_PLACE, WORLD_TURN)
+    COUNT, LAG, METRE, OFFSET, predict, Prediction, SCALE, State, T, TURN, WORLD_PLACE, WORLD_TURN)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -53,9 +53,9 @@ class Optimum:
     Attributes
     ----------
     state : State
-    covariance : ndarray, shape (15 + k, 15 + k)
+    covariance : ndarray, shape (16 + k, 16 + k)
         Of all unknowns; what is held has zeros, what is open `VAGUE_M` and its like.
-    information : ndarray, shape (15 + k, 15 + k)
+    information : ndarray, shape (16 + k, 16 + k)
         Of the poses, the images and the facts.
     errors : PoseErrors
     freedom : ndarray, shape (K,)
@@ -93,11 +93,14 @@ class Adjustment:
     open_places : ndarray, shape (n, 3), optional
         Directions in the body along which the motion does not show the place of the camera. It
         stays near the body's origin there, so that it does not follow noise.
+    may_lag : bool
+        The places of the poses may be late beside their turns.
 
     """
 
     def __init__(self, camera: CameraPoses, track: BodyTrack, rows: np.ndarray,
-                 facts: MountFacts, open_places: np.ndarray | None = None):
+                 facts: MountFacts, open_places: np.ndarray | None = None,
+                 may_lag: bool = False):
         self._open = np.zeros((0, 3)) if open_places is None else open_places
         self._camera, self._track, self._rows = camera, track, rows
         self._stated = facts.stated
@@ -110,16 +113,17 @@ class Adjustment:
         if track.odometry:
             free[WORLD_TURN], free[WORLD_PLACE] = False, False
         free[OFFSET] = track.timed
+        free[LAG] = may_lag
         free[METRE] = 'scale' in self._stated and self._stated['scale'][1] > 0
         self._free = free
         self._vague = np.zeros(COUNT + k)
         for columns, limit in ((T, VAGUE_M), (TURN, VAGUE_RAD), (SCALE, VAGUE_LOG),
-                               (OFFSET, VAGUE_S), (METRE, VAGUE_LOG)):
+                               (OFFSET, VAGUE_S), (LAG, VAGUE_S), (METRE, VAGUE_LOG)):
             self._vague[columns] = 1 / limit**2
 
     @property
     def free(self) -> np.ndarray:
-        """Which unknowns are free, shape (15 + k,)."""
+        """Which unknowns are free, shape (16 + k,)."""
         return self._free
 
     def predict(self, state: State) -> Prediction:
@@ -139,7 +143,7 @@ class Adjustment:
         return state.moved(step)
 
     def _priors(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Return misfits (f,) of the facts in sigmas, and slopes (f, 15) of what they say."""
+        """Return misfits (f,) of the facts in sigmas, and slopes (f, 16) of what they say."""
         names = [name for name in self._stated
                  if name != 'time_offset' or self._track.timed]
         values = np.zeros(len(names))
@@ -293,6 +297,21 @@ class Adjustment:
             if settled:
                 break
         return Optimum(state, covariance, information, errors, freedom, keep, cost, prediction)
+
+    def lag(self, optimum: Optimum) -> tuple[float, float]:
+        """
+        Estimate how late the places of the poses are behind their turns, and the sigma (s).
+
+        One step from an optimum that has not allowed for it (Rao's score test).
+        """
+        H, g = self._system(optimum.state, optimum.prediction, optimum.errors,
+                            optimum.keep.astype(float))
+        tied = np.where(self._free, H[:, LAG], 0.0)
+        through = optimum.covariance @ tied
+        own = H[LAG, LAG] - tied @ through
+        if not own > 1 / VAGUE_S**2:
+            return 0.0, np.inf
+        return float((g[LAG] - through @ g) / own), float(1 / np.sqrt(own))
 
     def _inverse(self, information: np.ndarray) -> np.ndarray:
         """Return the covariance of all unknowns; see `Optimum`."""

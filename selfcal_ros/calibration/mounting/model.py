@@ -32,9 +32,10 @@ from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 
 #: Columns of the unknowns: place of the camera, small turn of it about the body's axes, logarithm
-#: of the scale, offset of the clocks, logarithm of κ, and the world of the images in the robot's.
+#: of the scale, offset of the clocks, logarithm of κ, the world of the images in the robot's, and
+#: how late the places of the poses are behind their turns.
 T, TURN, SCALE, OFFSET, METRE = slice(0, 3), slice(3, 6), 6, 7, 8
-WORLD_TURN, WORLD_PLACE, COUNT = slice(9, 12), slice(12, 15), 15
+WORLD_TURN, WORLD_PLACE, LAG, COUNT = slice(9, 12), slice(12, 15), 15, 16
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class State:
     world_place : ndarray, shape (3,)
     w : ndarray, shape (k,)
         See `CameraPoses`.
+    lag : float
+        By which the places of the poses are late, beside their turns, seconds.
 
     """
 
@@ -70,15 +73,17 @@ class State:
     world_turn: np.ndarray
     world_place: np.ndarray
     w: np.ndarray
+    lag: float = 0.0
 
     def moved(self, step: np.ndarray) -> State:
-        """Return the state after a step (15 + k,)."""
+        """Return the state after a step (16 + k,)."""
         return replace(
             self, place=self.place + step[T], turn=rotation_matrix(step[TURN]) @ self.turn,
             log_scale=self.log_scale + step[SCALE], offset=self.offset + step[OFFSET],
             log_metre=self.log_metre + step[METRE],
             world_turn=rotation_matrix(step[WORLD_TURN]) @ self.world_turn,
-            world_place=self.world_place + step[WORLD_PLACE], w=self.w + step[COUNT:])
+            world_place=self.world_place + step[WORLD_PLACE], w=self.w + step[COUNT:],
+            lag=self.lag + step[LAG])
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class Prediction:
     residual : ndarray, shape (m, 6)
         Measured minus predicted: place (m), small turn (rad). Absolute poses: in the axes of the
         robot's world; odometry: in those of the earlier body of a pair.
-    slopes : ndarray, shape (m, 6, 15 + k)
+    slopes : ndarray, shape (m, 6, 16 + k)
         Minus their derivatives: those of what is predicted.
 
     """
@@ -123,11 +128,13 @@ def predict(state: State, camera: CameraPoses, body: BodyAt, odometry: bool) -> 
     # a measured pose moves with the offset, which the prediction does not
     turned, moved = np.zeros_like(turns), np.zeros_like(moves)
     turned[:, :, OFFSET], moved[:, :, OFFSET] = -body.turning, -body.velocity
+    moved[:, :, LAG] = body.velocity
+    places = body.position + state.lag * body.velocity
     if odometry:
         rotation, position, turns, moves = _steps(rotation, position, turns, moves)
-        R, p, turned, moved = _steps(body.rotation, body.position, turned, moved)
+        R, p, turned, moved = _steps(body.rotation, places, turned, moved)
     else:
-        R, p = body.rotation, body.position
+        R, p = body.rotation, places
     off = rotation_vector(R @ np.swapaxes(rotation, 1, 2))
     return Prediction(np.concatenate([p - position, off], axis=1),
                       np.concatenate([moves - moved, turns - turned], axis=1))

@@ -25,7 +25,7 @@ from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Opti
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, offsets
-from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
+from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     degrees_of_freedom, missing_motion, open_places)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
@@ -41,6 +41,9 @@ _MARGIN_S = 0.05
 STILL_M, STILL_RAD = 1e-3, 2e-3
 #: Poses that disagree with the images by this share of what moved belong to another motion.
 CONTRADICTION = 0.3
+#: Places of the poses are late behind their turns where that shows by so many sigmas, and is
+#: more than this, seconds.
+LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
 
@@ -94,7 +97,7 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     improved = with_lens(calibration, camera, optimum.state.w,
                          optimum.covariance[COUNT:, COUNT:])
     return replace(improved, mount=mount,
-                   findings=(*calibration.findings, *_findings(mount, track, facts)))
+                   findings=(*calibration.findings, *_findings(mount, track, facts, optimum)))
 
 
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses) -> NoMount | None:
@@ -140,12 +143,20 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
     best = replace(best, w=np.zeros(part.roots.shape[2]))
     adjustment = Adjustment(part, track, rows, facts)
     optimum = adjustment.optimum(best, rough)
+    late = False
     if track.timed:
+        track.anchor = optimum.state.offset
+        optimum = adjustment.optimum(optimum.state, rough)
+        lag, sigma = adjustment.lag(optimum)
+        late = abs(lag) > max(LAG_SHOWS * sigma, LEAST_LAG_S)
+    if late:
+        adjustment = Adjustment(part, track, rows, facts, may_lag=True)
+        optimum = adjustment.optimum(optimum.state, rough)
         track.anchor = optimum.state.offset
         optimum = adjustment.optimum(optimum.state, rough)
     lost = open_places(optimum, adjustment.free, track.odometry)
     if len(lost):
-        near = Adjustment(part, track, rows, facts, lost)
+        near = Adjustment(part, track, rows, facts, lost, late)
         place = best.place - lost.T @ (lost @ best.place)
         nearer, _ = near.descend(replace(best, place=place), rough)
         near_optimum = near.optimum(nearer, rough)
@@ -181,11 +192,14 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     turns = pairs_of(camera, body).body_turn
     status = degrees_of_freedom(optimum, adjustment.free, track, facts)
     columns = np.r_[T, TURN, SCALE, OFFSET]
+    total = optimum.covariance.copy()
+    # the turns' clock is taken; that of the places may be the right one
+    total[OFFSET, OFFSET] += state.lag**2
     # a factor of the poses' metres goes to the scale and the place alike, as the state has it
     unit = np.ones(len(NAMES))
     scale = float(np.exp(state.log_scale))
     unit[NAMES.index('scale')] = scale
-    covariance = optimum.covariance[np.ix_(columns, columns)] * np.outer(unit, unit)
+    covariance = total[np.ix_(columns, columns)] * np.outer(unit, unit)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = state.turn, state.place
     for index, name in enumerate(NAMES):
@@ -205,12 +219,16 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3))
 
 
-def _findings(mount: Mount, track: BodyTrack, facts: MountFacts) -> tuple[Finding, ...]:
+def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimum,
+              ) -> tuple[Finding, ...]:
     """Tell what a user should know of a mount."""
     found = []
     if mount.outlier_count:
         found.append(Finding('body_poses_set_aside', count=mount.outlier_count,
                              of=mount.pose_count))
+    if optimum.state.lag:
+        found.append(Finding('body_places_late', late_ms=1e3 * optimum.state.lag,
+                             sigma_ms=1e3 * float(np.sqrt(optimum.covariance[LAG, LAG]))))
     if track.odometry and facts.scale is None:
         found.append(Finding('metre_of_odometry'))
     return tuple(found)

@@ -52,7 +52,7 @@ def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
     Parameters
     ----------
     optimum : Optimum
-    free : ndarray of bool, shape (15 + k,)
+    free : ndarray of bool, shape (16 + k,)
         Which unknowns are.
     track : BodyTrack
     facts : MountFacts
@@ -141,7 +141,7 @@ def _honest_sigma(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndar
 
 
 def _feigned(optimum: Optimum, odometry: bool) -> np.ndarray:
-    """Return the information (15, 15) that errors of turns and moves would feign."""
+    """Return the information (16, 16) that errors of turns and moves would feign."""
     slopes, keep = optimum.prediction.slopes[optimum.keep], optimum.keep
     W = np.linalg.inv(optimum.errors.covariances()[keep])
     # of the predicted turns and moves, whatever they come from

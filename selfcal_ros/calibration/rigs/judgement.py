@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,13 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
 from selfcal_ros.calibration.rigs.start import RigObservations
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    ClusterCovariance)
+                                                                    ClusterCovariance,
+                                                                    images_alike,
+                                                                    jackknife_excess,
+                                                                    segment_findings)
+from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
+                                                                   find_distortion_misfit)
+from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -67,6 +73,8 @@ class RigOptimum:
         What single cameras leave.
     shared : bool
         Whether the cameras may share points.
+    deviation : DistortionMisfit, optional
+        How the lenses deviate from their models, where that is allowed for.
 
     """
 
@@ -77,12 +85,20 @@ class RigOptimum:
     motion: str
     noise_px: float
     shared: bool
+    deviation: DistortionMisfit | None = None
 
     @property
     def state(self) -> RigState:
         """The values of all blocks."""
-        assert isinstance(self.fit.state, RigState)
-        return self.fit.state
+        state = self.fit.state if self.deviation is None else self.deviation.state
+        assert isinstance(state, RigState)
+        return state
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """What remains of every observation, pixels, (N, 2)."""
+        return (self.fit.linearisation.residual if self.deviation is None
+                else self.deviation.residual)
 
     @property
     def camera(self) -> np.ndarray:
@@ -92,11 +108,42 @@ class RigOptimum:
 
     def dependence(self) -> ClusterCovariance:
         """Assess how far the residuals are from independent, each camera in its own image."""
-        sizes = np.array([self.sizes[name] for name in self.found.cameras], float)
-        # all images side by side, each of the first one's size
-        xy = self.fit.observations.xy * (sizes[0] / sizes)[self.camera]
+        xy, size, camera = images_alike(self.fit.observations.xy, self.image_sizes, self.camera)
         return cluster_robust_covariance(self.fit.information, self.fit.observations.point, xy,
-                                         self.sizes[self.found.cameras[0]], self.camera)
+                                         size, camera)
+
+    @property
+    def image_sizes(self) -> np.ndarray:
+        """Width and height of the images of every camera, (C, 2)."""
+        return np.array([self.sizes[name] for name in self.found.cameras])
+
+    def with_all_errors(self) -> tuple[RigOptimum, np.ndarray, tuple[Finding, ...]]:
+        """
+        Allow for what a single camera's estimate allows for, too.
+
+        These are errors that tracks and regions share, lenses beside their models, and errors
+        that stretches of the way share.
+
+        Returns
+        -------
+        RigOptimum
+            The estimate with the lenses' deviations allowed for.
+        ndarray, shape (k, k)
+            Covariance of the unknowns of the block.
+        tuple of Finding
+
+        """
+        fit, dependence = self.fit, self.dependence()
+        covariance, findings, better = dependence.covariance, dependence.findings(), self
+        field = find_distortion_misfit(fit, self.image_sizes, dependence.ratios['track']**2)
+        if field is not None:
+            # the field is what the image's regions share
+            covariance = field.covariance
+            findings = (*dependence.findings('track'), *field.findings())
+            better = replace(self, deviation=field)
+        ratio, added = jackknife_excess(*delete_a_group(fit), fit.lens_covariance,
+                                        dependence.inflation**2)
+        return better, covariance + added, (*findings, *segment_findings(ratio))
 
     def shared_points(self) -> np.ndarray:
         """Count the points that each camera shares with another, (C,)."""
@@ -139,11 +186,9 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     refusal = refused(optimum)
     if refusal is not None:
         return refusal
+    optimum, inner, findings = optimum.with_all_errors()
     state, rig = optimum.state, optimum.state.lens
-    dependence = optimum.dependence()
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
-    findings: tuple[Finding, ...] = dependence.findings()
-    inner = dependence.covariance
     more, shared = np.zeros(len(slopes)), optimum.shared_points()
     if baseline is not None:
         if shared.any() or _knows_baseline(rig, inner):
@@ -176,7 +221,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     findings = (Finding('rig_overlap', points=int(shared.max())) if shared.any()
                 else Finding('rig_no_overlap'), *findings)
     fit = optimum.fit
-    residuals = fit.linearisation.residual[fit.linearisation.ahead]
+    residuals = optimum.residuals[fit.linearisation.ahead]
     return RigCalibration(
         cameras=cameras, poses=poses, parameter_names=tuple(parameters), covariance=covariance,
         unit=unit, scale=scale * state.path.step_length(), motion=optimum.motion,
@@ -228,7 +273,7 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
     camera = rig.lens(k).camera(*optimum.sizes[name])
     own = without_held(covariance[part, part], camera, facts)
     rows = (optimum.camera == k) & fit.linearisation.ahead
-    residuals = fit.linearisation.residual[rows]
+    residuals = optimum.residuals[rows]
     path = state.path.cam_from_world()
     path[:, :, 3] -= rig.place(k)
     path = rig.rotations[k].T @ path

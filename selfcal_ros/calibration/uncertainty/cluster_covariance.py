@@ -107,15 +107,42 @@ def cluster_robust_covariance(information: Information, track: np.ndarray, xy: n
     # unequal noise counts with the tracks, and must not count again with the regions
     for name, label, part, against in (
             ('track', track, of_tracks, np.eye(len(whiten))),
-            ('region', _regions(xy, size) + REGIONS[0] * REGIONS[1] * camera, effects,
-             effects.T @ effects)):
+            ('region', _regions_by_camera(xy, size, camera), effects, effects.T @ effects)):
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return ClusterCovariance(ratios, widened)
 
 
+def images_alike(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None,
+                 ) -> tuple[np.ndarray, tuple[int, int], np.ndarray | int]:
+    """
+    Scale the images of all cameras to the size of the first, so that regions are alike.
+
+    Parameters
+    ----------
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    sizes : ndarray of int, shape (2,), or (C, 2) of several cameras
+    camera : ndarray of int, shape (N,), or None
+        Whose image each is in, where there are several.
+
+    Returns
+    -------
+    xy : ndarray, shape (N, 2)
+    size : (int, int)
+    camera : ndarray of int, shape (N,), or 0
+
+    """
+    width, height = np.reshape(sizes, (-1, 2))[0]
+    size = int(width), int(height)
+    if camera is None:
+        return xy, size, 0
+    return xy * (np.array(size) / sizes)[camera], size, camera
+
+
 def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
-                  size: tuple[int, int]) -> tuple[float, np.ndarray]:
+                  size: tuple[int, int], camera: np.ndarray | int = 0,
+                  ) -> tuple[float, np.ndarray]:
     """
     Variance that errors shared within regions of the image add to a covariance.
 
@@ -128,6 +155,8 @@ def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
         Pixels.
     size : (int, int)
         Width and height of the image.
+    camera : ndarray of int, shape (N,)
+        Whose image it is, where there are several cameras.
 
     Returns
     -------
@@ -139,7 +168,8 @@ def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
     """
     whiten, unwhiten, free = _whitening(covariance)
     effects = influence[:, free] @ whiten.T
-    ratio, more = _cluster_excess(effects, _regions(xy, size), effects.T @ effects)
+    ratio, more = _cluster_excess(effects, _regions_by_camera(xy, size, camera),
+                                  effects.T @ effects)
     added = np.zeros_like(covariance)
     added[np.ix_(free, free)] = unwhiten @ more @ unwhiten.T
     return ratio, added
@@ -218,6 +248,12 @@ def _regions(xy, size) -> np.ndarray:
     column = np.clip(xy[:, 0] / size[0] * along, 0, along - 1).astype(int)
     row = np.clip(xy[:, 1] / size[1] * across, 0, across - 1).astype(int)
     return row * along + column
+
+
+def _regions_by_camera(xy, size, camera) -> np.ndarray:
+    """Number the regions (N,) of all cameras, one camera after the other."""
+    regions: np.ndarray = _regions(xy, size) + REGIONS[0] * REGIONS[1] * camera
+    return regions
 
 
 def _cluster_excess(effects, label, against) -> tuple[float, np.ndarray]:

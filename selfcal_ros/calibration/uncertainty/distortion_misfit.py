@@ -19,11 +19,13 @@ zero and one are the calibration matrix itself), with independent Gaussian coeff
 standard deviation is the one under which the residuals are most probable (type-II maximum
 likelihood; Bishop 2006, 3.5). Where the residuals show no field it comes out as zero and nothing
 changes; where they do, the calibration is the mean, and its covariance that, over all fields of
-the size found. One linear step at the optimum does it.
+the size found. One linear step at the optimum does it. Each camera of a rig has a field of its
+own; all have one standard deviation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +35,8 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.uncertainty.cluster_covariance import region_excess
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (images_alike,
+                                                                    region_excess)
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
@@ -111,7 +114,16 @@ def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return modes
 
 
-def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
+def _modes_by_camera(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None) -> np.ndarray:
+    """Displacements (N, 2, C k) of every coefficient of C cameras, each in its own images."""
+    if camera is None:
+        return displacement_modes(xy, (int(sizes[0]), int(sizes[1])))
+    parts = [displacement_modes(xy, (int(width), int(height))) * (camera == k)[:, None, None]
+             for k, (width, height) in enumerate(sizes)]
+    return np.concatenate(parts, axis=2)
+
+
+def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, known: float,
                            ) -> DistortionMisfit | None:
     """
     Look for a field in the residuals of an optimum.
@@ -120,8 +132,8 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     ----------
     fit : RobustFit
         At its optimum.
-    size : (int, int)
-        Width and height of the image.
+    size : (int, int), or array of int, shape (C, 2)
+        Width and height of the image, of a rig those of every camera.
     known : float
         Variance of the estimate over that with independent errors (drift within tracks).
 
@@ -135,7 +147,8 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     unknowns, shared_count = bundle.unknowns, bundle.unknowns.shared.stop
     # where the points project: at the measured places the modes would carry the noise itself,
     # and one that the rest of the adjustment all but absorbs would explain the residuals by it
-    modes = displacement_modes(bundle.xy + linearisation.residual, size)
+    sizes, camera = np.asarray(size), fit.observations.camera
+    modes = _modes_by_camera(bundle.xy + linearisation.residual, sizes, camera)
     count = modes.shape[2]
     distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
     weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
@@ -191,12 +204,13 @@ def find_distortion_misfit(fit: RobustFit, size: tuple[int, int], known: float,
     rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
     inner = rows[:, unknowns.lens]
     found = bundle.moved(state, step[place], points)
-    if not abs(found.lens['f'] / state.lens['f'] - 1) < MAX_SHIFT:
+    if not (np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1) < MAX_SHIFT).all():
         return None
     displacement = modes @ coefficients
     change = system.predict(step, points)
     system.residual = system.residual + change
-    ratio, added = region_excess(inner, system.influence(rows), bundle.xy, size)
+    ratio, added = region_excess(inner, system.influence(rows),
+                                 *images_alike(bundle.xy, sizes, camera))
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
     return DistortionMisfit(size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
