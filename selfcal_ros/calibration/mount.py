@@ -86,6 +86,28 @@ class MountFacts:
 
 
 @dataclass(frozen=True)
+class Floor:
+    """
+    The floor that the camera sees, and how high it sits above it.
+
+    Attributes
+    ----------
+    height_m, sigma_m : float
+        Of the camera above the floor, midway along its path; the metre is that of the robot.
+    points : int
+        Points of the floor.
+    tilt_rad : float
+        Of the floor against the plane of the motion.
+
+    """
+
+    height_m: float
+    sigma_m: float
+    points: int
+    tilt_rad: float
+
+
+@dataclass(frozen=True)
 class Mount:
     """
     The pose of the camera on the body, the scale of the scene and the offset of the clocks.
@@ -115,6 +137,8 @@ class Mount:
         Poses that contradict the others, and were set aside.
     sigma_position_m, sigma_rotation_rad : float
         What the misfit says of the poses of the body; see `BodyPoses`.
+    floor : Floor or NoEstimate, optional
+        The floor in view, or why it tells no height; None where it was not asked.
 
     """
 
@@ -129,6 +153,7 @@ class Mount:
     outlier_count: int
     sigma_position_m: float
     sigma_rotation_rad: float
+    floor: Floor | NoEstimate | None = None
 
     @property
     def sigma(self) -> dict[str, float]:

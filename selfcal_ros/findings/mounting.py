@@ -69,6 +69,28 @@ MOUNTING: dict[str, Phrase] = {
         'The poses of the robot cannot be used: {why}',
         'The calibration stands without them.',
         'Correct what publishes the poses, or the names of the frames.'),
+    'floor_not_seen': Phrase(
+        'No floor is seen that would tell the height of the camera: {points} points below it lie '
+        'in one level plane.',
+        'A floor is a thin level layer of many points below the camera.',
+        'Look lower, at a floor with texture, or state the height.'),
+    'floor_not_lowest': Phrase(
+        'The fullest plane below the camera, at {depth:.2f} m, is not the floor: {points} points '
+        'lie below it.',
+        'It may be a shelf, a table, or the roof of something low.',
+        'Drive where the floor fills more of the image, or state the height.'),
+    'floor_too_narrow': Phrase(
+        'The plane at {depth:.2f} m below the camera is too narrow to be told from an edge.',
+        'Points along a line lie in many planes.',
+        'Drive where more of the floor is in view, or state the height.'),
+    'floor_not_driven_over': Phrase(
+        'The robot did not drive over the plane that is seen {depth:.2f} m below the camera.',
+        'Only what the robot drives over is sure to be its floor. It may be a shelf.',
+        'Drive farther ahead, so that the camera passes over what it saw, or state the height.'),
+    'floor_not_level': Phrase(
+        'The plane below the camera is tilted by {degrees:.1f} degrees against the motion.',
+        'A robot drives along its floor. A ramp ahead is another plane.',
+        'Drive on a level floor, or state the height.'),
     'no_mount_fits': Phrase(
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',

@@ -24,7 +24,7 @@ from msg_adapters.stamps import header_message
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import Mount, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, NoMount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
@@ -131,4 +131,9 @@ def mount_values(mount: Mount | NoMount | None) -> dict[str, Any]:
             continue
         values[f'mount {name}'] = numbers[name]
         values[f'mount {name} sigma'] = float(np.degrees(sigma)) if name in TURN else sigma
+    if isinstance(mount.floor, Floor):
+        values['height above the floor'] = mount.floor.height_m
+        values['height above the floor sigma'] = mount.floor.sigma_m
+    elif mount.floor is not None:
+        values['height above the floor'] = f'unknown: {mount.floor.reason}'
     return values

@@ -163,5 +163,5 @@ class EstimateRequest:
         if told:
             result = replace(result, findings=(*told, *result.findings))
         if self.robot is not None and isinstance(result, Calibration):
-            return self.robot.mounted(result, self.tracks.stamps_ns)
+            return self.robot.mounted(result, self.tracks)
         return result

@@ -20,7 +20,7 @@ which any thread or process may work on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from msg_adapters.body_poses import body_pose, ODOMETRY_TYPE, transforms
@@ -34,6 +34,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.robot.pose_buffer import PoseBuffer
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
+from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.values.transform_tree import TransformTree
 
 #: Frames of TF that are remembered at most; a robot has a hundred.
@@ -92,15 +93,17 @@ class RobotSnapshot:
             found = tree.poses(world, body)
         return self.source.reading.applied(found, str(self.source))
 
-    def mounted(self, result: Calibration, stamps_ns: Mapping[int, int] | None) -> Calibration:
+    def mounted(self, result: Calibration, tracks: Tracks) -> Calibration:
         """Return the calibration with the mount, or with why there is none."""
+        from selfcal_ros.calibration.structure.floor import with_floor
         from selfcal_ros.calibration.mounting.mounting import mount_camera
         if len(result.frames) < LEAST_IMAGES:
             return replace(result, mount=NoEstimate(
                 'too_few_body_poses', needed=LEAST_IMAGES, found=len(result.frames),
                 images=len(result.frames)))
         try:
-            return mount_camera(result, self.poses(), stamps_ns, self.facts)
+            return with_floor(mount_camera(result, self.poses(), tracks.stamps_ns, self.facts),
+                              tracks)
         except (SelfcalError, np.linalg.LinAlgError) as error:
             # the calibration stands without the robot
             return replace(result, mount=NoEstimate('body_poses_unusable', why=str(error)))

@@ -70,6 +70,7 @@ class RobotBeside:
         """
         from selfcal_ros.calibration.mounting.gyro import mount_by_gyro
         from selfcal_ros.calibration.mounting.mounting import mount_camera
+        from selfcal_ros.calibration.structure.floor import with_floor
         stamps = self.instants_ns or reading.stamps_ns
         if progress:
             progress('mounting', 0, None)
@@ -78,6 +79,8 @@ class RobotBeside:
         else:
             found = mount_camera(result, self.poses,
                                  None if self.poses.frames is not None else stamps, self.facts)
+            if reading.tracks is not None:
+                found = with_floor(found, reading.tracks)
         _LOGGER.info('mount from %d poses: %s', len(self.poses),
                      'found' if found.mount else found.mount)
         return found

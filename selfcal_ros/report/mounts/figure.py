@@ -21,7 +21,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import Mount, mount_rotation, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.mounts.record import known_angles, known_matrix
-from selfcal_ros.report.mounts.words import mount_rows
+from selfcal_ros.report.mounts.words import floor_sentence, mount_rows
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, INK, new_panel, RED, styled
 
@@ -159,9 +159,11 @@ def mount_table(result: Calibration) -> PageTable | None:
                   if row.value else '–', f'± {row.sigma} {row.unit}' if row.sigma else '–',
                   words.get(row.status, row.status), row.why)
                  for row in mount_rows(mount, motion=result.motion))
+    above = floor_sentence(mount)
     return PageTable(
         'mount-numbers', f'The camera on {mount.frame}',
         'The pose of the lens on the body: x forward, y left, z up. Angles are against a level '
         'camera that looks straight ahead. Scale is the length of the median step between '
-        f'views. {mount.pose_count} poses were used, {mount.outlier_count} set aside.',
+        f'views. {mount.pose_count} poses were used, {mount.outlier_count} set aside.'
+        + (f' {above}' if above else ''),
         ('', 'value', 'σ', 'where from', 'by, or what would show it'), rows, 'robot')

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import Mount, NAMES, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
 from selfcal_ros.findings.finding import KINDS
 
 #: The degrees of freedom of the pose.
@@ -44,7 +44,8 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
         straight ahead, rad), 'sigma' (metres and rad), 'status', 'scale', 'scale_sigma',
         'time_offset_s', 'time_offset_sigma_s', 'covariance' in the order of 'names', 'missing'
         (what would show each open degree of freedom), 'poses', 'outliers', 'sigma_position_m',
-        'sigma_rotation_rad'.
+        'sigma_rotation_rad'; where the floor was asked, 'floor': 'height_m' of the camera above
+        it, 'sigma_m', 'points', 'tilt_rad', or 'kind', 'values' and 'reason' of a refusal.
 
     """
     if not isinstance(mount, Mount):
@@ -66,7 +67,27 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
             'covariance': mount.covariance, 'names': NAMES, 'missing': mount.missing,
             'poses': mount.pose_count, 'outliers': mount.outlier_count,
             'sigma_position_m': mount.sigma_position_m,
-            'sigma_rotation_rad': mount.sigma_rotation_rad}
+            'sigma_rotation_rad': mount.sigma_rotation_rad,
+            **({} if mount.floor is None else {'floor': _floor_to_dict(mount.floor)})}
+
+
+def _floor_to_dict(floor: Floor | NoMount) -> dict[str, Any]:
+    if isinstance(floor, Floor):
+        return {'height_m': floor.height_m, 'sigma_m': floor.sigma_m, 'points': floor.points,
+                'tilt_rad': floor.tilt_rad}
+    return {'height_m': None, 'sigma_m': None, 'points': None, 'tilt_rad': None,
+            'kind': floor.kind, 'values': dict(floor.values), 'reason': floor.reason}
+
+
+def _floor_from_dict(stored: dict | None) -> Floor | NoMount | None:
+    if stored is None:
+        return None
+    if 'kind' in stored:
+        if stored['kind'] not in KINDS:
+            return NoMount('note', text=stored.get('reason', ''))
+        return NoMount(stored['kind'], **stored.get('values', {}))
+    return Floor(float(stored['height_m']), float(stored['sigma_m']), int(stored['points']),
+                 float(stored['tilt_rad']))
 
 
 def known_sigma(mount: Mount) -> dict[str, float | None]:
@@ -123,7 +144,8 @@ def mount_from_dict(stored: dict | None) -> Mount | NoMount | None:
         missing={str(name): str(text) for name, text in stored.get('missing', {}).items()},
         pose_count=int(stored['poses']), outlier_count=int(stored['outliers']),
         sigma_position_m=_number(stored['sigma_position_m']),
-        sigma_rotation_rad=_number(stored['sigma_rotation_rad']))
+        sigma_rotation_rad=_number(stored['sigma_rotation_rad']),
+        floor=_floor_from_dict(stored.get('floor')))
 
 
 def _number(value) -> float:

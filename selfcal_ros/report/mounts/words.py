@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import Mount, NAMES, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.report.mounts.record import known_sigma
 
@@ -133,7 +133,17 @@ def mount_lines(result: Calibration, facts: frozenset[str] = frozenset()) -> lis
     lines += ['', 'x, y, z: where the camera is on the body (forward, left, up). Angles: against '
               'a level camera that looks straight ahead; pitch is positive downwards, yaw to the '
               'left, roll to the right.']
-    return lines
+    above = floor_sentence(mount)
+    return [*lines, above] if above else lines
+
+
+def floor_sentence(mount: Mount) -> str:
+    """Say how high the camera is above the floor, or why not; '' where it was not asked."""
+    floor = mount.floor
+    if isinstance(floor, Floor):
+        return (f'The camera is {_digits(floor.height_m, floor.sigma_m)} ± {floor.sigma_m:.2g} m '
+                f'above the floor, of which it sees {floor.points} points.')
+    return '' if floor is None else f'{floor.reason} {floor.advice}'.rstrip()
 
 
 def no_mount_sentence(mount: NoMount) -> str:
