@@ -46,8 +46,8 @@ DECENTRING = np.geomspace(2e-4, 5e-3, 9)
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12
-#: Where the corner lies further from the axis, in focal lengths, lenses with little distortion are
-#: hardly polynomials either: all families are tried.
+#: Where the corner lies further from the axis, in focal lengths, a polynomial is hardly the whole
+#: lens even without a barrel. Rational ones are tried; a fisheye would have the barrel.
 WIDE_CORNER = 1.0
 #: Log of the odds beyond which a family is certain: 400 to 1.
 CERTAIN = 6.0
@@ -159,8 +159,10 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     lens = fit.state.lens
     if not lens.model.is_perspective:
         return 'equidistant', 'plumb_bob', 'rational'
-    if _is_barrel(lens, size) or float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f']:
+    if _is_barrel(lens, size):
         return 'plumb_bob', 'equidistant', 'rational'
+    if float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f']:
+        return 'plumb_bob', 'rational'
     return ('plumb_bob',)
 
 
