@@ -97,7 +97,8 @@ def _every_lens(report: Report, options) -> None:
         f'Every lens, {len(outcome)} runs, square pixels stated, `auto`',
         f'{VIEWS} views, {TRACKS} tracks, {NOISES_PX[0]} to {NOISES_PX[1]} px. Shares: all '
         'estimated parameters inside the 60, 80, 90, 95 % ellipsoids', '(fx, cx, cy where the '
-        f'lens found is not the model that made the images). Wrong: beyond {MAX_SIGMAS:g} σ.')
+        'lens found is rational, or not the model that made the images). '
+        f'Wrong: beyond {MAX_SIGMAS:g} σ.')
     report.table(('lens', 'motion', 'runs', 'refused', 'shares', 'family %', 'median σ',
                   'worst σ', 'wrong', 'seed', 'found', 'refusals'), rows)
     report.say('')
