@@ -75,6 +75,8 @@ def _describe(newest: TrackedImage, values: dict) -> tuple[int, str]:
         values['reprojection rms px'] = float(tracked.rms_px)
         values['position sigma m'] = float(np.linalg.norm(sigma[:3]))
         values['rotation sigma rad'] = float(np.linalg.norm(sigma[3:]))
+        # one camera cannot tell a larger object farther away; no sigma of a pose holds that
+        values['size of the object'] = 'as the model says; not seen by one camera'
         values['focal length px'] = float(tracked.focal_px)
         values['focal length sigma px'] = float(tracked.focal_sigma_px)
     return _LEVELS[tracked.state], tracked.reason or tracked.state.value

@@ -76,6 +76,7 @@ class TrackingRun:
     seconds: float = 0.0
     last_state: str = ''
     description: str = ''
+    distance_stated: bool = False
 
     @property
     def followed(self) -> bool:
@@ -95,6 +96,9 @@ class TrackingRun:
             if math.isfinite(self.rms_px):
                 lines.append(f'Edges lie {self.rms_px:.2f} px rms from the model; '
                              f'{1000 * self.seconds / self.images:.2f} ms an image.')
+            if seen and not self.distance_stated:
+                lines.append('Distances are as true as the size of the model: one camera cannot '
+                             'tell a larger object farther away.')
         lines += [f'Lost from image {first} to {last}: {reason}'
                   for first, last, reason in self.stretches[:MAX_REMARKS]]
         if len(self.stretches) > MAX_REMARKS:
@@ -196,7 +200,8 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
         If the input, the start pose or the size of the images is wrong.
 
     """
-    run, squares, edgels = TrackingRun(description=source.description), 0.0, 0
+    run = TrackingRun(description=source.description, distance_stated=bool(distance_sigma_m))
+    squares, edgels = 0.0, 0
     session = TrackingSession(model, options, camera, seed)
     rotation, translation = start
     session.start(rotation, translation, distance_sigma_m)

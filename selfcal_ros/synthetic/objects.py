@@ -197,7 +197,7 @@ def object_poses(motion: str, views: int, diameter_m: float, focal_px: float = 5
     return np.concatenate([R, t[:, :, None]], axis=2)
 
 
-def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general',
+def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: str = 'general',
                    size=(640, 480), camera: Camera | None = None, distortion=(),
                    zoom_px: tuple | None = None, clutter: float = 0.0, background: bool = True,
                    noise_sigma: float = 1.0, speed: float = 1.0, rate_hz: float = 30.0,
@@ -209,7 +209,7 @@ def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general
     ----------
     views : int
         Number of images.
-    shape : {'cube', 'step_block', 'spool', 'box', 'l_block'}
+    shape : {'cube', 'step_block', 'spool', 'box', 'l_block'} or SolidObject
     motion : {'general', 'translation', 'planar'}
         See `object_poses`.
     size, camera, distortion, noise_sigma, rate_hz, seed
@@ -236,7 +236,9 @@ def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general
         If the shape or the motion is unknown, or there is no view.
 
     """
-    if shape not in SHAPES:
+    own = shape if isinstance(shape, SolidObject) else None
+    shape = own.model.name if own else shape
+    if own is None and shape not in SHAPES:
         raise ArgumentError(f'The shape must be one of {", ".join(SHAPES)}, not {shape!r}.')
     if views < 1:
         raise ArgumentError(f'A recording needs at least one view, not {views!r}.')
@@ -244,7 +246,7 @@ def tracked_object(views: int = 300, shape: str = 'cube', motion: str = 'general
             'zoom_px': zoom_px, 'clutter': clutter, 'noise_sigma': noise_sigma, 'speed': speed,
             'rate_hz': rate_hz, 'seed': seed}
     camera = camera or default_camera(size, distortion)
-    thing = SHAPES[shape](rng=np.random.default_rng([seed, 0]), clutter=clutter)
+    thing = own or SHAPES[shape](rng=np.random.default_rng([seed, 0]), clutter=clutter)
     focal = None if zoom_px is None else np.geomspace(zoom_px[0], zoom_px[1], views)
     first = camera.K[0, 0] if focal is None else focal[0]
     # the first focal length fixes how near the object is: it appears equally large

@@ -13,15 +13,17 @@
 # limitations under the License.
 """The parts of the tracker's benches: what gets in the way, how it is judged, peers."""
 
-from bench import tracking_poses, visp_peer
+from bench import tracking_poses, tracking_starts, visp_peer
 from bench.hindrances import CLEAN_IMAGES, HIDDEN_FROM, HINDRANCES
 from bench.inputs import data_folder
 from bench.tables import Report
+from bench.tracking_objects import NEW_OBJECTS
 from bench.tracking_occlusion import judge, longest_run
 from bench.tracking_poses import coverage, start_of, tracked
 from bench.tracking_runs import cube_sequence
 import numpy as np
 import pytest
+from selfcal_ros.rorapid.tracker import TrackerState
 from selfcal_ros.synthetic.objects import tracked_object
 
 BOX = (40, 30, 100, 80)
@@ -60,6 +62,20 @@ def test_a_rendered_object_is_followed_within_the_bars():
     track, errors = tracked(recording, start=start_of(recording))
     assert not track.lost.any() and len(errors) < 30
     assert np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1).mean()) < 0.5
+
+
+def test_new_objects_are_their_models_and_every_wrong_model_is_another():
+    sequence = tracking_starts.Sequence.render('channel', 71, 3)
+    frames = tracking_starts.follow(sequence, sequence.made.model)
+    assert frames[-1].state is TrackerState.TRACKING and frames[-1].rms_px < 0.3
+    assert tracking_starts.right(frames[-1], sequence.made, 2)
+    for name, build in NEW_OBJECTS.items():
+        made = tracked_object(1, build(0), background=False)
+        assert made.model.name == name
+        for what, wrong, _ in tracking_starts.WRONGS:
+            model, camera, sigma = wrong(made, 1)
+            same = np.array_equal(model.vertices, made.model.vertices)
+            assert same == (camera is not None) and (sigma is not None) == ('stated' in what)
 
 
 def test_a_missed_bar_is_told(capsys, monkeypatch):
