@@ -31,7 +31,8 @@ from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.size_check import SizeCheck
-from selfcal_ros.rorapid.estimation.start_check import Support
+from selfcal_ros.rorapid.estimation.start_search import (
+    confirmed_again, proposed_spread, relocalised, StartSearch)
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
@@ -44,19 +45,12 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
-_PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
 #: Share of the velocity that is lost with each frame in which nothing is seen.
 _DAMPING = 0.3
 #: The plane of motion is learned when its normal is known so well, from so many poses.
 _PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
-#: A start that is not confirmed after so many images is given up; in these images other poses
-#: are tried.
-_TRIES, _SEARCHES = 15, (0, 4, 9)
-#: Another pose is better if it is seen by so much more of its length.
-_BETTER = 0.05
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -207,8 +201,8 @@ class RorapidTracker:
         self._sure = lost or not self.options.doubts
         if self._doubt is not None:
             self._doubt.forget()
-        self._tries, self._searches, self._rival = 0, 0, Support()
-        self._guess, self._guess_spread = self._filter.state, self._filter.spread.copy()
+        self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
+                                     isinstance(self.model, MeshModel))
         if lost:
             self._filter.restart(state, self._wide(state))
 
@@ -247,10 +241,11 @@ class RorapidTracker:
         seconds = self._elapsed(stamp_ns)
         lost = self._state is TrackerState.LOST
         first = self._state is TrackerState.INITIALISING
-        if not lost and not (first and not (self._tries and self.options.doubts)):
+        fresh = first and not (self._starting.tries and self.options.doubts)
+        if not lost and not fresh:
             self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
         predicted, spread = self._filter.state, self._filter.spread
-        if first and not (self._tries and self.options.doubts):
+        if fresh:
             measured = self._method.initialise(image, predicted, spread)
         else:
             measured = self._method.measure(image, predicted, spread)
@@ -258,35 +253,23 @@ class RorapidTracker:
             return self._confirm(self._method, image, measured, stamp_ns)
         if not first and self.options.seeks and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
-            measured = self._relocalise(image, measured, lost)
+            measured = relocalised(self._method, image, measured, self._filter.state, lost,
+                                   self._wide)
         if lost and measured.recognised and self.options.doubts and isinstance(
                 self._method, RobustTracker):
-            check = self._method.check
-            if not check.found(check.support(image, measured.state), measured.by_texture):
-                measured = replace(measured, recognised=False)
+            measured = confirmed_again(self._method, image, measured)
         return self._judge(measured, image, stamp_ns)
 
     def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
                  stamp_ns) -> TrackedFrame:
         """Take a start for a pose once an independent test confirms it; else say what lacks."""
-        check = method.check
-        support = check.support(image, measured.state)
-        fair = check.fair(support) and self._searches < len(_SEARCHES)
-        if not check.plain(support) and (fair or self._tries in _SEARCHES):
-            self._searches += 1
-            state, self._rival = method.rival(image, self._guess, measured.state,
-                                              self._guess_spread)
-            # of nearly equal poses (a box turned by half a turn) that next to the guess is right
-            if self._rival.length > support.length + _BETTER:
-                wide = self._wide(state)
-                measured, self._rival = method.measure(image, state, wide), support
-                support = check.support(image, measured.state)
-                self._filter.restart(measured.state, wide)
-        self._tries += 1
+        starting, wide = self._starting, self._wide(measured.state)
+        measured, other = starting.look(method, image, measured, wide)
+        if other:
+            self._filter.restart(measured.state, wide)
         good = measured.determined and measured.share >= self.options.lost_share
-        if good and check.confirms(support, self._rival) and (
-                check.sure(support) or not isinstance(self.model, MeshModel)):
-            self._sure = check.sure(support)
+        if good and starting.confirmed(method):
+            self._sure = method.check.sure(starting.support)
             self._size.measure(measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
@@ -294,38 +277,15 @@ class RorapidTracker:
             self._filter.absorb(measured.state, measured.covariance)
         else:
             self._misses += 1
-        if self._tries >= _TRIES or self._misses >= self.options.frames_to_lost:
+        if starting.given_up or self._misses >= self.options.frames_to_lost:
             self._state = TrackerState.LOST
-            self._filter.restart(self._guess, self._wide(self._guess))
-        reason = measured.reason or (
-            f'The image does not confirm the start pose: {100 * support.lines:.0f} % of the '
-            'lines are seen along their length.')
+            self._filter.restart(starting.guess, self._wide(starting.guess))
+        reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
-
-    def _relocalise(self, image, measured: PoseMeasurement, lost: bool) -> PoseMeasurement:
-        """Try other places for the object; return the measurement that is confirmed best."""
-        proposals = self._method.proposals(image, self._filter.state, lost,
-                                           self._wide(self._filter.state))
-        for state in proposals:
-            other = self._method.measure(image, state, self._wide(state))
-            if other.determined and (other.recognised, other.share) > (
-                    measured.recognised, measured.share + 0.05):
-                measured = other
-            if measured.recognised:
-                break
-        return measured
 
     def _wide(self, state) -> np.ndarray:
         """Covariance (m, m) of a state that is only proposed."""
-        size = self._projection.size
-        sigma = np.full(size, 0.1)
-        if size == 8:
-            sigma /= state.translation[2]
-        else:
-            sigma[:3] = _PROPOSED_RAD
-            sigma[3:6] = _PROPOSED_DIAMETERS * self.model.diameter_m
-            sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
-        return (self._basis.T * sigma**2) @ self._basis
+        return proposed_spread(self._projection, self._basis, self.model.diameter_m, state)
 
     def _adapt(self, measured: PoseMeasurement) -> None:
         """Learn the plane of motion; leave a zoom that the images leave open."""

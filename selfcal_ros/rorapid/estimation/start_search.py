@@ -1,0 +1,177 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+From a guess to a pose that is believed: which start is looked at, and when it is confirmed.
+
+The first images of a start are judged by `start_check`, not by the estimate itself. Where they do
+not confirm it, other poses around are tried in some of them; after `TRIES` images it is given up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
+from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
+from selfcal_ros.rorapid.estimation.start_check import Support
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+
+#: A start that is not confirmed after so many images is given up; in these images other poses
+#: are tried.
+TRIES, _SEARCHES = 15, (0, 4, 9)
+#: Another pose is better if it is seen by so much more of its length.
+_BETTER = 0.05
+#: The outline of a round part is nearly that of poses around. After an image that did not confirm
+#: one, it must be sure in so many images in a row.
+_OUTLINE_IMAGES = 3
+#: Uncertainty of a proposed place: radians, diameters of the object, share of the distance.
+_PROPOSED_RAD, _PROPOSED_DIAMETERS, _PROPOSED_DEPTH = 0.3, 0.15, 0.1
+
+
+class StartSearch:
+    """
+    Confirms one start.
+
+    Parameters
+    ----------
+    guess : ObjectPose
+    spread : ndarray, shape (m, m)
+        Covariance of the guess.
+    outline : bool
+        The object is a mesh, known by its outline.
+
+    Attributes
+    ----------
+    tries : int
+        Images that were looked at.
+    support : Support
+        Of the last pose.
+
+    """
+
+    def __init__(self, guess: ObjectPose, spread: np.ndarray, outline: bool):
+        """Begin."""
+        self.guess, self.tries, self.support = guess, 0, Support()
+        self._spread, self._outline = spread, outline
+        self._searches, self._held, self._rival = 0, 0, Support()
+
+    @property
+    def given_up(self) -> bool:
+        """Whether there were images enough."""
+        return self.tries >= TRIES
+
+    def look(self, method: RobustTracker, image: np.ndarray, measured: PoseMeasurement,
+             wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
+        """
+        Look at a pose in an image, and at others around it where it is not seen well.
+
+        Parameters
+        ----------
+        method : RobustTracker
+        image : ndarray, shape (H, W), uint8
+        measured : PoseMeasurement
+        wide : ndarray, shape (m, m)
+            Covariance of a pose that is only proposed.
+
+        Returns
+        -------
+        measured : PoseMeasurement
+            Of the best pose.
+        other : bool
+            Whether this is another pose than the one that came in.
+
+        """
+        check, other = method.check, False
+        support = check.support(image, measured.state)
+        fair = check.fair(support) and self._searches < len(_SEARCHES)
+        if not check.plain(support) and (fair or self.tries in _SEARCHES):
+            self._searches += 1
+            state, self._rival = method.rival(image, self.guess, measured.state, self._spread)
+            # of nearly equal poses (a box turned by half a turn) that next to the guess is right
+            if self._rival.length > support.length + _BETTER:
+                measured, self._rival = method.measure(image, state, wide), support
+                support, other = check.support(image, measured.state), True
+        self.tries += 1
+        self._held = 0 if other or not check.sure(support) else self._held + 1
+        self.support = support
+        return measured, other
+
+    def confirmed(self, method: RobustTracker) -> bool:
+        """Whether the last pose is confirmed; asked once an image where it was determined."""
+        if not method.check.confirms(self.support, self._rival):
+            return False
+        return not self._outline or self._held >= min(_OUTLINE_IMAGES, self.tries)
+
+    def reason(self) -> str:
+        """Say what lacks."""
+        seen = f'{100 * self.support.lines:.0f} % of the lines are seen along their length'
+        if self._held:
+            return f'The start pose is looked at in some more images: {seen}.'
+        return f'The image does not confirm the start pose: {seen}.'
+
+
+def proposed_spread(projection: Projection, basis: np.ndarray, diameter_m: float,
+                    state: ObjectPose) -> np.ndarray:
+    """Covariance (m, m) of a state that is only proposed."""
+    sigma = np.full(projection.size, 0.1)
+    if projection.size == 8:
+        sigma /= state.translation[2]
+    else:
+        sigma[:3] = _PROPOSED_RAD
+        sigma[3:6] = _PROPOSED_DIAMETERS * diameter_m
+        sigma[5] = max(sigma[5], _PROPOSED_DEPTH * state.translation[2])
+    return (basis.T * sigma**2) @ basis
+
+
+def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: ObjectPose,
+                lost: bool, wide) -> PoseMeasurement:
+    """
+    Try other places for an object; return the measurement that is confirmed best.
+
+    Parameters
+    ----------
+    method : RapidTracker or RobustTracker
+    image : ndarray, shape (H, W), uint8
+    measured : PoseMeasurement
+        Where it was expected.
+    expected : ObjectPose
+    lost : bool
+        Search everywhere.
+    wide : callable
+        Covariance (m, m) of a state that is proposed.
+
+    Returns
+    -------
+    PoseMeasurement
+
+    """
+    for state in method.proposals(image, expected, lost, wide(expected)):
+        other = method.measure(image, state, wide(state))
+        if other.determined and (other.recognised, other.share) > (
+                measured.recognised, measured.share + 0.05):
+            measured = other
+        if measured.recognised:
+            break
+    return measured
+
+
+def confirmed_again(method: RobustTracker, image: np.ndarray,
+                    measured: PoseMeasurement) -> PoseMeasurement:
+    """Return what was found of a lost object, recognised only if its lines are seen."""
+    check = method.check
+    if check.found(check.support(image, measured.state), measured.by_texture):
+        return measured
+    return replace(measured, recognised=False)
