@@ -246,7 +246,7 @@ def tracked_object(views: int = 300, shape: str | SolidObject = 'cube', motion: 
             'zoom_px': zoom_px, 'clutter': clutter, 'noise_sigma': noise_sigma, 'speed': speed,
             'rate_hz': rate_hz, 'seed': seed}
     camera = camera or default_camera(size, distortion)
-    thing = own or SHAPES[shape](rng=np.random.default_rng([seed, 0]), clutter=clutter)
+    thing = own or SHAPES[str(shape)](rng=np.random.default_rng([seed, 0]), clutter=clutter)
     focal = None if zoom_px is None else np.geomspace(zoom_px[0], zoom_px[1], views)
     first = camera.K[0, 0] if focal is None else focal[0]
     # the first focal length fixes how near the object is: it appears equally large
