@@ -26,7 +26,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 import os
 from pathlib import Path
-import resource
+import re
 import signal
 import subprocess
 import sys
@@ -110,7 +110,7 @@ def soak(name: str) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int]]]:
     Returns
     -------
     images, mb : ndarray, shape (N,)
-        Messages until then, and resident memory.
+        Messages until then, and memory.
     counts : list of (int, int)
         Threads and open files after a tenth of the time, and at the end.
 
@@ -135,6 +135,16 @@ def soak(name: str) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int]]]:
             process.wait(20)
 
 
+def allocated_mb(process: int) -> float:
+    """
+    Return the memory that a process has allocated and uses, in MB.
+
+    Segments shared by DDS do not count: each participant of the machine that comes by adds some.
+    """
+    text = Path(f'/proc/{process}/status').read_text(encoding='ascii')
+    return int(re.search(r'RssAnon:\s+(\d+) kB', text)[1]) * 1024 / 1e6
+
+
 def _watch(process, feeder) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int]]]:
     began, images, mb, counts = time.monotonic(), [], [], []
     feeder.connect()
@@ -144,8 +154,7 @@ def _watch(process, feeder) -> tuple[np.ndarray, np.ndarray, list[tuple[int, int
             raise RuntimeError(f'{process.args} ended with status {process.returncode}')
         feeder.feed(1.0)
         images.append(feeder.images)
-        pages = int(Path(f'/proc/{process.pid}/statm').read_text(encoding='ascii').split()[1])
-        mb.append(pages * resource.getpagesize() / 1e6)
+        mb.append(allocated_mb(process.pid))
         late = (time.monotonic() - began) / MOST_S > 0.1
         if late or not counts:
             now = tuple(len(os.listdir(f'/proc/{process.pid}/{one}')) for one in ('task', 'fd'))

@@ -13,7 +13,9 @@
 # limitations under the License.
 """The slope that the soak bench reports is one that it can see."""
 
-from bench.soak import growth
+import os
+
+from bench.soak import allocated_mb, growth
 import numpy as np
 
 
@@ -26,3 +28,11 @@ def test_growth_is_told_from_the_steps_of_an_allocator():
     still = 150 + 60 * np.minimum(hours, 2) + 8 * (hours > 8)
     slope, error = growth(hours, still)
     assert abs(slope) < 2 * error + 1
+
+
+def test_memory_that_is_used_is_counted_and_what_is_only_promised_is_not():
+    before = allocated_mb(os.getpid())
+    promised = np.zeros(50_000_000, np.uint8)
+    assert allocated_mb(os.getpid()) - before < 10
+    promised[:] = 1
+    assert 45 < allocated_mb(os.getpid()) - before < 60
