@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -72,9 +73,9 @@ class MountFacts:
     def __post_init__(self) -> None:
         """Check the facts."""
         for name, (value, sigma) in self.stated.items():
-            if not (np.isfinite(value) and np.isfinite(sigma) and sigma >= 0):
-                raise ArgumentError(f'A known {name} needs a finite value and a sigma of at '
-                                    f'least 0, not {value} and {sigma}.')
+            if not (np.isfinite(value) and is_sigma(sigma)):
+                raise ArgumentError(f'A known {name} needs a finite value and a sigma, which is 0 '
+                                    f'or at least {LEAST_SIGMA:g}, not {value} and {sigma}.')
         if self.scale is not None and self.scale[0] <= 0:
             raise ArgumentError('The scale of the poses must be positive.')
 

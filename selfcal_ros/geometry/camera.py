@@ -35,6 +35,8 @@ PARAMETER_NAMES = (*MATRIX_PARAMETERS, *PLUMB_BOB.coefficients)
 SHUTTERS = ('auto', 'global', 'rolling')
 #: No image sensor takes longer from one row to the next.
 LONGEST_LINE_DELAY_S = 0.01
+#: The square of a smaller standard deviation has no inverse that a computer can add to others.
+LEAST_SIGMA = 1e-15
 #: Polynomial models, the poorer first: one that leaves the other's coefficients at zero is it.
 _POLYNOMIAL = ('plumb_bob', 'rational_polynomial')
 #: What may be said of the focal length over time.
@@ -388,5 +390,11 @@ class CameraFacts:
         for name in ('aspect_ratio_sigma', 'skew_sigma_px', 'principal_point_sigma_px',
                      'line_delay_sigma_s'):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ArgumentError(f'{name} must be zero or a positive number, not {value!r}.')
+            if not is_sigma(value):
+                raise ArgumentError(f'{name} must be 0 for exact, or a number of at least '
+                                    f'{LEAST_SIGMA:g}, not {value!r}.')
+
+
+def is_sigma(value: float) -> bool:
+    """Tell whether a standard deviation of a fact is zero or has a square and an inverse."""
+    return value == 0 or math.isfinite(value) and value >= LEAST_SIGMA

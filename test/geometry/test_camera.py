@@ -63,7 +63,8 @@ def test_impossible_cameras_are_refused(bad):
 
 @pytest.mark.parametrize('fact', [{'aspect_ratio': 0.0}, {'aspect_ratio': float('nan')},
                                   {'skew': float('inf')}, {'principal_point': (1.0,)},
-                                  {'distortion': 'fisheye'}, {'aspect_ratio_sigma': -1.0}])
+                                  {'distortion': 'fisheye'}, {'aspect_ratio_sigma': -1.0},
+                                  {'skew': 0.0, 'skew_sigma_px': 1e-308}])
 def test_impossible_facts_are_refused(fact):
     with pytest.raises(ArgumentError):
         CameraFacts(**fact)
