@@ -65,9 +65,9 @@ USUAL_PARALLAX = 12.0
 #: That is tried where rotation alone leaves less than so many times the noise, and the search for
 #: a rotation ends where its first start leaves more than so many times.
 PIVOT_RATIO, HOPELESS = 8.0, 20.0
-#: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, a free
-#: motion is taken that leaves less than this share of its noise.
-PIVOT_NOISE, CLEARER = 1.5, 0.97
+#: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, or
+#: leaves so many times what pairs do, a free motion that leaves less than this share of its noise.
+PIVOT_NOISE, WORSE_THAN_PAIRS, CLEARER = 1.5, 1.04, 0.97
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
 SHORT_WAY = 0.3
@@ -238,7 +238,7 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
             turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
     if is_weak and isinstance(turning, RotationFit):
         turned, turned_px = _about_a_point(graph, size, facts, motion, turning)
-        if turned is not None and (turned or turned.kind != 'fact_contradicted'):
+        if turned is not None and not _may_be_another_path(turned, turned_px, graph):
             return turned
     elif doubtful:
         in_plane = on_one_plane(graph)
@@ -251,7 +251,8 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
                                    is_weak=is_weak)
     if turned is not None:
         # a path that only looks like a turn contradicts the facts, too
-        return moving if moving and moving.noise_sigma_px < CLEARER * turned_px else turned
+        left_px = turned.noise_sigma_px if turned else turned_px
+        return moving if moving and moving.noise_sigma_px < CLEARER * left_px else turned
     if not little or (moving and turning is not None):
         return moving
     if turning is None:
@@ -268,6 +269,14 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         # a plane that turns in itself is not for want of parallax
         return plane if plane or plane.kind in OF_CIRCLES else moving
     return moving
+
+
+def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,
+                         ) -> bool:
+    """Tell whether a turn contradicts the facts, or leaves more than pairs of images do."""
+    if turned:
+        return left_px > WORSE_THAN_PAIRS * graph.noise_px
+    return turned.kind == 'fact_contradicted'
 
 
 def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,

@@ -14,6 +14,8 @@
 """Turns about a point beside the camera: right within true sigmas, whatever the start."""
 
 from dataclasses import replace
+import importlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +31,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
-from selfcal_ros.synthetic.hard_scenes import CAMERA, scene
+from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
 
 STRAIGHT = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -116,3 +118,23 @@ def test_the_lever_follows_from_rays_and_orientations():
 
     true = state.path.translation[0] / np.linalg.norm(state.path.translation[0])
     assert abs(lever @ true) == pytest.approx(1, abs=1e-6)
+
+
+def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
+    sequence = vehicle(np.random.default_rng([3, 5]), s_curve(6), count=60, noise_px=0.5)
+    drive = calibrate(sequence.tracks, motion='planar', facts=STRAIGHT)
+    wrong = Camera(drive.camera.K * [[0.87], [0.87], [1.0]], width=640, height=480)
+    turn = replace(drive, motion='pivot', camera=wrong,
+                   noise_sigma_px=1.05 * drive.noise_sigma_px)
+    module = importlib.import_module('selfcal_ros.calibration.calibrate')
+    # as if the parallax were little, and rotations nearly explained the images
+    rotations = SimpleNamespace(left_px=1.0, noise_px=0.5)
+    monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
+    monkeypatch.setattr(module, 'fit_rotations', lambda *_: rotations)
+    left_px = 1.1 * drive.noise_sigma_px
+    monkeypatch.setattr(module, '_about_a_point', lambda *_: (turn, left_px))
+    result = calibrate(sequence.tracks, motion='planar', facts=STRAIGHT)
+
+    assert result.motion != 'pivot'
+    assert abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx']
