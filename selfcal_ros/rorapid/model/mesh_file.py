@@ -66,6 +66,8 @@ def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
         vertices, triangles = _READERS[path.suffix.lower()](data)
     except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
         raise InputError(f'{path} cannot be read as {path.suffix[1:]}: {error}.') from None
+    if not len(vertices):
+        raise InputError(f'{path} holds no points.')
     if not len(triangles):
         raise InputError(f'{path} holds no faces; points alone cannot be tracked.')
     size = float(np.linalg.norm(np.ptp(vertices, axis=0))) * scale
