@@ -29,6 +29,8 @@ STEP_S = 0.01
 _MINIMA = 3
 #: Fewer images than this tell nothing of clocks.
 LEAST_IMAGES = 4
+#: A drive that has only begun fits several clocks.
+LEAST_TIMED = 10
 
 
 def offsets(camera: CameraPoses, track: BodyTrack) -> list[float]:

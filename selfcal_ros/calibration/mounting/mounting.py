@@ -24,7 +24,7 @@ from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
-from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, offsets
+from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     degrees_of_freedom, missing_motion, open_places)
@@ -79,7 +79,7 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     """
     camera = camera_poses(calibration)
     track = BodyTrack(poses, camera.frames, stamps_ns)
-    refusal = _too_little(camera, track, poses)
+    refusal = _too_little(camera, track, poses, facts)
     if refusal is not None:
         return replace(calibration, mount=refusal)
     known_offset = facts.time_offset
@@ -100,12 +100,13 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
                    findings=(*calibration.findings, *_findings(mount, track, facts, optimum)))
 
 
-def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses) -> NoMount | None:
+def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
+                facts: MountFacts) -> NoMount | None:
     """Tell why poses of the body cannot say anything, or None."""
     known = int(track.known().sum())
-    if known < LEAST_IMAGES:
-        return NoEstimate('too_few_body_poses', needed=LEAST_IMAGES, found=known,
-                          images=len(camera))
+    needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
+    if known < needed:
+        return NoEstimate('too_few_body_poses', needed=needed, found=known, images=len(camera))
     turned = np.linalg.norm(poses.rotation - poses.rotation[0], axis=(1, 2)).max() / np.sqrt(2)
     moved = np.linalg.norm(poses.position - poses.position[0], axis=1).max()
     if turned < STILL_RAD and moved < STILL_M:

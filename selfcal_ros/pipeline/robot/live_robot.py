@@ -39,8 +39,6 @@ from selfcal_ros.values.transform_tree import TransformTree
 
 #: Frames of TF that are remembered at most; a robot has a hundred.
 MOST_FRAMES = 2000
-#: A drive that has only begun fits several clocks; more images are on their way.
-LEAST_IMAGES = 10
 
 
 @dataclass(frozen=True)
@@ -97,10 +95,6 @@ class RobotSnapshot:
         """Return the calibration with the mount, or with why there is none."""
         from selfcal_ros.calibration.structure.floor import with_floor
         from selfcal_ros.calibration.mounting.mounting import mount_camera
-        if len(result.frames) < LEAST_IMAGES:
-            return replace(result, mount=NoEstimate(
-                'too_few_body_poses', needed=LEAST_IMAGES, found=len(result.frames),
-                images=len(result.frames)))
         try:
             return with_floor(mount_camera(result, self.poses(), tracks.stamps_ns, self.facts),
                               tracks)
