@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -140,6 +141,10 @@ class Mount:
         What the misfit says of the poses of the body; see `BodyPoses`.
     floor : Floor or NoEstimate, optional
         The floor in view, or why it tells no height; None where it was not asked.
+    places : tuple of PlaceAlong
+        Where part of the place is open: what is known of it, by directions in the body.
+    axis : AxisInCamera, optional
+        Where the turn is open about one axis alone: that axis in the camera.
 
     """
 
@@ -155,6 +160,8 @@ class Mount:
     sigma_position_m: float
     sigma_rotation_rad: float
     floor: Floor | NoEstimate | None = None
+    places: tuple[PlaceAlong, ...] = ()
+    axis: AxisInCamera | None = None
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -143,7 +143,8 @@ def rig_to_dict(result: RigCalibration | NotCalibrated) -> dict[str, Any]:
 def _pose(pose: CameraInRig) -> dict[str, Any]:
     """Return where a camera sits."""
     return {'T_rig_camera': pose.T_rig_camera, 'sigma': pose.sigma, 'status': pose.status,
-            'covariance': pose.covariance, 'shared_points': pose.shared_points}
+            'covariance': pose.covariance, 'shared_points': pose.shared_points,
+            **({'places': [one.as_dict() for one in pose.places]} if pose.places else {})}
 
 
 def rig_text(rig: RigCalibration) -> str:

@@ -74,6 +74,9 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
     mount = result.mount
     assert [name for name in NAMES if mount.status[name] != 'estimated'] == ['z']
     assert np.isnan(mount.T_body_camera[2, 3]) and np.isinf(mount.sigma['z'])
+    for one in mount.places:
+        assert abs(one.direction @ world.T_body_camera[:3, 3] - one.value) < 3.5 * one.sigma
+    assert len(mount.places) == 2 and mount.axis is None
     assert 'height' in mount.missing['z']
     assert 'metre_of_odometry' in [one.kind for one in result.findings]
     errors = worlds.mount_errors(mount, world.T_body_camera,
@@ -116,6 +119,10 @@ def test_a_straight_drive_shows_pitch_and_yaw_only():
         'x', 'y', 'z', 'roll'}
     assert np.isnan(mount.T_body_camera[:3]).all() and set(mount.missing) == {
         'x', 'y', 'z', 'roll'}
+    # where the camera sees the direction of the drive, about which the roll is open
+    assert mount.axis.axis == pytest.approx([1, 0, 0], abs=0.05) and not mount.places
+    seen = world.T_body_camera[:3, :3].T @ mount.axis.axis
+    assert np.linalg.norm(seen - mount.axis.in_camera) < 3.5 * np.sqrt(2) * mount.axis.sigma
 
 
 def test_a_known_height_is_a_fact():

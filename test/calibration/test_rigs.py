@@ -186,6 +186,11 @@ def test_a_drive_without_overlap_leaves_the_height_open_and_says_so():
     assert np.isnan(pose.T_rig_camera[1:3, 3]).all() and np.isinf(pose.sigma['y'])
     errors = _errors(result, scene)
     assert np.abs(errors[np.isfinite(errors)]).max() < 3.5
+    # but of y and z one mixture is known, that across the vertical
+    place = scene.T_rig_camera['right'][:3, 3] * result.scale / scene.step_m
+    assert len(pose.places) == 2
+    for one in pose.places:
+        assert abs(one.direction @ place - one.value) < 3.5 * one.sigma
     assert pose.remark.kind == 'rig_height_open' and 'ramp' in pose.remark.sentence
     assert pose.remark.sentence in result.notes
 

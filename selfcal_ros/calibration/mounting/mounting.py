@@ -20,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
@@ -27,7 +28,7 @@ from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPo
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
-    degrees_of_freedom, missing_motion, open_places)
+    degrees_of_freedom, known_places, missing_motion, open_axis, open_places)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.starts import pairs_of, starts
 from selfcal_ros.calibration.result import Calibration
@@ -210,14 +211,21 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
             covariance[index, index] = np.inf
             if index < 3:
                 pose[index, 3] = np.nan
+    places: tuple[PlaceAlong, ...] = ()
+    axis = None
+    if 'unobservable' in (status['x'], status['y'], status['z']) and (
+            status['scale'] != 'unobservable'):
+        places = known_places(optimum, adjustment.free, track.odometry)
     if any(status[name] == 'unobservable' for name in ('roll', 'pitch', 'yaw')):
         pose[:3, :3] = np.nan
+        axis = open_axis(optimum, adjustment.free, track.odometry)
     if status['scale'] == 'unobservable':
         scale = np.nan
     offset = state.offset if status['time_offset'] != 'unobservable' else np.nan
     return Mount(poses.body_frame, pose, covariance, status, scale, float(offset),
                  missing_motion(status, track, turns), len(rows),
-                 int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3))
+                 int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
+                 places=places, axis=axis)
 
 
 def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimum,

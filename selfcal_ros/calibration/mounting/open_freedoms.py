@@ -24,6 +24,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
+from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, places_along
 from selfcal_ros.calibration.mount import MountFacts, NAMES, PLACE, TURN as ANGLES
 from selfcal_ros.calibration.mounting.adjustment import Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
@@ -87,9 +88,35 @@ def degrees_of_freedom(optimum: Optimum, free: np.ndarray, track: BodyTrack,
 
 def open_places(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndarray:
     """Return unit vectors (n, 3) in the body along which the place is not shown."""
+    return _open_directions(optimum, free, odometry, T)
+
+
+def known_places(optimum: Optimum, free: np.ndarray, odometry: bool) -> tuple[PlaceAlong, ...]:
+    """Return what is known of the place, by directions in the body."""
     if not free[T].all():
+        return ()
+    return places_along(optimum.state.place, optimum.covariance[T, T],
+                        open_places(optimum, free, odometry), LIMIT_M)
+
+
+def open_axis(optimum: Optimum, free: np.ndarray, odometry: bool) -> AxisInCamera | None:
+    """Return the one axis about which the turn of the camera is not shown, or None."""
+    found = _open_directions(optimum, free, odometry, TURN)
+    if len(found) != 1:
+        return None
+    axis = found[0] * np.sign(found[0][np.argmax(np.abs(found[0]))])
+    across = np.eye(3) - np.outer(axis, axis)
+    # the larger of the two
+    sigma = np.sqrt(np.linalg.eigvalsh(across @ optimum.covariance[TURN, TURN] @ across)[-1])
+    return AxisInCamera(axis, optimum.state.turn.T @ axis, float(sigma))
+
+
+def _open_directions(optimum: Optimum, free: np.ndarray, odometry: bool,
+                     columns: slice) -> np.ndarray:
+    """Return unit vectors (n, 3) in the body along which place or turn is not shown."""
+    if not free[columns].all():
         return np.zeros((0, 3))
-    ratio, motions, _ = _shown(optimum, free, odometry, np.arange(COUNT)[T])
+    ratio, motions, _ = _shown(optimum, free, odometry, np.arange(COUNT)[columns])
     unseen = motions[:, ratio <= 1]
     return np.linalg.qr(unseen)[0].T if unseen.shape[1] else np.zeros((0, 3))
 

@@ -24,6 +24,7 @@ from selfcal_ros.calibration.bundle.lens import to_parameters_slopes
 from selfcal_ros.calibration.bundle.rig import name_in_rig, POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.known_directions import PlaceAlong, places_along
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
@@ -308,6 +309,12 @@ def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spr
     sigma = np.sqrt(np.diag(own))
     is_open = sigma > np.r_[[OPEN_PLACE * spread] * 3, [OPEN_TURN_RAD] * 3]
     T[:3, :3], T[:3, 3] = rig.rotations[k], rig.place(k) * scale
+    places: tuple[PlaceAlong, ...] = ()
+    if is_open[:3].any():
+        # a direction that is open need not be an axis
+        squares, turns = np.linalg.eigh(own[:3, :3])
+        places = places_along(T[:3, 3].copy(), own[:3, :3],
+                              turns[:, squares > (OPEN_PLACE * spread)**2].T, np.inf)
     T[:3, 3][is_open[:3]] = np.nan
     if is_open[3:].any():
         T[:3, :3] = np.nan
@@ -315,7 +322,7 @@ def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spr
     own[is_open, is_open] = np.inf
     status = {name: 'unobservable' if one else 'estimated'
               for name, one in zip(POSE_NAMES, is_open)}
-    return CameraInRig(T, own, status, shared, _remark(optimum, rig.cameras[k], status))
+    return CameraInRig(T, own, status, shared, _remark(optimum, rig.cameras[k], status), places)
 
 
 def _remark(optimum: RigOptimum, camera: str, status: Mapping[str, str]) -> Finding | None:

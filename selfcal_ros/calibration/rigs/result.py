@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 
+from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.findings.finding import Finding, sentences
@@ -50,6 +51,8 @@ class CameraInRig:
         Scene points that this camera and another saw.
     remark : Finding, optional
         What is not observable, and the motion that would show it.
+    places : tuple of PlaceAlong
+        Where part of the place is open: what is known of it, by directions in the rig.
 
     """
 
@@ -58,6 +61,7 @@ class CameraInRig:
     status: dict[str, str]
     shared_points: int = 0
     remark: Finding | None = None
+    places: tuple[PlaceAlong, ...] = ()
 
     @property
     def sigma(self) -> dict[str, float]:

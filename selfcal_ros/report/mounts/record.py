@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
 from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
 from selfcal_ros.findings.finding import KINDS
 
@@ -45,7 +46,10 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
         'time_offset_s', 'time_offset_sigma_s', 'covariance' in the order of 'names', 'missing'
         (what would show each open degree of freedom), 'poses', 'outliers', 'sigma_position_m',
         'sigma_rotation_rad'; where the floor was asked, 'floor': 'height_m' of the camera above
-        it, 'sigma_m', 'points', 'tilt_rad', or 'kind', 'values' and 'reason' of a refusal.
+        it, 'sigma_m', 'points', 'tilt_rad', or 'kind', 'values' and 'reason' of a refusal;
+        where some is open, 'places' ('direction' in the body, 'value' and
+        'sigma' along it) and 'axis' (about which the turn is open; 'axis' in the body,
+        'in_camera', 'sigma' across it).
 
     """
     if not isinstance(mount, Mount):
@@ -68,6 +72,8 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
             'poses': mount.pose_count, 'outliers': mount.outlier_count,
             'sigma_position_m': mount.sigma_position_m,
             'sigma_rotation_rad': mount.sigma_rotation_rad,
+            **({'places': [one.as_dict() for one in mount.places]} if mount.places else {}),
+            **({'axis': mount.axis.as_dict()} if mount.axis is not None else {}),
             **({} if mount.floor is None else {'floor': _floor_to_dict(mount.floor)})}
 
 
@@ -145,7 +151,12 @@ def mount_from_dict(stored: dict | None) -> Mount | NoMount | None:
         pose_count=int(stored['poses']), outlier_count=int(stored['outliers']),
         sigma_position_m=_number(stored['sigma_position_m']),
         sigma_rotation_rad=_number(stored['sigma_rotation_rad']),
-        floor=_floor_from_dict(stored.get('floor')))
+        floor=_floor_from_dict(stored.get('floor')),
+        places=tuple(PlaceAlong(np.array(one['direction'], float), float(one['value']),
+                                float(one['sigma'])) for one in stored.get('places', ())),
+        axis=None if stored.get('axis') is None else AxisInCamera(
+            np.array(stored['axis']['axis'], float), np.array(stored['axis']['in_camera'], float),
+            float(stored['axis']['sigma'])))
 
 
 def _number(value) -> float:
