@@ -63,6 +63,11 @@ class MotionModel:
         """Tell whether there is a plane of motion at all, exact or not."""
         return bool(np.isfinite(self.tilt_sigma_rad))
 
+    def is_more_uneven_than(self, other: MotionModel) -> bool:
+        """Tell whether it lets the camera leave the plane further."""
+        return (self.tilt_sigma_rad > other.tilt_sigma_rad
+                or self.height_sigma > other.height_sigma)
+
 
 #: Exactly in one plane.
 PLANAR = MotionModel()

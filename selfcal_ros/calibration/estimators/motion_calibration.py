@@ -203,7 +203,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if problem.motion.keeps_plane:
         # before what the plane forbids is taken for something else
         fit = as_uneven_as_told(fit, medium)
-        if out_of_plane_rad(fit.state.path) > MAX_TILT_RAD:
+        if out_of_plane_rad(fit.state.path) > MAX_TILT_RAD or (
+                problem.supposes_plane and fit.motion.is_more_uneven_than(window.motion)
+                and widest_turn_rad(fit.state.path.rotations()) < LITTLE_TURN_RAD):
             return not_planar(out_of_plane_rad(fit.state.path))
     if window.views == problem.views:
         # before what moves is taken for a shutter or a zoom
