@@ -97,9 +97,6 @@ def robot_from(args: argparse.Namespace) -> tuple[RobotSource | None, MountFacts
     if args.mount_output is not None:
         from selfcal_ros.report.mounts.transform_files import kind_of_name
         kind_of_name(args.mount_output)
-    if args.robot_unit is not None and not 0 < args.robot_unit < float('inf'):
-        raise ArgumentError('--robot-unit is the metres in a unit, such as 0.001 for '
-                            'millimetres.')
     position, rotation = stated_sigmas(args.robot_sigma)
     reading = PoseReading(args.robot_kind, position, rotation, args.robot_unit, args.robot_frame)
     return RobotSource.parse(args.robot, reading), mount_facts(args.mount_fact)

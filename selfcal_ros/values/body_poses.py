@@ -32,6 +32,8 @@ ABSOLUTE, ODOMETRY = 'absolute', 'odometry'
 KINDS = (ABSOLUTE, ODOMETRY)
 #: A rotation matrix differs from an orthogonal one by this at most.
 ORTHOGONAL = 1e-3
+#: No robot is further from where its poses count from, metres.
+FARTHEST_M = 1e9
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,9 @@ class BodyPoses:
             raise InputError('Poses of a body must be in the order of time, one at an instant.')
         if not (np.isfinite(self.rotation).all() and np.isfinite(self.position).all()):
             raise InputError('A pose of the body is not finite; remove it.')
+        if np.abs(self.position).max(initial=0) > FARTHEST_M:
+            raise InputError(f'A pose of the body lies more than {FARTHEST_M:g} m away; correct '
+                             'it, or state the unit of the positions.')
         defect = self.rotation @ np.swapaxes(self.rotation, 1, 2) - np.eye(3)
         wrong = (np.abs(defect).max(axis=(1, 2), initial=0) > ORTHOGONAL) | (
             np.linalg.det(self.rotation) < 0)

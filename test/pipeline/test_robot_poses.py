@@ -240,6 +240,16 @@ def test_a_bad_table_is_one_sentence(folder, tmp_path, text, words):
     assert sentence.endswith('.') and '\n' not in sentence
 
 
+def test_absurd_units_and_places_are_refused(folder, tmp_path):
+    for unit in (1e300, 1e-300, 0.0, float('nan')):
+        with pytest.raises(ArgumentError, match='--robot-unit'):
+            PoseReading(unit_m=unit)
+    path = tmp_path / 'far.csv'
+    path.write_text(HEAD + rows(scale=1e9))
+    with pytest.raises(InputError, match='away'):
+        read(folder, str(path), unit_m=1e3)
+
+
 def test_a_unit_that_is_stated_is_not_doubted(folder, tmp_path):
     path = table(tmp_path, HEAD + rows(scale=1e3))
     assert read(folder, path, unit_m=0.001).position[1, 0] == pytest.approx(0.1)

@@ -31,6 +31,8 @@ LONGEST_STEP_M = 20.0
 UNIT_LENGTH = 5e-3
 #: Who writes no metres writes one of these, as a share of a metre.
 UNITS = {0.001: 'millimetres', 0.01: 'centimetres'}
+#: Metres in the units that positions may be written in.
+SMALLEST_UNIT_M, LARGEST_UNIT_M = 1e-6, 1e6
 #: What a step from pose to pose, and a speed, are at most with the right unit.
 _LIKELY_STEP_M, _LIKELY_M_S = 2.0, 5.0
 
@@ -51,6 +53,11 @@ class PoseReading:
     body_frame : str, optional
         What to call the body.
 
+    Raises
+    ------
+    ArgumentError
+        If the unit is none that positions are written in.
+
     """
 
     kind: str | None = None
@@ -58,6 +65,13 @@ class PoseReading:
     sigma_rotation_rad: float | None = None
     unit_m: float | None = None
     body_frame: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the unit."""
+        if self.unit_m is not None and not SMALLEST_UNIT_M <= self.unit_m <= LARGEST_UNIT_M:
+            raise ArgumentError(f'--robot-unit is the metres in a unit, {SMALLEST_UNIT_M:g} to '
+                                f'{LARGEST_UNIT_M:g}, such as 0.001 for millimetres, not '
+                                f'{self.unit_m:g}.')
 
     def named(self, rates: AngularRates) -> AngularRates:
         """
