@@ -76,6 +76,8 @@ def run_rig(args: argparse.Namespace, settings) -> int:
                             f'{args.motion}.')
     inputs = rig_inputs(args.input, args.cameras)
     base = args.output or Path('camera.yaml')
+    if not base.name:
+        raise ArgumentError(f'--output {base} is a folder; name a file, such as camera.yaml.')
     files = output_names(base, [one.name for one in inputs])
     chain = base.with_name(f'{base.stem}_camchain.yaml')
     check_outputs((*files.values(), chain), (*args.input, args.mask), args.force, (args.json,))

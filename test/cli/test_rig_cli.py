@@ -94,6 +94,7 @@ def test_the_chain_of_kalibr_has_the_pose_between_the_cameras(calibrated):
     (['--cameras', 'left'], 'two or more'),
     (['--cameras', 'left,right,top'], '3 cameras'),
     (['--cameras', 'left,left'], 'same name'),
+    (['--cameras', 'left,right', '--output', '/'], 'is a folder'),
     (['--cameras', 'left,right', '--baseline', '11cm'], 'metres'),
     (['--cameras', 'left,right', '--report', 'r.html'], 'single camera'),
     (['--baseline', '0.1'], '--cameras')])
