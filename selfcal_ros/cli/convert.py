@@ -25,6 +25,7 @@ import re
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import add_force_argument, check_outputs
+from selfcal_ros.cli.parsing import text, topic_name
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE
 from selfcal_ros.cli.verbosity import add_quiet_argument
@@ -48,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'MoveIt')
     parser.add_argument('output', type=Path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
-    parser.add_argument('--topic', help=f'topic to write (default {DEFAULT_TOPIC})')
+    parser.add_argument('--topic', type=topic_name,
+                        help=f'topic to write (default {DEFAULT_TOPIC})')
     add_quiet_argument(parser, 'print nothing but errors')
     bag = parser.add_argument_group('images to a bag')
     bag.add_argument('--input-topic', help='topic to read from a bag with several')
@@ -56,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                      help='file format of the bag (default mcap)')
     bag.add_argument('--compressed', choices=('jpeg', 'png'),
                      help='write CompressedImage to TOPIC/compressed')
-    bag.add_argument('--frame-id', default='camera_optical_frame',
+    bag.add_argument('--frame-id', type=text, default='camera_optical_frame',
                      help='for images that do not name their frame (default '
                           'camera_optical_frame)')
     add_excerpt_arguments(parser)
@@ -67,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                            '.cameramodel is mrcal; .urdf, .launch.py (MoveIt) and .calib '
                            '(easy_handeye2) are transforms of a camera on a robot, and so is '
                            '.yaml from one of these: tf, of static_transform_publisher)')
-    file.add_argument('--camera-frame', metavar='FRAME', default='camera_optical_frame',
+    file.add_argument('--camera-frame', type=text, metavar='FRAME',
+                      default='camera_optical_frame',
                       help='frame of the camera, where INPUT is a result.json (default '
                            'camera_optical_frame)')
     file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')

@@ -28,6 +28,37 @@ def add_seed_argument(parser) -> None:
                              'number: the same one gives the same result to the byte (default 0)')
 
 
+def text(value: str) -> str:
+    """
+    Take words that messages and files will carry, which hold UTF-8 alone.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If they hold bytes that are none, or a control character.
+
+    """
+    if any(0xd800 <= ord(letter) < 0xe000 or not letter.isprintable() for letter in value):
+        raise argparse.ArgumentTypeError(f'{ascii(value):.40} is not plain text')
+    return value
+
+
+def topic_name(value: str) -> str:
+    """
+    Take the name of a topic to write.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If ROS does not take it.
+
+    """
+    if not re.fullmatch(r'(/?[A-Za-z_][A-Za-z0-9_]*)(/[A-Za-z_][A-Za-z0-9_]*)*', value):
+        raise argparse.ArgumentTypeError(f'{ascii(value):.60} is no name of a topic; use letters, '
+                                         'digits, _ and /')
+    return value
+
+
 def _seed(text: str) -> int:
     """Take a whole number that every generator takes."""
     if not text.isdecimal() or len(text) > 10 or int(text) >= 2**32:

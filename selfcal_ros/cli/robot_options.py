@@ -19,6 +19,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from selfcal_ros.cli.parsing import text
 from selfcal_ros.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
                             '(default: found from the misfit)')
     group.add_argument('--robot-unit', type=float, metavar='METRES',
                        help='metres in a unit of the positions: 0.001 for millimetres')
-    group.add_argument('--robot-frame', metavar='FRAME',
+    group.add_argument('--robot-frame', type=text, metavar='FRAME',
                        help='name of the frame whose poses these are (default: what messages '
                             'call it, else base_link)')
     group.add_argument('--mount-fact', action='append', default=[], metavar='NAME=VALUE:SIGMA',
@@ -61,7 +62,7 @@ def add_mount_outputs(group) -> None:
                        help='where the camera is on the robot: .urdf (a joint), .yaml '
                             '(parameters of static_transform_publisher), .launch.py (as MoveIt '
                             'writes it) or .calib (easy_handeye2)')
-    group.add_argument('--camera-frame', metavar='FRAME',
+    group.add_argument('--camera-frame', type=text, metavar='FRAME',
                        help='frame of the camera in that file (default: that of the images, or '
                             'camera_optical_frame)')
 

@@ -105,14 +105,15 @@ def run(args: argparse.Namespace) -> int:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)
     model = read_model(args.model, args.model_scale)
-    for remark in getattr(model, 'remarks', ()):
-        print(f'{args.model}: {remark}', file=sys.stderr)
     start = read_start(args.init, args.clicks, camera)
     with Progress.of(args) as progress:
         run, table = track_recording(args.input, model, camera, start, options,
                                      topic=args.topic, overlay=args.overlay, seed=args.seed,
                                      progress=progress, excerpt=excerpt,
                                      distance_sigma_m=args.init_sigma)
+    # not earlier: an input error stands alone
+    for remark in getattr(model, 'remarks', ()):
+        print(f'{args.model}: {remark}', file=sys.stderr)
     written = [table.write(args.output)] + ([args.overlay] if args.overlay else [])
     if not args.quiet:
         print(run.text())

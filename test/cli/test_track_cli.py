@@ -66,6 +66,7 @@ def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
     ([BAG, '--model', 'broken.cao', *OBJECT[2:], *CAMERA], 'broken.cao'),
     ([BAG, *OBJECT[:2], '--init', '0 0 nan 0 0 0', *CAMERA], 'finite'),
     ([BAG, *OBJECT[:2], '--init', '0 0 -1 0 0 0', *CAMERA], 'behind the camera'),
+    ([BAG, '--model', 'open.ply', '--init', '0 0 -1 0 0 0', *CAMERA], 'behind the camera'),
     ([BAG, *OBJECT, '--camera', 'small.yaml'], '480x360, the calibration is for 320x240'),
     ([BAG, *OBJECT, *CAMERA, '--overlay', 'video.txt'], '.mp4'),
     ([BAG, *OBJECT, *CAMERA, '--output', 'v.mp4', '--overlay', 'v.mp4'], 'same name'),
@@ -74,6 +75,11 @@ def test_an_object_that_is_not_there_is_status_1_with_a_reason(capsys):
     (['tracks.csv', *OBJECT, *CAMERA], 'tracks')])
 def test_a_wrong_input_is_status_2_in_one_sentence(capsys, arguments, words):
     Path('broken.cao').write_text('V1\n3\n0 0 0\n1 0 0\n0 1 0\n0\n0\n1\n3 0 1 7\n0\n0\n')
+    # a mesh with a hole, which is remarked where it is tracked
+    Path('open.ply').write_text(
+        'ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n'
+        'property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n'
+        '0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n')
     Path('tracks.csv').write_text('frame,track,x,y\n0,1,3,2\n', encoding='utf-8')
     camera, _ = read_camera_yaml(f'{BAG}.camera.yaml')
     write_camera_yaml('small.yaml', type(camera)(camera.K, (), 320, 240), 'small')

@@ -32,6 +32,9 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
     (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
     (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
+    (['convert', 'x', 'out_bag', '--frame-id', '\udcff\udcfe'], 'is not plain text'),
+    (['convert', 'x', 'out_bag', '--topic', 'two words'], 'is no name of a topic'),
+    (['calibrate', 'x.csv', '--robot-frame', 'base\nlink'], 'is not plain text'),
     (['calibrate', ''], 'selfcal calibrate: An INPUT is empty'),
     (['calibrate', 'x.csv', ''], 'selfcal calibrate: An INPUT is empty')])
 def test_a_slip_of_the_finger_costs_one_line(capsys, arguments, words):
