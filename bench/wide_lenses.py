@@ -47,6 +47,10 @@ KEYFRAMES, MAPPING_GRID = 60, (40, 25)
 MIDDLE_DEG = 45
 FISHEYE = ('OPENCV_FISHEYE, own guess', 'OPENCV_FISHEYE', None)
 ON_DRONE = (('SIMPLE_RADIAL', 'SIMPLE_RADIAL', None), ('OPENCV', 'OPENCV', None), FISHEYE)
+#: The drone's cameras by others, from its boards: fx, fy, cx, cy, alpha, beta of the extended
+#: unified model (Usenko, Demmel, Cremers, 3DV 2018; Basalt's data/euroc_eucm_calib.json).
+ELSEWHERE = {'cam0': (460.7648, 459.4051, 365.8937, 249.3350, 0.590337, 1.127468),
+             'cam1': (459.5522, 458.1718, 379.4067, 255.9830, 0.604989, 1.090729)}
 #: Grey that covers the board of the room.
 PAINT = 128
 
@@ -303,7 +307,25 @@ def drone(report: Report, name: str, work: Path, options) -> None:
         report.verdict('published from the result, largest of fx, cx, cy',
                        sigmas_from(found.result, true), 3.0, 'stated sigmas')
         report.verdict('processor time', found.features_s + found.estimate_s, 30, 's')
+        beside_elsewhere(report, camera, true, name)
         ask_the_images(report, found, true, folder, name)
+
+
+def beside_elsewhere(report: Report, camera: Camera, true: Camera, name: str) -> None:
+    """Hold the result and the published lens against what others found from the same boards."""
+    fx, fy, cx, cy, *shape = ELSEWHERE[name]
+    other = Camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], shape, true.width, true.height, 'eucm')
+    pixels = pixel_grid(true.width, true.height, *MAPPING_GRID)
+    inner = np.arccos(other.rays(pixels)[:, 2]) <= np.deg2rad(MIDDLE_DEG)
+    rows = []
+    for what, one in (('the result', camera), ('the published lens', true)):
+        distance = projection_distance(one, other, pixels)
+        rows.append((what, *basics(one, other), f'{rms(distance):.2f}', f'{distance.max():.1f}',
+                     f'{rms(distance[inner]):.2f}'))
+    report.say('Against the extended unified model of Usenko and others from the boards:\n')
+    report.table(('lens', 'fx error %', 'pp error px', 'mapping error px', 'largest px',
+                  f'to {MIDDLE_DEG}° px'), rows)
+    report.say('')
 
 
 def ask_the_images(report: Report, found: Measured, true: Camera, folder: Path,
