@@ -199,8 +199,8 @@ def test_evidence_of_a_hundred_hours_takes_little_memory():
     for score in _gaussian_scores(np.random.default_rng(11), 1000):
         monitor.add(score)
     assert monitor.change is None
-    assert len(monitor._old) + len(monitor._new) < 60
-    assert sum(block.windows for block in monitor._old + monitor._new) == 1000
+    assert len(monitor.remembered) < 60
+    assert sum(block.windows for block in monitor.remembered) == 1000
 
 
 def test_a_window_without_parallax_says_so():

@@ -68,6 +68,11 @@ class MonitorSettings:
             raise ArgumentError('The tolerance of the monitor lies between 0 and 100 px, '
                                 f'not {self.tolerance_px!r}.')
 
+    @property
+    def chance(self) -> float:
+        """Of an alarm in the test of one window, where nothing changed."""
+        return (self.keyframes - 1) / self.false_alarm_keyframes
+
 
 @dataclass(frozen=True)
 class CameraChange:
