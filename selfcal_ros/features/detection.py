@@ -21,14 +21,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from selfcal_ros.features.likeness import (alike_among, Described, look_of, perhaps_alike,
+                                           USUAL_SIMILARITY)
 from selfcal_ros.features.mask import ImageMask
 
-#: Similarity (cosine of Hellinger-normalised vectors) of a runner-up where none was found.
-USUAL_SIMILARITY = 0.8
-#: Along an epipolar line fewer candidates compete, so that the ratio may be milder.
-GUIDED_RATIO = 0.85
-#: Less alike than this cannot pass the guided ratio test against the usual runner-up.
-MIN_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - USUAL_SIMILARITY)
 #: Images larger than this are searched at half size; registration restores the accuracy.
 _FULL_SIZE_PIXELS = 1_200_000
 #: And smaller still where this would be more: the pyramid of SIFT takes some 200 bytes a pixel.
@@ -93,71 +89,6 @@ class Features:
         most = np.full(len(self.xy), USUAL_SIMILARITY, np.float32)
         np.maximum.at(most, self.twins[0], self.twins[2])
         return most
-
-
-@dataclass(frozen=True)
-class Described:
-    """
-    Appearance of N places.
-
-    Parameters
-    ----------
-    vectors : ndarray of float32, shape (N + E, 128)
-        Square roots of L1-normalised SIFT vectors (Arandjelovic and Zisserman, 2012): one for
-        each place, then those of E places that have a second orientation.
-    second : ndarray of int, shape (E,)
-        The places that have a second one, ascending.
-
-    """
-
-    vectors: np.ndarray
-    second: np.ndarray
-
-    @property
-    def count(self) -> int:
-        """Number of places."""
-        return len(self.vectors) - len(self.second)
-
-    def part(self, places: slice | np.ndarray) -> Described:
-        """Return some places: a slice or ascending indices."""
-        count, second = self.count, self.second
-        if isinstance(places, slice):
-            begin, end, _ = places.indices(count)
-            first, last = np.searchsorted(second, [begin, end])
-            rows = np.r_[begin:end, count + first:count + last]
-            return Described(self.vectors[rows], second[first:last] - begin)
-        row = np.full(count, -1)
-        row[places] = np.arange(len(places))
-        extra = np.flatnonzero(row[second] >= 0)
-        return Described(self.vectors[np.concatenate([places, count + extra])],
-                         row[second[extra]])
-
-
-_ROOTS = np.sqrt(np.arange(256, dtype=np.float32))
-
-
-def look_of(sift: np.ndarray) -> np.ndarray:
-    """Turn SIFT vectors (N, 128) of bytes into what is compared by its cosine, float32."""
-    total = sift.sum(axis=1, dtype=np.float32, keepdims=True)
-    look: np.ndarray = _ROOTS[sift]
-    look /= np.sqrt(total + np.float32(1e-9))
-    return look
-
-
-def similarity(a: Described, b: Described) -> np.ndarray:
-    """Cosine between the best fitting descriptors of every two places, shape (N_a, N_b)."""
-    product = a.vectors @ b.vectors.T
-    places = product[:, :b.count]
-    if len(b.second):
-        places[:, b.second] = np.maximum(places[:, b.second], product[:, b.count:])
-    if len(a.second):
-        places[a.second] = np.maximum(places[a.second], places[a.count:])
-    return places[:a.count]
-
-
-def alike_in(product: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of what may match."""
-    return np.divmod(np.flatnonzero(product > MIN_SIMILARITY), product.shape[1])
 
 
 @lru_cache(maxsize=1)
@@ -241,13 +172,15 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
 def _twins(features: Features) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places a, b of one image that look alike, and how much."""
     whole, parts = features.described(), []
-    for begin in range(0, whole.count, _BLOCK):
-        rest = whole.part(slice(begin, None))
-        product = similarity(rest.part(slice(0, _BLOCK)), rest)
-        row, column = alike_in(product)
-        row, column = (part[column > row] for part in (row, column))
-        parts.append((begin + row, begin + column, product[row, column]))
-    a, b, alike = (np.concatenate(part) for part in zip(*parts))
+    # of a place and a later one: once
+    order = np.argsort(whole.place, kind='stable')
+    sketch = whole.sketch[order]
+    for begin in range(0, len(order), _BLOCK):
+        row, column = perhaps_alike(sketch[begin:begin + _BLOCK], sketch[begin:])
+        row, column = order[begin + row], order[begin + column]
+        later = whole.place[column] > whole.place[row]
+        parts.append((row[later], column[later]))
+    a, b, alike = alike_among(whole, whole, *(np.concatenate(part) for part in zip(*parts)))
     # the same corner found at two scales is no twin
     apart = (np.abs(features.xy[a] - features.xy[b]).max(axis=1)
              > 1.5 * np.maximum(features.size_px[a], features.size_px[b]))

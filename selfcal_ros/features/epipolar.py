@@ -104,7 +104,8 @@ class EpipolarImages:
     def off_curve(self, curve: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """Distance (...) of pixels (..., 2) to curves (..., 3); NaN where a curve is NaN."""
         if self.model.straight:
-            near: np.ndarray = (curve[..., :2] * xy).sum(axis=-1) + curve[..., 2]
+            near: np.ndarray = (curve[..., 0] * xy[..., 0] + curve[..., 1] * xy[..., 1]
+                                + curve[..., 2])
             return near
         return self.model.curve_distance(curve, xy)
 

@@ -28,9 +28,11 @@ import os
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.features.detection import (alike_in, Features, GUIDED_RATIO, look_of,
-                                            MIN_SIMILARITY, similarity, USUAL_SIMILARITY)
+from selfcal_ros.features.detection import Features
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
+from selfcal_ros.features.likeness import (alike_among, best_and_second, GUIDED_RATIO,
+                                           look_of, MIN_SIMILARITY, perhaps_alike,
+                                           similarity, USUAL_SIMILARITY)
 from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.geometry.division import DivisionModel
 
@@ -107,21 +109,24 @@ class _Gallery:
         first, second = self.features[i], self.features[j]
         look, other = self.whole(i), self.whole(j)
         curves, order = _in_order(F, epipolar.curves(F, first.xy))
-        parts = []
-        for begin in range(0, len(order), _BLOCK):
-            rows = order[begin:begin + _BLOCK]
-            ends = epipolar.off_curve(curves[rows[[0, -1]], None], second.xy)
+        rank = np.empty(len(order), int)
+        rank[order] = np.arange(len(order))
+        vectors = np.argsort(rank[look.place], kind='stable')
+        sketch, parts = look.sketch[vectors], []
+        for begin in range(0, len(vectors), _BLOCK):
+            rows = vectors[begin:begin + _BLOCK]
+            ends = epipolar.off_curve(curves[look.place[rows[[0, -1]]], None], second.xy)
             # curves of a block turn about the epipole: what they sweep lies between the ends
-            near = (ends[0] * ends[1] <= 0) | (np.abs(ends) < 2 * band_px).any(axis=0)
-            columns, rows = np.flatnonzero(near), np.sort(rows)
-            product = similarity(look.part(rows), other.part(columns))
-            a, b = alike_in(product)
-            parts.append((rows[a], columns[b], product[a, b]))
-        a, b, score = (np.concatenate(part) for part in zip(*parts))
-        alike = np.abs(np.log2(first.size_px[a] / second.size_px[b])) < 1.0
-        a, b, score = a[alike], b[alike], score[alike]
+            near = (ends[0] * ends[1] <= 0) | (np.abs(ends).min(axis=0) < 2 * band_px)
+            columns = np.flatnonzero(near[other.place])
+            a, b = perhaps_alike(sketch[begin:begin + _BLOCK], other.sketch[columns])
+            parts.append((rows[a], columns[b]))
+        rows, columns = (np.concatenate(part) for part in zip(*parts))
+        a, b = look.place[rows], other.place[columns]
+        near = np.abs(np.log2(first.size_px[a] / second.size_px[b])) < 1.0
+        rows, columns, a, b = (part[near] for part in (rows, columns, a, b))
         near = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < band_px
-        return a[near], b[near], score[near]
+        return alike_among(look, other, rows[near], columns[near])
 
 
 def _in_order(F: np.ndarray, curves: np.ndarray):
@@ -160,22 +165,8 @@ def _guided(gallery: _Gallery, pair, epipolar: EpipolarImages, F, band_px: float
     """Best candidates along epipolar curves: mutual, clear of the runner-up and of twins."""
     first, second = (gallery.features[k] for k in pair)
     a, b, score = gallery.along_curves(pair, epipolar, F, band_px)
-    if not len(a):
-        return a, b
-
-    def best_and_second(key, count):
-        order = np.lexsort((-score, key))
-        place = np.searchsorted(key[order], np.arange(count + 1))
-        top = np.full(count, -1)
-        second_score = np.full(count, USUAL_SIMILARITY)
-        some = place[1:] > place[:-1]
-        two = place[1:] > place[:-1] + 1
-        top[some] = order[place[:-1][some]]
-        second_score[two] = score[order[place[:-1][two] + 1]]
-        return top, second_score
-
-    top_a, second_a = best_and_second(a, len(first.xy))
-    top_b, second_b = best_and_second(b, len(second.xy))
+    top_a, second_a = best_and_second(a, score, len(first.xy))
+    top_b, second_b = best_and_second(b, score, len(second.xy))
     chosen = top_a[top_a >= 0]
     chosen = chosen[top_b[b[chosen]] == chosen]
     runner_up = np.maximum(second_a[a[chosen]], second_b[b[chosen]])

@@ -47,15 +47,17 @@ def agrees_with_neighbours(xy_a: np.ndarray, xy_b: np.ndarray, agreeing: int = 2
     along, across = (np.median(part) for part in _ratios(to_a, to_b))
     if np.hypot(along - 1, across) > _SMALL_TURN:  # rolled about its axis, or much closer
         to_a = to_a @ np.array([[along, across], [-across, along]])
-    differs = np.linalg.norm(to_b - to_a, axis=2)
-    return (differs < 5 + 0.4 * distance[:, 1:]).sum(axis=1) >= agreeing
+    away = to_b - to_a
+    differs = np.hypot(away[..., 0], away[..., 1])
+    return np.count_nonzero(differs < 5 + 0.4 * distance[:, 1:], axis=1) >= agreeing
 
 
 def _ratios(to_a, to_b) -> tuple[np.ndarray, np.ndarray]:
     """Real and imaginary part of to_b / to_a, taken as complex numbers, (..., 2) to (...)."""
-    square = np.maximum((to_a ** 2).sum(axis=-1), 1e-9)
-    return ((to_a * to_b).sum(axis=-1) / square,
-            (to_a[..., 0] * to_b[..., 1] - to_a[..., 1] * to_b[..., 0]) / square)
+    # sums of two columns: over an axis of two numbers they take several times as long
+    (x, y), (u, v) = (to_a[..., 0], to_a[..., 1]), (to_b[..., 0], to_b[..., 1])
+    square = np.maximum(x * x + y * y, 1e-9)
+    return (x * u + y * v) / square, (x * v - y * u) / square
 
 
 def local_turns(image: np.ndarray, xy: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.features.detection import Features, look_of
+from selfcal_ros.features.detection import Features
+from selfcal_ros.features.likeness import look_of
 from selfcal_ros.features.matching import RATIO
 
 #: Features of an image that judge whether another shows the same.

@@ -18,7 +18,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.features.detection import Features, look_of
+from selfcal_ros.features.detection import Features
+from selfcal_ros.features.likeness import look_of
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.values.still_tracks import find_still_tracks
 from selfcal_ros.values.tracks import Tracks

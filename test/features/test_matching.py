@@ -19,7 +19,8 @@ import pytest
 from selfcal_ros.features.epipolar import (choose_division, EpipolarImages, estimate_fundamental,
                                            sampson_distance)
 from selfcal_ros.features import detection, matching
-from selfcal_ros.features.detection import alike_in, detect, Features, similarity
+from selfcal_ros.features.detection import detect, Features
+from selfcal_ros.features.likeness import MIN_SIMILARITY, perhaps_alike, similarity
 from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import ImagePairMatches, match_pairs, moving_part
 from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
@@ -185,9 +186,16 @@ def test_blocks_of_curves_find_what_every_pair_of_places_gives():
     F, band_px = true_fundamental(*cameras), 2.0
     epipolar = EpipolarImages(choose_division([], SIZE))
     found = matching._Gallery(features).along_curves((0, 1), epipolar, F, band_px)
-    product = similarity(first.described(), second.described())
-    a, b = alike_in(product)
+    look, other = first.described(), second.described()
+    alike = similarity(look, other)
+    a, b = np.nonzero(alike > MIN_SIMILARITY)
     near = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < band_px
     near &= np.abs(np.log2(first.size_px[a] / second.size_px[b])) < 1
     assert near.sum() > 500
     assert set(zip(found[0], found[1])) == set(zip(a[near], b[near]))
+    assert found[2] == pytest.approx(alike[found[0], found[1]], abs=1e-5)
+    # what sketches let pass is little more than what is alike, and holds all of it
+    rows, columns = perhaps_alike(look.sketch, other.sketch)
+    assert set(zip(*np.nonzero(look.vectors @ other.vectors.T > MIN_SIMILARITY))) <= set(
+        zip(rows, columns))
+    assert len(rows) < 0.05 * len(look.vectors) * len(other.vectors)

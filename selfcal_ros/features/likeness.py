@@ -1,0 +1,181 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+How alike two places look, and which places of two sets look alike at all.
+
+Most places look nothing alike, and a sketch tells: the lowest frequencies of a descriptor, and the
+length of what they leave. By the inequality of Cauchy and Schwarz two vectors are no more alike
+than their sketches, so that whoever compares sketches first misses nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+#: Similarity (cosine of Hellinger-normalised vectors) of a runner-up where none was found.
+USUAL_SIMILARITY = 0.8
+#: Along an epipolar line fewer candidates compete, so that the ratio may be milder.
+GUIDED_RATIO = 0.85
+#: Less alike than this cannot pass the guided ratio test against the usual runner-up.
+MIN_SIMILARITY = 1 - GUIDED_RATIO ** 2 * (1 - USUAL_SIMILARITY)
+#: Numbers of a sketch, the length of the rest among them.
+_SKETCH = 56
+#: Rounding of a product of sketches, float32.
+_ROUNDING = 1e-5
+
+
+def _low_frequencies() -> np.ndarray:
+    """Rows (k, 128): cosines over the 4 x 4 cells, waves over the 8 directions, lowest first."""
+    cell, turn = np.arange(4), np.arange(8)
+    cosine = np.cos(np.pi * np.outer(cell, cell + 0.5) / 4)
+    cycles = np.array([0, 1, 1, 2, 2, 3, 3, 4])
+    phase = np.pi / 2 * np.array([0, 0, 1, 0, 1, 0, 1, 0])
+    wave = np.cos(2 * np.pi / 8 * np.outer(cycles, turn) - phase[:, None])
+    rows = np.einsum('ia,jb,kc->ijkabc', cosine, cosine, wave).reshape(128, 128)
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    # a step from direction to direction is a little smoother than one from cell to cell
+    pitch = cell[:, None, None] ** 2 + cell[None, :, None] ** 2 + 0.9 * cycles ** 2
+    lowest = np.argsort(pitch.ravel(), kind='stable')[:_SKETCH - 1]
+    return np.asarray(rows[lowest], np.float32)
+
+
+_BASIS = _low_frequencies()
+_ROOTS = np.sqrt(np.arange(256, dtype=np.float32))
+
+
+def look_of(sift: np.ndarray) -> np.ndarray:
+    """Turn SIFT vectors (N, 128) of bytes into what is compared by its cosine, float32."""
+    total = sift.sum(axis=1, dtype=np.float32, keepdims=True)
+    look: np.ndarray = _ROOTS[sift]
+    look /= np.sqrt(total + np.float32(1e-9))
+    return look
+
+
+@dataclass(frozen=True)
+class Described:
+    """
+    Appearance of N places.
+
+    Parameters
+    ----------
+    vectors : ndarray of float32, shape (N + E, 128)
+        Square roots of L1-normalised SIFT vectors (Arandjelovic and Zisserman, 2012): one for
+        each place, then those of E places that have a second orientation.
+    second : ndarray of int, shape (E,)
+        The places that have a second one, ascending.
+
+    """
+
+    vectors: np.ndarray
+    second: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of places."""
+        return len(self.vectors) - len(self.second)
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """The place of every vector, shape (N + E,)."""
+        return np.concatenate([np.arange(self.count), self.second])
+
+    @cached_property
+    def sketch(self) -> np.ndarray:
+        """What bounds the similarity of two vectors by its product, (N + E, `_SKETCH`)."""
+        low = self.vectors @ _BASIS.T
+        left = np.einsum('ij,ij->i', self.vectors, self.vectors) - np.einsum('ij,ij->i', low, low)
+        return np.column_stack([low, np.sqrt(np.maximum(left, 0))])
+
+
+def similarity(a: Described, b: Described) -> np.ndarray:
+    """Cosine between the best fitting descriptors of every two places, shape (N_a, N_b)."""
+    product = a.vectors @ b.vectors.T
+    places = product[:, :b.count]
+    if len(b.second):
+        places[:, b.second] = np.maximum(places[:, b.second], product[:, b.count:])
+    if len(a.second):
+        places[a.second] = np.maximum(places[a.second], places[a.count:])
+    return places[:a.count]
+
+
+def perhaps_alike(sketch: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of sketches (N, k) and (M, k) that may be alike enough to match; no others are."""
+    product = sketch @ other.T
+    return np.divmod(np.flatnonzero(product > MIN_SIMILARITY - _ROUNDING), product.shape[1])
+
+
+def alike_among(first: Described, second: Described, rows: np.ndarray, columns: np.ndarray,
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Keep what may match, and tell how much it is alike.
+
+    Parameters
+    ----------
+    first, second : Described
+    rows, columns : ndarray of int, shape (n,)
+        Vectors that may be alike.
+
+    Returns
+    -------
+    a, b : ndarray of int, shape (m,)
+        Their places, every two once, in order of a and then b.
+    similarity : ndarray of float32, shape (m,)
+
+    """
+    alike = np.einsum('ij,ij->i', first.vectors[rows], second.vectors[columns])
+    good = alike > MIN_SIMILARITY
+    rows, columns, alike = rows[good], columns[good], alike[good]
+    # a place that has two orientations is as alike as the better of them
+    pair = first.place[rows] * second.count + second.place[columns]
+    order = np.lexsort((-alike, pair))
+    pair, alike = pair[order], alike[order]
+    once = np.ones(len(pair), bool)
+    once[1:] = pair[1:] != pair[:-1]
+    a, b = np.divmod(pair[once], max(second.count, 1))
+    return a, b, alike[once]
+
+
+def best_and_second(key: np.ndarray, score: np.ndarray, count: int,
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find the best candidate of every place, and how alike the runner-up is.
+
+    Parameters
+    ----------
+    key : ndarray of int, shape (n,)
+        Place of each candidate.
+    score : ndarray, shape (n,)
+    count : int
+        Number of places.
+
+    Returns
+    -------
+    top : ndarray of int, shape (count,)
+        The candidate, -1 where there is none.
+    second_score : ndarray, shape (count,)
+        `USUAL_SIMILARITY` where there is no other.
+
+    """
+    order = np.lexsort((-score, key))
+    place = np.searchsorted(key[order], np.arange(count + 1))
+    top = np.full(count, -1)
+    second_score = np.full(count, USUAL_SIMILARITY)
+    some = place[1:] > place[:-1]
+    two = place[1:] > place[:-1] + 1
+    top[some] = order[place[:-1][some]]
+    second_score[two] = score[order[place[:-1][two] + 1]]
+    return top, second_score
