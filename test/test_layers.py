@@ -31,8 +31,8 @@ CALIBRATION_FLOOR = {
     'bundle': 2, 'planar': 2, 'affine': 2,
     'initialisation': 3, 'uncertainty': 3, 'structure': 3,
     'moving': 4,
-    'estimators': 5, 'known_object': 5, 'monitoring': 5, 'mounting': 5,
-    'calibrate': 6, 'rigs': 7}
+    'estimators': 5, 'known_object': 5, 'mounting': 5,
+    'calibrate': 6, 'monitoring': 6, 'rigs': 7}
 #: The same of the object tracker.
 RORAPID_FLOOR = {
     'options': 1, 'tracked_frame': 1, 'projection': 1, 'region': 1, 'visibility': 1, 'model': 1,

@@ -145,6 +145,9 @@ class Mount:
         Where part of the place is open: what is known of it, by directions in the body.
     axis : AxisInCamera, optional
         Where the turn is open about one axis alone: that axis in the camera.
+    pose_sigmas : tuple of float
+        Standard deviations of x, y, z (m), roll, pitch and yaw (rad) of a pose of the body, or of
+        odometry for a metre or a radian of the way.
 
     """
 
@@ -162,6 +165,7 @@ class Mount:
     floor: Floor | NoEstimate | None = None
     places: tuple[PlaceAlong, ...] = ()
     axis: AxisInCamera | None = None
+    pose_sigmas: tuple[float, ...] = ()
 
     @property
     def sigma(self) -> dict[str, float]:

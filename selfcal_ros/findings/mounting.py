@@ -95,6 +95,21 @@ MOUNTING: dict[str, Phrase] = {
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',
         'Check that the poses are those of the body in a fixed frame, and not the inverse.'),
+    # while it is watched
+    'mount_changed': Phrase(
+        'The camera is turned on its robot: {changes:changes}.',
+        'The newest keyframes and poses of the body contradict the mount in force. Roll, pitch '
+        'and yaw are turns about the axes of the body: forward, left and up. The rate of false '
+        'alarms is stated.',
+        'Fasten the camera, and calibrate anew with the service `calibrate`.'),
+    'window_without_body': Phrase(
+        'Only {poses} of its keyframes have a pose of the body.',
+        'The poses come late, leave gaps, or have another clock.',
+        'Nothing, if it happens rarely; else look at the topic of the poses.'),
+    'window_body_otherwise': Phrase(
+        'The body moved otherwise than the camera ({share:percent} % of the steps).',
+        'Wheels slip, or the clock of the poses has jumped.',
+        'Nothing, if it happens rarely; else look at the topic of the poses.'),
     # what a mount lacks
     'height_open': Phrase(
         'Turns about the vertical alone leave the height of the camera open.',

@@ -87,7 +87,7 @@ class Calibrator(Node):
         self._scene = ScenePublisher(self, self.parameters.world_frame)
         self._worker = worker()
         self._watch = ChangeWatch(self._session, self.get_logger(),
-                                  monitor_settings(self.parameters))
+                                  monitor_settings(self.parameters), self._robot.told)
         self._takers = {JobKind.ESTIMATE: self._take_estimate,
                         JobKind.WINDOW_SCORE: self._watch.take}
         self._types = rclpy_types()

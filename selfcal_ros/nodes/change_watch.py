@@ -18,10 +18,12 @@ from __future__ import annotations
 from msg_adapters.diagnostics import WARN
 
 from selfcal_ros.calibration.monitoring.camera_change import CHANGE_NAMES, MonitorSettings
+from selfcal_ros.calibration.monitoring.mount_monitor import MountChange
+from selfcal_ros.calibration.mount import TURN
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
-from selfcal_ros.pipeline.monitoring import Monitoring, ScoreRequest
+from selfcal_ros.pipeline.monitoring import AskRobot, Monitoring, MonitoringSnapshot, ScoreRequest
 
 ADVICE = 'call ~/calibrate to calibrate from what came since, ~/reset to start anew'
 
@@ -39,11 +41,14 @@ class ChangeWatch:
         rclpy's, for the alarm.
     settings : MonitorSettings, optional
         None: watch nothing.
+    ask_robot : callable, optional
+        Returns what the robot has told so far, for watching the mount.
 
     """
 
-    def __init__(self, session: CalibrationSession, logger, settings: MonitorSettings | None):
-        self._session, self._logger = session, logger
+    def __init__(self, session: CalibrationSession, logger, settings: MonitorSettings | None,
+                 ask_robot: AskRobot | None = None):
+        self._session, self._logger, self._ask_robot = session, logger, ask_robot
         self._monitoring = Monitoring()
         self._settings: MonitorSettings | None = None
         self._scoring = False
@@ -80,7 +85,7 @@ class ChangeWatch:
         """Return a window to score; None while there is none, or one is being scored."""
         if self._settings is None or self._scoring:
             return None
-        request = self._monitoring.next_request()
+        request = self._monitoring.next_request(self._ask_robot)
         self._scoring = request is not None
         return None if request is None else Job(JobKind.WINDOW_SCORE, request)
 
@@ -123,10 +128,32 @@ class ChangeWatch:
                        'monitor threshold': state.threshold})
         if state.why_skipped:
             values['monitor last skipped'] = state.why_skipped
+        if state.mount is not None:
+            values.update({'mount monitor windows': state.mount.windows,
+                           'mount monitor skipped': state.mount.skipped,
+                           'mount monitor statistic': state.mount.statistic,
+                           'mount monitor threshold': state.mount.threshold})
+            if state.mount.why_skipped:
+                values['mount monitor last skipped'] = state.mount.why_skipped
         if state.change is None:
             return level, text, values
-        for name, value, sigma in zip(CHANGE_NAMES, state.change.change_px.tolist(),
-                                      state.change.sigma_px.tolist()):
-            values[f'change of {name} px'] = value
-            values[f'change of {name} px sigma'] = sigma
+        values.update(_stated(state))
         return WARN, f'{state.change}; {ADVICE}', values
+
+
+def _stated(state: MonitoringSnapshot) -> dict[str, float]:
+    """Return what an alarm states, with sigmas."""
+    change = state.change
+    if isinstance(change, MountChange):
+        told = zip(TURN, 'deg deg deg'.split(), change.degrees.tolist(),
+                   change.sigma_degrees.tolist())
+    elif change is not None:
+        told = zip(CHANGE_NAMES, 'px px px'.split(), change.change_px.tolist(),
+                   change.sigma_px.tolist())
+    else:
+        return {}
+    values: dict[str, float] = {}
+    for name, unit, value, sigma in told:
+        values[f'change of {name} {unit}'] = value
+        values[f'change of {name} {unit} sigma'] = sigma
+    return values

@@ -24,7 +24,7 @@ from selfcal_ros.nodes.parameters import CalibratorParameters
 from selfcal_ros.nodes.quality_of_service import STEADY
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, EstimateRequest
-from selfcal_ros.pipeline.robot.live_robot import LiveRobot
+from selfcal_ros.pipeline.robot.live_robot import LiveRobot, RobotSnapshot
 from selfcal_ros.pipeline.robot.pose_checks import PoseReading
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 from selfcal_ros.pipeline.robot.stated import mount_facts, stated_sigmas
@@ -128,14 +128,18 @@ class RobotTopic:
 
     def with_poses(self, request: EstimateRequest) -> EstimateRequest:
         """Return a request with what the robot has told so far."""
+        return request if self.robot is None else request.with_robot(self.told())
+
+    def told(self) -> RobotSnapshot | None:
+        """Return what the robot has told so far; None where that is nothing, or of no use."""
         if self.robot is None:
-            return request
+            return None
         try:
-            return request.with_robot(self.robot.snapshot())
+            return self.robot.snapshot()
         except InputError as error:
             self._node.get_logger().warning(f'poses of the robot: {error}',
                                             throttle_duration_sec=5.0)
-            return request
+            return None
 
     @property
     def lacks(self) -> bool:

@@ -16,22 +16,43 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from selfcal_ros.calibration.monitoring.camera_change import CameraChange, MonitorSettings
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
-from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
+from selfcal_ros.calibration.monitoring.mount_monitor import MountChange, MountMonitor
+from selfcal_ros.calibration.monitoring.mount_score import is_watchable, mount_score, MountScore
+from selfcal_ros.calibration.monitoring.window_score import adjusted, score_of, WindowScore
+from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.errors import InputError
 from selfcal_ros.features.selection import drop_static
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.chances import chi2_limit
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.pipeline.calibration_session import Keyframe
+from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.values.tracks import Tracks
 
 #: Windows that wait for their turn; where the machine is slower than the camera, the rest go.
 MAX_WAITING = 40
+#: A window says nothing of the mount while that of the lens has less than this chance: a zoom
+#: would pass for a knock.
+LENS_IN_DOUBT = float(chi2_limit(1e-3, 3))
+
+#: What tells the poses of the robot so far, if anything does.
+AskRobot = Callable[[], RobotSnapshot | None]
+
+
+@dataclass(frozen=True)
+class WindowVerdict:
+    """What a window says of the camera, and of its mount where that is watched."""
+
+    camera: WindowScore
+    mount: MountScore | NoEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -43,11 +64,37 @@ class ScoreRequest:
     free: tuple[str, ...]
     generation: int
     reference: bool
+    mount: Mount | None = None
+    robot: RobotSnapshot | None = None
 
-    def run(self) -> WindowScore | NoEstimate:
+    def run(self) -> WindowVerdict | NoEstimate:
         """Score it; takes tenths of a second, for a worker thread."""
         tracks, _ = drop_static(self.tracks)
-        return window_score(tracks, self.camera, self.free, np.random.default_rng(0))
+        found = adjusted(tracks, self.camera, np.random.default_rng(0))
+        if isinstance(found, NoEstimate):
+            return found
+        score = score_of(*found, self.camera, self.free)
+        if isinstance(score, NoEstimate):
+            return score
+        if self.mount is None or self.robot is None:
+            return WindowVerdict(score)
+        try:
+            return WindowVerdict(score, mount_score(
+                *found, self.camera, self.mount, self.robot.poses(), self.robot.facts,
+                max(1.0, score.dependence)))
+        except (InputError, np.linalg.LinAlgError) as error:
+            return WindowVerdict(score, NoEstimate('body_poses_unusable', why=str(error)))
+
+
+@dataclass(frozen=True)
+class MountSnapshot:
+    """The same of the mount: windows, those that said nothing, and the newest test."""
+
+    windows: int
+    skipped: int
+    why_skipped: str
+    statistic: float
+    threshold: float
 
 
 @dataclass(frozen=True)
@@ -65,7 +112,9 @@ class MonitoringSnapshot:
         Windows, up to the newest, that no camera before a still scene explains.
     statistic, threshold : float
         Of the newest test; 0 before the first.
-    change : CameraChange or None
+    change : CameraChange or MountChange or None
+    mount : MountSnapshot or None
+        None where no mount is watched.
 
     """
 
@@ -75,7 +124,8 @@ class MonitoringSnapshot:
     unexplained: int = 0
     statistic: float = 0.0
     threshold: float = 0.0
-    change: CameraChange | None = None
+    change: CameraChange | MountChange | None = None
+    mount: MountSnapshot | None = None
 
 
 class Monitoring:
@@ -104,10 +154,12 @@ class Monitoring:
         self._keyframes: list[Keyframe] = []
         self._waiting: deque[tuple[Tracks, bool]] = deque()
         self._skipped, self._why = 0, ''
+        self._of_mount: MountMonitor | None = None
+        self._mount_skipped, self._mount_why = 0, ''
 
     def watch(self, calibration: Calibration, tracks: Tracks) -> None:
         """
-        Watch a calibration from here on.
+        Watch a calibration from here on, and its mount where that is known.
 
         Parameters
         ----------
@@ -118,6 +170,8 @@ class Monitoring:
         """
         self.forget()
         self._monitor = ChangeMonitor(calibration, self.settings)
+        if isinstance(calibration.mount, Mount) and is_watchable(calibration.mount):
+            self._of_mount = MountMonitor(calibration.mount, self.settings)
         frames = [frame for frame in tracks.frames if frame in set(calibration.frames)]
         count = self.settings.keyframes
         for first in range(0, len(frames) - count + 1, count // 2):
@@ -128,9 +182,10 @@ class Monitoring:
         self._keyframes = []
 
     @property
-    def change(self) -> CameraChange | None:
-        """The alarm, if there is one."""
-        return self._monitor.change if self._monitor else None
+    def change(self) -> CameraChange | MountChange | None:
+        """The alarm, if there is one; that of the camera before that of its mount."""
+        return (self._monitor.change if self._monitor else None) or (
+            self._of_mount.change if self._of_mount else None)
 
     def add_keyframe(self, keyframe: Keyframe, image_size: tuple[int, int]) -> None:
         """
@@ -159,49 +214,74 @@ class Monitoring:
         else:
             self._skip('the machine does not keep up')
 
-    def next_request(self) -> ScoreRequest | None:
-        """Return the next window to score; None if there is none."""
+    def next_request(self, ask_robot: AskRobot | None = None) -> ScoreRequest | None:
+        """Return the next window to score, with poses of the robot; None if there is none."""
         if self._monitor is None or not self._waiting:
             return None
         tracks, reference = self._waiting.popleft()
-        return ScoreRequest(tracks, self._monitor.camera, self._monitor.free, self._generation,
-                            reference)
+        request = ScoreRequest(tracks, self._monitor.camera, self._monitor.free,
+                               self._generation, reference)
+        robot = ask_robot() if ask_robot and self._of_mount is not None else None
+        if self._of_mount is None or robot is None or not tracks.stamps_ns:
+            return request
+        stamps = tracks.stamps_ns.values()
+        return replace(request, mount=self._of_mount.mount,
+                       robot=robot.between(min(stamps), max(stamps)))
 
-    def accept(self, request: ScoreRequest, score) -> CameraChange | None:
+    def accept(self, request: ScoreRequest, score) -> CameraChange | MountChange | None:
         """
         Take the result of a request.
 
         Parameters
         ----------
         request : ScoreRequest
-        score : WindowScore or object
+        score : WindowVerdict or object
             Anything else is the reason why there is no score.
 
         Returns
         -------
-        CameraChange or None
+        CameraChange or MountChange or None
             The alarm, if it is new.
 
         """
         if self._monitor is None or request.generation != self._generation:
             return None
-        if not isinstance(score, WindowScore):
+        if not isinstance(score, WindowVerdict):
             self._skip(score.clause if isinstance(score, NoEstimate) else str(score))
             return None
-        known = self._monitor.change
+        known = self.change
         try:
-            if request.reference:
-                self._monitor.learn(score)
-            elif not self._monitor.explains(score):
-                self._skip(NoEstimate('window_unexplained', left_px=score.noise_px,
-                                      still=score.still).clause)
-                self._monitor.add(score)
-            else:
-                self._monitor.add(score)
+            self._take(request, score)
         except np.linalg.LinAlgError:
             # absurd tracks can make absurd scores; the node must go on
             self._skip('its score is singular')
-        return self._monitor.change if known is None else None
+        return self.change if known is None else None
+
+    def _take(self, request: ScoreRequest, verdict: WindowVerdict) -> None:
+        """Give a verdict to the monitors: to that of the mount where the lens is not in doubt."""
+        monitor, camera = self._monitor, verdict.camera
+        if monitor is None:
+            return
+        if request.reference:
+            monitor.learn(camera)
+            if self._of_mount is not None and isinstance(verdict.mount, MountScore):
+                self._of_mount.learn(verdict.mount)
+            return
+        explained = monitor.explains(camera)
+        if not explained:
+            self._skip(NoEstimate('window_unexplained', left_px=camera.noise_px,
+                                  still=camera.still).clause)
+        monitor.add(camera)
+        if self._of_mount is None or verdict.mount is None:
+            return
+        if not explained or monitor.change or monitor.statistic > LENS_IN_DOUBT:
+            self._mount_skipped += 1
+            self._mount_why = 'the camera itself may have changed, or the window does not fit'
+        elif isinstance(verdict.mount, NoEstimate):
+            self._mount_skipped += 1
+            self._mount_why = verdict.mount.clause
+        else:
+            self._of_mount.add(verdict.mount)
 
     def work_off(self) -> None:
         """Compute all that waits, here and now."""
@@ -214,7 +294,12 @@ class Monitoring:
             return MonitoringSnapshot()
         return MonitoringSnapshot(self._monitor.windows, self._skipped, self._why,
                                   self._monitor.unexplained, self._monitor.statistic,
-                                  self._monitor.threshold, self.change)
+                                  self._monitor.threshold, self.change, self._mount_snapshot())
+
+    def _mount_snapshot(self) -> MountSnapshot | None:
+        one = self._of_mount
+        return None if one is None else MountSnapshot(
+            one.windows, self._mount_skipped, self._mount_why, one.statistic, one.threshold)
 
     def _skip(self, why: str) -> None:
         self._skipped += 1

@@ -15,13 +15,18 @@
 
 from dataclasses import dataclass, replace
 
+from bench.mount_worlds import odometry
 import numpy as np
 import pytest
 from selfcal_ros import calibrate
+from selfcal_ros.calibration.mount import Mount, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, Keyframe, SessionSettings
 from selfcal_ros.pipeline.monitoring import MAX_WAITING, Monitoring
+from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
+from selfcal_ros.pipeline.robot.robot_source import RobotSource
 from selfcal_ros.synthetic.special_scenes import drive
 
 SIZE = (640, 480)
@@ -53,6 +58,45 @@ def test_windows_are_scored_and_agree_with_the_calibration(road):
     state = monitoring.snapshot()
     assert state.windows == 3 and state.skipped == 0 and state.change is None
     assert 0 <= state.statistic < state.threshold
+
+
+def robot_with(sequence, knocked_from, knock_deg):
+    """Return a mount, and odometry of a body whose camera is knocked at a view."""
+    mount = np.eye(4)
+    mount[:3, :3], mount[:3, 3] = mount_rotation(0, np.radians(20), np.radians(5)), (0.3, 0.1, 0.6)
+    knocked = mount.copy()
+    knocked[:3, :3] = rotation_matrix(np.radians(knock_deg)) @ mount[:3, :3]
+    cameras = np.broadcast_to(np.eye(4), (VIEWS, 4, 4)).copy()
+    cameras[:, :3] = sequence.cam_from_world
+    late = (np.arange(VIEWS) >= knocked_from)[:, None, None]
+    body = np.linalg.inv(np.where(late, knocked, mount) @ cameras)
+    sigma = np.array([0.002, 0.002, np.inf, 2e-4, 2e-4, 1e-3, 1e-3, 0])
+    odometer = (0.01, 0.001, 1e-3, 1e-3, 1e-3, 3e-3)
+    found = Mount('base_link', mount, np.diag(sigma**2), dict.fromkeys(NAMES, 'estimated'), 1.0,
+                  0.0, {}, CALIBRATED, 0, 0.0, 0.0, pose_sigmas=odometer)
+    poses = odometry(np.random.default_rng(6), body[:, :3, :3], body[:, :3, 3],
+                     (0.01, 0.001, 0.003), stamps_ns=np.arange(VIEWS) * 10**9)
+    return found, RobotSnapshot(RobotSource.parse('/odom'), MountFacts(), poses)
+
+
+def test_a_camera_that_is_knocked_on_its_robot_is_noticed(road):
+    tracks, first, calibration = road
+    sequence = drive(np.random.default_rng(31), 0.1, VIEWS, 1600)
+    mount, robot = robot_with(sequence, 28, (0, 0.5, 0))
+    monitoring = Monitoring()
+    monitoring.watch(replace(calibration, mount=mount), first)
+    for index in range(CALIBRATED, VIEWS):
+        monitoring.add_keyframe(keyframe(tracks, index), SIZE)
+        while (request := monitoring.next_request(lambda: robot)) is not None:
+            alarm = monitoring.accept(request, request.run())
+            assert alarm is None or index > 30
+    state = monitoring.snapshot()
+    assert state.mount.windows == 3 and state.mount.skipped == 0
+    assert state.change.turn == pytest.approx(np.radians([0, 0.5, 0]), abs=np.radians(0.1))
+    assert 'pitch +0.' in str(state.change) and 'yaw' not in str(state.change)
+    assert 20 <= state.change.since_frame <= 28 <= state.change.clear_from_frame <= 36
+    # the camera itself is what it was
+    assert state.statistic < state.threshold
 
 
 def test_nothing_is_watched_before_there_is_a_calibration(road):

@@ -44,6 +44,8 @@ class MonitorSettings:
     tolerance_px : float
         Standard deviation of the displacement, half an image diagonal from the middle, that is
         no change: no two scenes show a camera exactly alike.
+    tolerance_deg : float
+        Standard deviation of a turn of the camera on its robot that is no change.
 
     Raises
     ------
@@ -55,6 +57,7 @@ class MonitorSettings:
     keyframes: int = 9
     false_alarm_keyframes: float = 3.6e6
     tolerance_px: float = 0.25
+    tolerance_deg: float = 0.03
 
     def __post_init__(self):
         """Refuse impossible values."""
@@ -67,6 +70,9 @@ class MonitorSettings:
         if not 0 < self.tolerance_px < 100:
             raise ArgumentError('The tolerance of the monitor lies between 0 and 100 px, '
                                 f'not {self.tolerance_px!r}.')
+        if not 0 < self.tolerance_deg < 10:
+            raise ArgumentError('The tolerance of the monitor lies between 0 and 10 degrees, '
+                                f'not {self.tolerance_deg!r}.')
 
     @property
     def chance(self) -> float:

@@ -72,9 +72,10 @@ class WindowScatter:
             return own
         return max(1.0, float(np.median([*before, own])))
 
-    def remember(self, score: WindowScore, step, covariance) -> None:
-        """Remember a window: its distance from the camera in force, and its covariance."""
-        self._known.append(score)
+    def remember(self, score: WindowScore | None, step, covariance) -> None:
+        """Remember a window: its distance from what is in force, and its covariance."""
+        if score is not None:
+            self._known.append(score)
         self._seen.append((step, covariance))
         del self._known[:-REMEMBERED], self._seen[:-REMEMBERED]
 

@@ -111,9 +111,12 @@ def window_score(tracks: Tracks, camera: Camera, free: tuple[str, ...],
 
     """
     found = adjusted(tracks, camera, rng)
-    if isinstance(found, NoEstimate):
-        return found
-    graph, window = found
+    return found if isinstance(found, NoEstimate) else score_of(*found, camera, free)
+
+
+def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
+             free: tuple[str, ...]) -> WindowScore | NoEstimate:
+    """Score a window that is adjusted; see `window_score`."""
     fit = window.fit
     state, observations, bundle = fit.state, fit.observations, without_camera(fit.bundle, free)
     places = state.lens.places(free)

@@ -179,6 +179,15 @@ class Adjustment:
     def _system(self, state: State, prediction: Prediction, errors: PoseErrors,
                 weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the information matrix and minus the gradient, of all unknowns."""
+        H, g = self._of_poses(state, prediction, errors, weights)
+        values, slopes = self._priors(state)
+        H[:COUNT, :COUNT] += slopes.T @ slopes
+        g[:COUNT] += slopes.T @ values
+        return H, g
+
+    def _of_poses(self, state: State, prediction: Prediction, errors: PoseErrors,
+                  weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the same of poses and images alone."""
         counted = weights > 0
         roots = errors.whitening()[counted] * np.sqrt(weights[counted])[:, None, None]
         S = errors.independent(roots @ prediction.slopes[counted])
@@ -188,9 +197,6 @@ class Adjustment:
         own = np.arange(COUNT, len(g))
         H[own, own] += 1
         g[own] -= state.w
-        values, slopes = self._priors(state)
-        H[:COUNT, :COUNT] += slopes.T @ slopes
-        g[:COUNT] += slopes.T @ values
         return H, g
 
     def _distances(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
@@ -199,6 +205,29 @@ class Adjustment:
         r = prediction.residual
         squares: np.ndarray = np.einsum('mi,mij,mj->m', r, W, r)
         return squares
+
+    def distances(self, state: State, errors: PoseErrors) -> np.ndarray:
+        """Return squared misfits of a state in sigmas, shape (m,)."""
+        return self._distances(self.predict(state), errors)
+
+    def of_poses(self, state: State, errors: PoseErrors, keep: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, float]:
+        """
+        Return what poses and images say without the facts.
+
+        Returns
+        -------
+        information : ndarray, shape (16 + k, 16 + k)
+        gradient : ndarray, shape (16 + k,)
+            Minus that of half the square.
+        square : float
+            Of the misfits that count, in sigmas.
+
+        """
+        prediction = self.predict(state)
+        weights = keep.astype(float)
+        H, g = self._of_poses(state, prediction, errors, weights)
+        return H, g, float(weights @ self._distances(prediction, errors) + state.w @ state.w)
 
     def descend(self, state: State, errors: PoseErrors,
                 keep: np.ndarray | None = None) -> tuple[State, float]:

@@ -20,10 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, to_parameters
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.reconstruction import PosePrecision
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.camera_path import (
     camera_path, OF_AN_OBJECT, TURNING, with_shared_errors)
+from selfcal_ros.calibration.structure.metric_structure import world_and_scale
+from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -113,6 +116,34 @@ def camera_poses(calibration: Calibration) -> CameraPoses:
             roots = _in_a_middle_world(roots, path.centre)
     return CameraPoses(path.frames, path.rotation, path.centre, roots, lens_root,
                        calibration.motion == OF_AN_OBJECT, calibration.motion != TURNING)
+
+
+def poses_of_fit(frames: np.ndarray, fit: RobustFit, spread: float) -> CameraPoses:
+    """
+    Take the poses of an adjustment that held its lens.
+
+    Parameters
+    ----------
+    frames : ndarray of int, shape (V,)
+    fit : RobustFit
+    spread : float
+        Variance of the poses over that with independent errors.
+
+    Returns
+    -------
+    CameraPoses
+
+    """
+    poses = fit.state.path.cam_from_world()
+    rotation = np.swapaxes(poses[:, :, :3], 1, 2)
+    centre = -np.einsum('vij,vj->vi', rotation, poses[:, :, 3])
+    world, scale = world_and_scale(poses, False)
+    centre = scale * (centre - centre[0]) @ world[:, :3].T
+    precision = pose_precision(fit, False)
+    root = np.sqrt(spread) * _root(precision.covariance)
+    return CameraPoses(np.asarray(frames), world[:, :3] @ rotation, centre,
+                       _in_a_middle_world(precision.by_unknowns @ root, centre),
+                       np.zeros((0, root.shape[1])), False, True)
 
 
 def _roots(precision: PosePrecision, stated: np.ndarray,

@@ -225,7 +225,7 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     return Mount(poses.body_frame, pose, covariance, status, scale, float(offset),
                  missing_motion(status, track, turns), len(rows),
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
-                 places=places, axis=axis)
+                 places=places, axis=axis, pose_sigmas=optimum.errors.by_component)
 
 
 def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimum,

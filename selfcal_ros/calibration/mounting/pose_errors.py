@@ -77,15 +77,11 @@ class PoseErrors:
     def of(cls, poses: BodyPoses, track: BodyTrack, offset: float, rows: np.ndarray,
            has_path: bool) -> PoseErrors:
         """Choose the kinds of errors; variances are those stated, or the smallest."""
+        single = _single(track, offset, rows)
         if track.odometry:
-            single = track.way_errors(offset, rows)
             axes = _ALONG if single.shape[1] >= FEW else _WHOLE
-            single = single + _STANDING * np.array(
-                [np.diag(one) for one in np.eye(6)])[:, None]
         else:
             axes = _IN_A_PLANE if track.flat else _WHOLE
-            single = np.broadcast_to(np.array([np.diag(one) for one in np.eye(6)])[:, None],
-                                     (6, len(rows), 6, 6))
         shapes = np.array([single[list(kind)].sum(axis=0) for kind in axes])
         sigmas = [poses.sigma_position_m, poses.sigma_rotation_rad]
         # a plane is not measured: neither is how well it holds
@@ -100,6 +96,22 @@ class PoseErrors:
         if not has_path:
             variances, stated = np.where(places, ANYWHERE_M**2, variances), stated | places
         return cls(axes, shapes, variances, stated, floors, np.zeros(6))
+
+    @classmethod
+    def known(cls, sigmas: np.ndarray, track: BodyTrack, offset: float,
+              rows: np.ndarray) -> PoseErrors:
+        """Take errors of known size, (6,): see `Mount.pose_sigmas`."""
+        single = _single(track, offset, rows)
+        return cls(tuple((k,) for k in range(6)), single, sigmas**2, np.ones(6, bool),
+                   np.zeros(6), np.zeros(6))
+
+    @property
+    def by_component(self) -> tuple[float, ...]:
+        """Standard deviations of x, y, z, roll, pitch and yaw, those of a kind alike."""
+        found = np.zeros(6)
+        for kind, variance in zip(self.axes, self.variances):
+            found[list(kind)] = np.sqrt(variance)
+        return tuple(found.tolist())
 
     def covariances(self) -> np.ndarray:
         """Return the covariance of every misfit, shape (m, 6, 6)."""
@@ -199,3 +211,11 @@ class PoseErrors:
         among = [(len(kind), variance) for kind, variance in zip(self.axes, self.variances)
                  if kind[0] // 3 == component // 3]
         return float(np.sqrt(sum(n * v for n, v in among) / sum(n for n, _ in among)))
+
+
+def _single(track: BodyTrack, offset: float, rows: np.ndarray) -> np.ndarray:
+    """Return covariances of misfits for unit variances, component by component, (6, m, 6, 6)."""
+    units = np.array([np.diag(one) for one in np.eye(6)])[:, None]
+    if track.odometry:
+        return track.way_errors(offset, rows) + _STANDING * units
+    return np.broadcast_to(units, (6, len(rows), 6, 6))

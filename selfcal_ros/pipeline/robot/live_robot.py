@@ -39,6 +39,8 @@ from selfcal_ros.values.transform_tree import TransformTree
 
 #: Frames of TF that are remembered at most; a robot has a hundred.
 MOST_FRAMES = 2000
+#: Poses that long before and after a window of images count, for clocks that differ.
+MARGIN_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,24 @@ class RobotSnapshot:
             world, body = self.source.frames or ('', '')
             found = tree.poses(world, body)
         return self.source.reading.applied(found, str(self.source))
+
+    def between(self, first_ns: int, last_ns: int) -> RobotSnapshot:
+        """Return what is known from just before one instant to just after another."""
+        def near(stamps: np.ndarray) -> np.ndarray:
+            return (stamps > first_ns - MARGIN_NS) & (stamps < last_ns + MARGIN_NS)
+        if isinstance(self.read, BodyPoses):
+            if self.read.stamps_ns is None:
+                return self
+            keep = near(self.read.stamps_ns)
+            # of none there is nothing to hold images against, and that is told elsewhere
+            keep[-2:] |= not keep.any()
+            return replace(self, read=replace(
+                self.read, rotation=self.read.rotation[keep], position=self.read.position[keep],
+                stamps_ns=self.read.stamps_ns[keep]))
+        return replace(self, read=tuple(
+            one if one.is_static or near(one.stamps_ns).sum() < 2 else
+            replace(one, stamps_ns=one.stamps_ns[near(one.stamps_ns)],
+                    matrices=one.matrices[near(one.stamps_ns)]) for one in self.read))
 
     def mounted(self, result: Calibration, tracks: Tracks) -> Calibration:
         """Return the calibration with the mount, or with why there is none."""
