@@ -64,6 +64,12 @@ REMARKS: dict[str, Phrase] = {
         'p1 and p2 are far from zero, and certain. A tilted sensor or lens element may act as a '
         'prism, which the lens models of ROS lack; the principal point takes part of it.',
         'Nothing; a calibration of single rays (a board, many views) tells more.'),
+    'fisheye_decentred': Phrase(
+        'The fisheye is decentred by {decentring:.1e}, for which its model has no coefficients. '
+        'The sigmas allow for it.',
+        'Its lens elements are not on one axis. ROS has no such coefficients beside k1 to k4; '
+        'the principal point takes part of it.',
+        'Nothing; near the rim the image may be off by a pixel.'),
     'regions_beyond_lens': Phrase(
         'Beyond this deviation of the lens, errors shared within regions of the image make the '
         'sigmas {ratio:.1f} times as wide.',

@@ -45,6 +45,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMis
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
+from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
@@ -222,12 +223,16 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         state, inner, residuals = field.state, field.covariance, field.residual
         findings = (*dependence.findings('track'), *field.findings())
     ratio, added = model.jackknife
-    verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2)
+    hidden = hidden_decentring(fit, dependence.inflation**2,
+                               *(() if field is None else (field.modes, field.size_px)))
+    verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2, hidden)
     if field is not None and facts.distortion != 'none':
         # what the lens does beyond its model is in the sigmas, or too much for any lens
         verdict = verdict.without(LENS_MODEL)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
+    if hidden is not None:
+        inner, findings = inner + hidden.covariance, findings + hidden.findings()
     prism = possible_prism(fit, inner, dependence.inflation**2)
     if prism is not None:
         inner, findings = inner + prism.covariance, findings + prism.findings()

@@ -33,6 +33,7 @@ from selfcal_ros.calibration.bundle.priors import (ORDINARY_DECENTRING, populati
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
+from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
@@ -41,8 +42,6 @@ from selfcal_ros.geometry.lenses.model import fitted_coefficients
 POORER = {'plumb_bob': ('radial2', 'radial1', 'none'), 'equidistant': (), 'rational': ()}
 #: Lenses whose coefficients are weighed with those of real lenses.
 REGULARISED = ('plumb_bob', 'rational', 'equidistant')
-#: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
-DECENTRING = np.geomspace(2e-4, 5e-3, 9)
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12
@@ -223,36 +222,6 @@ def with_lens(state: SceneState, xy: np.ndarray, name: str) -> SceneState:
     image = camera.pinhole.normalised(xy[seen])
     values = fitted_coefficients(model, names, rays[seen], image)
     return replace(state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
-
-
-def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
-    """
-    Return the sigma of p1 and p2 that their estimate suggests.
-
-    The root mean square over `DECENTRING`, each size weighed by how probable it makes the
-    estimate: where the images say little it stays large.
-
-    Parameters
-    ----------
-    found : ndarray, shape (2,)
-        Estimated with the largest size as prior.
-    variance : ndarray, shape (2, 2)
-        Of that estimate, the prior included.
-
-    Returns
-    -------
-    float
-
-    """
-    values, vectors = np.linalg.eigh(variance)
-    values = np.clip(values, 1e-16, 0.999 * DECENTRING[-1]**2)
-    # the prior taken out again
-    of_images = 1 / (1 / values - 1 / DECENTRING[-1]**2)
-    free = (vectors.T @ found) * of_images / values
-    total = of_images[:, None] + DECENTRING**2
-    log_probability = -0.5 * np.sum(free[:, None]**2 / total + np.log(total), axis=0)
-    weight = np.exp(log_probability - log_probability.max())
-    return float(np.sqrt(weight @ DECENTRING**2 / weight.sum()))
 
 
 def of_decentring(fit: RobustFit, sigma: float = ORDINARY_DECENTRING) -> np.ndarray:

@@ -49,6 +49,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
+from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -286,6 +287,9 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     camera = state.camera(*size)
     dependence = cluster_robust_covariance(fit.information, observed.point, observed.xy, size)
     inner = dependence.covariance + lens.excess
+    hidden = hidden_decentring(fit, dependence.inflation**2)
+    if hidden is not None:
+        inner = inner + hidden.covariance
     course = focal_course(fit, state, frames, inner, dependence.inflation**2)
     covariance = without_held(to_parameters(inner, state.lens),
                               camera, facts)
@@ -297,7 +301,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
                    else found.conic)
         return refusal.saying(status=status, motion='rotation', facts=facts)
     # the gates of every other motion
-    verdict = examine_facts(fit, stated, size, dependence.inflation**2)
+    verdict = examine_facts(fit, stated, size, dependence.inflation**2, hidden)
     for refused in (most_agree(fit.outliers / total), unchecked(bundle),
                     verdict.refusal(covariance, focal)):
         if refused is not None:
@@ -314,7 +318,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points, pose_precision=pose_precision(fit, False)),
         residuals=residuals, population=priors.population, focal=course,
-        findings=course_findings(course) + of_facts)
+        findings=course_findings(course) + of_facts + (hidden.findings() if hidden else ()))
 
 
 def _starting_cameras(conic, size, facts):

@@ -30,6 +30,7 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     jackknife_excess)
 from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
+from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentring
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, Supposition,
                                                               Tested)
 from selfcal_ros.findings.finding import Finding
@@ -206,7 +207,7 @@ def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
 
 
 def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], known: float,
-                  ) -> FactsVerdict:
+                  hidden: HiddenDecentring | None = None) -> FactsVerdict:
     """
     Ask the images of an optimum about every fact that is stated.
 
@@ -220,6 +221,8 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
         Width and height of the image.
     known : float
         Variance of the estimate over that with independent errors.
+    hidden : HiddenDecentring, optional
+        What the lens may do beside its model: no fact is blamed for it.
 
     Returns
     -------
@@ -232,7 +235,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
     asked: set[str] = set()
     while True:
         about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
-        tested = sorted(_tested(fit, about, known), key=lambda one: one.p_value)
+        tested = sorted(_tested(fit, about, known, hidden), key=lambda one: one.p_value)
         if not asked:
             unchecked = tuple(error for one in tested if one.p_value > DOUBTED
                               for error in _unchecked(fit, one))
@@ -260,7 +263,8 @@ def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
     return {**stated, LENS_MODEL: held} if held else stated
 
 
-def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float) -> list[Tested]:
+def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
+            hidden: HiddenDecentring | None) -> list[Tested]:
     """Test every fact by itself, the others supposed."""
     if not about:
         return []
@@ -272,7 +276,9 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float) -> 
         shared = bundle.model.linearise(fit.state, bundle.blocks, bundle.xy,
                                         replace(bundle.unknowns, free=free), True).shared
     joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
-                                    for fact, names in about.items()], known)
+                                    for fact, names in about.items()], known,
+                              None if hidden is None else hidden.columns,
+                              1.0 if hidden is None else hidden.size)
     return [joint.test(fact) for fact in about]
 
 

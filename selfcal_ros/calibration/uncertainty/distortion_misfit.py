@@ -70,6 +70,8 @@ class DistortionMisfit:
         Of the internal parameters.
     residual : ndarray, shape (N, 2)
         Residuals that remain beside the field, pixels.
+    modes : ndarray, shape (N, 2, q)
+        Displacements of the coefficients.
 
     """
 
@@ -79,6 +81,7 @@ class DistortionMisfit:
     state: SceneState
     covariance: np.ndarray
     residual: np.ndarray
+    modes: np.ndarray
 
     def findings(self) -> tuple[Finding, ...]:
         """Tell how far the lens is from its model, and what is shared beyond that."""
@@ -214,4 +217,4 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
     return DistortionMisfit(size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
-                            linearisation.residual + change / np.maximum(root, 1e-300))
+                            linearisation.residual + change / np.maximum(root, 1e-300), modes)

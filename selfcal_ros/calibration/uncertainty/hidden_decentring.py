@@ -1,0 +1,156 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A fisheye whose lens elements are decentred: what the equidistant model has no coefficients for.
+
+Decentring moves the image by p₁, p₂ as in Brown's model (1966), here over the radius of the
+equidistant image. No file of ROS has names for it beside k1 to k4, so that it is not estimated.
+The images still tell its size by one step of the estimate that has it. What it would move is added
+to the covariance of the camera, and stated facts are asked with it set aside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.lenses.plumb_bob import tangential
+
+#: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
+DECENTRING = np.geomspace(2e-4, 5e-3, 9)
+#: It is told of where without it the images would be an accident so rarely.
+ACCIDENT = 1e-6
+_DECENTRING = 'no decentring'
+
+
+@dataclass(frozen=True)
+class HiddenDecentring:
+    """
+    What decentring that the model lacks may do to a calibration.
+
+    Attributes
+    ----------
+    value : ndarray, shape (2,)
+        p1 and p2 as the images suggest, among lenses of the size found.
+    size : float
+        Standard deviation of either among lenses.
+    is_certain : bool
+        Whether the images show it beyond doubt.
+    covariance : ndarray, shape (k, k)
+        To add to that of the unknowns of the lens.
+    columns : ndarray, shape (N, 2, 2)
+        Derivative of every residual by p1 and p2, pixels.
+
+    """
+
+    value: np.ndarray
+    size: float
+    is_certain: bool
+    covariance: np.ndarray
+    columns: np.ndarray
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell of it where it is certain."""
+        return ((Finding('fisheye_decentred', decentring=float(np.hypot(*self.value))),)
+                if self.is_certain else ())
+
+
+def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = None,
+                      field_px: float = 1.0) -> HiddenDecentring | None:
+    """
+    Ask the images of an optimum for decentring that their lens model lacks.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    known : float
+        Variance of the estimate over that with independent errors.
+    field : ndarray, shape (N, 2, q), optional
+        Displacements by a smooth field that the calibration allows for already.
+    field_px : float
+        Standard deviation of its coefficients.
+
+    Returns
+    -------
+    HiddenDecentring or None
+        None where the model has coefficients for it, or no lens is estimated.
+
+    """
+    unknowns = fit.bundle.unknowns
+    if fit.state.lens.model.is_perspective or not {'k1', 'k2'} <= set(unknowns.free_lens_names):
+        return None
+    columns = _by_decentring(fit)
+    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2'), columns)],
+                               known, field, field_px).test(_DECENTRING)
+    told = np.isfinite(np.diag(tested.covariance))
+    information = np.zeros((2, 2))
+    information[np.ix_(told, told)] = np.linalg.pinv(tested.covariance[np.ix_(told, told)],
+                                                     hermitian=True)
+    widest = np.linalg.inv(information + np.eye(2) / DECENTRING[-1]**2)
+    size = likely_decentring(widest @ information @ tested.value, widest)
+    after = np.linalg.inv(information + np.eye(2) / size**2)
+    found = after @ information @ tested.value
+    response = tested.response * unknowns.free[unknowns.lens][:, None]
+    return HiddenDecentring(found, size, bool(chi2_chance(tested.chi2, 2) < ACCIDENT),
+                            response @ (after + np.outer(found, found)) @ response.T, columns)
+
+
+def _by_decentring(fit: RobustFit) -> np.ndarray:
+    """Differentiate the residuals by p1 and p2, shape (N, 2, 2)."""
+    f, aspect, cx, cy, skew = fit.state.lens.values[:5]
+    at = fit.bundle.xy + fit.linearisation.residual
+    y = (at[:, 1] - cy) / (f * aspect)
+    x = (at[:, 0] - cx - skew * y) / f
+    square = x * x + y * y
+    columns = np.zeros((len(at), 2, 2))
+    for k, (p1, p2) in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        dx, dy = tangential(p1, p2, x, y, square)
+        columns[:, 0, k], columns[:, 1, k] = f * dx + skew * dy, f * aspect * dy
+    return columns
+
+
+def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
+    """
+    Return the sigma of p1 and p2 that their estimate suggests.
+
+    The root mean square over `DECENTRING`, each size weighed by how probable it makes the
+    estimate: where the images say little it stays large.
+
+    Parameters
+    ----------
+    found : ndarray, shape (2,)
+        Estimated with the largest size as prior.
+    variance : ndarray, shape (2, 2)
+        Of that estimate, the prior included.
+
+    Returns
+    -------
+    float
+
+    """
+    values, vectors = np.linalg.eigh(variance)
+    values = np.clip(values, 1e-16, 0.999 * DECENTRING[-1]**2)
+    # the prior taken out again
+    of_images = 1 / (1 / values - 1 / DECENTRING[-1]**2)
+    free = (vectors.T @ found) * of_images / values
+    total = of_images[:, None] + DECENTRING**2
+    log_probability = -0.5 * np.sum(free[:, None]**2 / total + np.log(total), axis=0)
+    weight = np.exp(log_probability - log_probability.max())
+    return float(np.sqrt(weight @ DECENTRING**2 / weight.sum()))

@@ -1,0 +1,62 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A fisheye with decentred elements, which its model has no coefficients for."""
+
+from dataclasses import replace
+
+import numpy as np
+from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
+from selfcal_ros.geometry.lenses.plumb_bob import tangential
+from selfcal_ros.synthetic.special_scenes import drive
+
+FISHEYE = Camera([[260.0, 0, 322.0], [0, 260, 236], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,
+                 480, 'equidistant')
+
+
+def decentred(p1, p2, seed):
+    """Record a drive through that lens, and move the image as its elements would."""
+    tracks = drive(np.random.default_rng(seed), 0.3, 14, 350, 10, FISHEYE).tracks
+    f = FISHEYE.K[0, 0]
+    x, y = ((tracks.xy - FISHEYE.K[:2, 2]) / f).T
+    return replace(tracks, xy=tracks.xy + f * np.column_stack(
+        tangential(p1, p2, x, y, x * x + y * y)))
+
+
+def errors(result):
+    """Return fx, cx, cy off, in their sigmas."""
+    K = result.camera.K - FISHEYE.K
+    return np.array([K[0, 0] / result.sigma['fx'], K[0, 2] / result.sigma['cx'],
+                     K[1, 2] / result.sigma['cy']])
+
+
+def test_the_sigmas_hold_what_the_model_of_a_fisheye_lacks():
+    square = CameraFacts(aspect_ratio=1.0, skew=0.0)
+    plain = calibrate(decentred(0.0, 0.0, 3), facts=square)
+    bent = calibrate(decentred(0.0012, -0.0008, 3), facts=square)
+    told = [[one.kind for one in result.findings] for result in (plain, bent)]
+    assert plain.camera.model == bent.camera.model == 'equidistant'
+    assert np.abs(errors(plain)).max() < 3 and 'fisheye_decentred' not in told[0]
+    assert np.abs(errors(bent)).max() < 3 and 'fisheye_decentred' in told[1]
+    # what is held there, not what is true everywhere
+    assert bent.sigma['cx'] > 1.5 * plain.sigma['cx']
+
+
+def test_the_size_of_decentring_follows_the_images():
+    sure = 1e-10 * np.eye(2)
+    sizes = [likely_decentring(np.array([p, 0.0]), sure) for p in (0.0, 0.001, 0.004)]
+    assert sizes[0] < 3 * DECENTRING[0] and sizes[0] < sizes[1] < sizes[2] <= DECENTRING[-1]
+    # where they say nothing, any size may be
+    blind = likely_decentring(np.zeros(2), 0.999 * DECENTRING[-1]**2 * np.eye(2))
+    assert sizes[1] < blind < DECENTRING[-1]
