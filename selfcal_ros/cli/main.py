@@ -23,7 +23,7 @@ import sys
 import traceback
 
 from selfcal_ros.cli import completion
-from selfcal_ros.cli.own_process import own_process, silence
+from selfcal_ros.cli.own_process import end_if_told_to, own_process, silence
 from selfcal_ros.cli.parsing import SentenceParser
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_FAULT, EXIT_INPUT
 from selfcal_ros.cli.verbosity import add_verbose_argument, library_messages
@@ -113,6 +113,7 @@ def _run(argv: list[str]) -> int:
         sentence = ('There is not enough memory for this input; use smaller images, or fewer of '
                     'them.')
     except Exception:
+        end_if_told_to()
         # not 1, which says that the data did not suffice
         traceback.print_exc()
         print(f'{name}: this is a fault of selfcal_ros; please report the lines '

@@ -25,6 +25,10 @@ import warnings
 from selfcal_ros.cli.status import EXIT_INPUT
 
 
+#: Signals that came. A library may swallow what a handler raises, and fail in a way of its own.
+_CAME: list[int] = []
+
+
 class EndedBySignal(BaseException):
     """The process is to end; what is temporary is removed on the way out."""
 
@@ -58,6 +62,8 @@ def own_process(library_noise: bool = False) -> Iterator[None]:
         # whoever is ignored, as under nohup, stays so
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _end)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         try:
             yield
@@ -76,7 +82,19 @@ def own_process(library_noise: bool = False) -> Iterator[None]:
 def _end(number: int, _) -> None:
     # a second one must not break the unwinding
     signal.signal(number, signal.SIG_IGN)
+    _CAME.append(number)
     raise EndedBySignal(number)
+
+
+def _interrupt(number: int, frame) -> None:
+    _CAME.append(number)
+    signal.default_int_handler(number, frame)
+
+
+def end_if_told_to() -> None:
+    """End by the signal that came, whatever was made of what its handler raised."""
+    if _CAME:
+        raise EndedBySignal(_CAME[-1])
 
 
 def _leave(number: int) -> None:

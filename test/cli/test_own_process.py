@@ -75,6 +75,27 @@ def test_sigterm_removes_what_is_temporary_and_ends_the_process_as_it_does():
     assert not list(Path().iterdir())
 
 
+@posix
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_that_an_import_swallows_still_ends_the_process(number):
+    # as NumPy does, which says instead that a module cannot be imported
+    code = ('import os, sys\n'
+            'from selfcal_ros.cli import main\n'
+            'def swallowing(name):\n'
+            '    try:\n'
+            f'        os.kill(os.getpid(), {int(number)})\n'
+            '    except BaseException:\n'
+            '        pass\n'
+            '    raise ImportError("could not import module")\n'
+            'sys.argv = ["selfcal", "compare", "a.yaml", "b.yaml"]\n'
+            'main.import_module = swallowing\n'
+            'sys.exit(main.main())\n')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, timeout=120,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)}, check=False)
+    assert done.returncode == -number
+    assert b'Traceback' not in done.stderr and b'fault' not in done.stderr
+
+
 def alive(process: int) -> bool:
     """Tell whether a process runs; the dead that nobody has buried do not."""
     try:
