@@ -103,7 +103,8 @@ def still_features(features: list[Features]) -> list[np.ndarray] | None:
     if count < 3 or min(len(one.xy) for one in features) < _LEAST:
         return None
     trees = [cKDTree(one.xy) for one in features]
-    still, holds = [], []
+    still: list[np.ndarray] = []
+    holds: list[bool] = []
     for k, one in enumerate(features):
         others = np.unique(np.linspace(0, count - 1, _COMPARED + 1).round().astype(int))
         others = others[others != k]
@@ -114,11 +115,14 @@ def still_features(features: list[Features]) -> list[np.ndarray] | None:
             alike = np.einsum('ij,ij->i', look_of(one.sift[near]),
                               look_of(features[other].sift[at[near]]))
             times[near[alike > _ALIKE]] += 1
-        holds.append(np.mean(times >= 0.5 * len(others)) > _MOST)
+        holds.append(bool(np.mean(times >= 0.5 * len(others)) > _MOST))
+        if count - holds.count(False) < _ALWAYS * count:
+            # whatever the images to come show
+            return None
         still.append(times >= max(1, 0.15 * len(others)))
     for one, rests in zip(features, still):
         rests |= near_still(one.xy, one.xy[rests])
     rest = np.array([np.count_nonzero(~one) for one in still])
-    if np.mean(holds) < _ALWAYS or np.mean(rest >= _LEAST) < _ALWAYS:
+    if np.mean(rest >= _LEAST) < _ALWAYS:
         return None
     return still

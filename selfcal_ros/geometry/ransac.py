@@ -158,15 +158,26 @@ def ransac_inliers(xy_a: ArrayLike, xy_b: ArrayLike, rng: np.random.Generator,
         F = F[np.isfinite(F).all(axis=(1, 2))]
         if not len(F):
             continue
-        distance = np.abs(epipolar_residuals(F, first[:, :2], second[:, :2])).max(axis=-1)
-        near = distance < limit
         # a truncated square prefers the tighter of two equal counts
-        score = np.where(near, 1 - (distance / limit) ** 2, 0.0).sum(axis=1)
+        left = 1 - _larger_square(F, first, second) / limit ** 2
+        score = np.maximum(left, 0).sum(axis=1)
         top = int(np.argmax(score))
         if score[top] > best_score:
-            best_score, best = score[top], near[top]
+            best_score, best = score[top], left[top] > 0
             share = min(max(best.mean(), 1e-3), 1 - 1e-9)
             needed = np.log(1 - confidence) / np.log1p(-share ** 7)
     if best is None or best.sum() < 8:
         return NoEstimate('no_agreeing_sample', threshold_px=threshold_px)
     return best, drawn
+
+
+def _larger_square(F: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Square of the larger epipolar distance of F (h, 3, 3), matches (m, 3), shape (h, m)."""
+    u, v, w = np.moveaxis((F.reshape(-1, 3) @ first.T).reshape(len(F), 3, -1), 1, 0)
+    p, q = np.moveaxis((np.swapaxes(F, 1, 2)[:, :2].reshape(-1, 3) @ second.T).reshape(
+        len(F), 2, -1), 1, 0)
+    x, y, _ = second.T
+    product = u * x + v * y + w
+    square: np.ndarray = product * product / np.maximum(np.minimum(u * u + v * v, p * p + q * q),
+                                                        1e-300)
+    return square

@@ -33,10 +33,13 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 
 #: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
 VOTERS = 48
+#: Matches of a pair whose rays tell how it turned.
+WITNESSES = 300
 
 
 @dataclass(frozen=True)
@@ -80,21 +83,27 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     ndarray, shape (len(pairs), 3, 3)
 
     """
-    E = (camera.K.T @ np.array([pair.F for pair in pairs]) @ camera.K if camera.is_pinhole
-         else np.array([essential(camera.rays(pair.xy_first), camera.rays(pair.xy_second))
-                        for pair in pairs]))
+    spread = [np.linspace(0, len(pair.track) - 1, VOTERS).astype(int) for pair in pairs]
+    if camera.is_pinhole:
+        E = camera.K.T @ np.array([pair.F for pair in pairs]) @ camera.K
+        rays = _rays_of([(pair.xy_first[rows], pair.xy_second[rows])
+                         for pair, rows in zip(pairs, spread)], camera)
+    else:
+        # a start needs no more; the adjustment of all views follows
+        every = [slice(None, None, len(pair.track) // WITNESSES + 1) for pair in pairs]
+        of_pairs = _rays_of([(pair.xy_first[rows], pair.xy_second[rows])
+                             for pair, rows in zip(pairs, every)], camera)
+        E = np.array([essential(*one) for one in of_pairs])
+        rays = [(first[rows // step.step], second[rows // step.step])
+                for (first, second), rows, step in zip(of_pairs, spread, every)]
     U, _, Vt = np.linalg.svd(E)
     U = U * np.sign(np.linalg.det(U))[:, None, None]
     Vt = Vt * np.sign(np.linalg.det(Vt))[:, None, None]
     W = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     candidates = np.stack([U @ W @ Vt, U @ W.T @ Vt], axis=1)          # (n, 2, 3, 3)
-    rays = np.full((2, len(pairs), VOTERS, 3), np.nan)
-    for k, pair in enumerate(pairs):
-        chosen = np.linspace(0, len(pair.xy_first) - 1, VOTERS).astype(int)
-        for side, xy in enumerate((pair.xy_first, pair.xy_second)):
-            rays[side, k] = camera.rays(xy[chosen])
-    turned = np.einsum('kcij,knj->kcni', candidates, rays[0])
-    other = np.broadcast_to(rays[1][:, None], turned.shape)
+    before, after = (np.array(side) for side in zip(*rays))
+    turned = np.einsum('kcij,knj->kcni', candidates, before)
+    other = np.broadcast_to(after[:, None], turned.shape)
     t = np.broadcast_to(U[:, None, None, :, 2], turned.shape)
     normal = np.cross(other, turned)
     with np.errstate(invalid='ignore'):
@@ -104,6 +113,16 @@ def relative_rotations(pairs: list[PairGeometry], camera: Camera) -> np.ndarray:
     votes = np.maximum((ahead_first & ahead_second).sum(-1),
                        (~ahead_first & ~ahead_second).sum(-1))
     return candidates[np.arange(len(pairs)), np.argmax(votes, axis=1)]
+
+
+def _rays_of(pairs: list[tuple[np.ndarray, np.ndarray]], camera: Camera,
+             ) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Unit rays of the matches (M, 2), (M, 2) of every pair, all at once."""
+    if not pairs:
+        return []
+    parts = np.cumsum([len(side) for pair in pairs for side in pair])[:-1]
+    rays = np.split(camera.rays(np.concatenate([side for pair in pairs for side in pair])), parts)
+    return list(zip(rays[::2], rays[1::2]))
 
 
 def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -263,20 +282,22 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
     last = max(int(pair.track.max()) for pair in pairs) + 1
     position, placed = np.zeros((last, 3)), np.zeros(last, dtype=bool)
     steps: list[float] = []
-    for k, old, new in spanning_order(pairs, views):
+    steps_to_go = spanning_order(pairs, views)
+    seen = _rays_of([(pairs[k].xy_first, pairs[k].xy_second) for k, *_ in steps_to_go], camera)
+    for (k, old, new), sides in zip(steps_to_go, seen):
         pair = pairs[k]
-        sides = (pair.xy_first, pair.xy_second)
-        xy_old, xy_new = sides if pair.first == old else sides[::-1]
-        d_old, d_new = (_world_rays(camera, xy, rotations[view])
-                        for xy, view in ((xy_old, old), (xy_new, new)))
+        # in directions of the world
+        d_old, d_new = (side @ rotations[view] for side, view in zip(
+            sides if pair.first == old else sides[::-1], (old, new)))
         valid = np.isfinite(d_old).all(axis=1) & np.isfinite(d_new).all(axis=1)
         d_old, d_new, track = d_old[valid], d_new[valid], pair.track[valid]
         direction = _step_direction(d_old, d_new, planar)
         # depths along the old ray for a step of unit length
         normal = np.cross(d_old, d_new)
-        square = np.maximum(np.sum(normal**2, axis=1), 1e-18)
-        depth = np.sum(np.cross(direction, d_new) * normal, axis=1) / square
-        depth_new = np.sum(np.cross(direction, d_old) * normal, axis=1) / square
+        square = np.maximum(np.einsum('ij,ij->i', normal, normal), 1e-18)
+        turned = normal @ cross_matrix(direction)
+        depth = np.einsum('ij,ij->i', turned, d_new) / square
+        depth_new = np.einsum('ij,ij->i', turned, d_old) / square
         if np.sum(np.sign(depth) * square) < 0:
             direction, depth, depth_new = -direction, -depth, -depth_new
         good = (depth > 0) & (depth_new > 0) & (square > MINIMUM_PARALLAX**2)
@@ -299,25 +320,21 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
     return centres
 
 
-def _world_rays(camera, xy, rotation) -> np.ndarray:
-    """Unit rays of pixels (M, 2) in world directions, shape (M, 3)."""
-    return camera.rays(xy) @ rotation
-
-
 def _step_direction(d_old, d_new, planar) -> np.ndarray:
     """Unit direction (3,) of a translation that all rays agree with, by re-weighting."""
     normal = np.cross(d_old, d_new)
     if planar:
         normal = normal[:, :2]
+    length = np.sqrt(np.einsum('ij,ij->i', normal, normal))
     weight = np.ones(len(normal))
     for _ in range(5):
         weighted = normal * weight[:, None]
         _, vectors = np.linalg.eigh(weighted.T @ weighted)
         direction = vectors[:, 0]
         # angle of the ray out of the epipolar plane, about
-        miss = np.abs(normal @ direction) / np.maximum(np.linalg.norm(normal, axis=1), 1e-4)
+        miss = np.abs(normal @ direction) / np.maximum(length, 1e-4)
         weight = 1 / (1 + (miss / (2 * np.median(miss) + 1e-9))**2)
-        weight /= np.maximum(np.linalg.norm(normal, axis=1), 1e-3)
+        weight /= np.maximum(length, 1e-3)
     return np.append(direction, 0.0) if planar else direction
 
 

@@ -21,6 +21,8 @@ ROS calls it `equidistant`, OpenCV `cv2.fisheye`, COLMAP OPENCV_FISHEYE, Kalibr 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from selfcal_ros.geometry.lenses.angular import Angular
@@ -53,13 +55,20 @@ class Equidistant(Angular):
 
     def widest_angle(self, values: np.ndarray) -> float:
         """Return the angle up to which the radius grows, radians."""
-        roots = np.roots([*(values[::-1] * [9, 7, 5, 3]), 1.0])
-        turns = roots.real[(abs(roots.imag) < 1e-12 * abs(roots)) & (roots.real > 0)]
-        return min(np.pi, float(np.sqrt(turns.min())) if len(turns) else np.pi)
+        return _widest_angle(*map(float, values))
 
     def corner_displacement(self, name: str, corner: float) -> float:
         """Return how far a unit of a coefficient moves the corner, over its distance."""
         return float(corner**(2 * int(name[1])))
+
+
+# asked for with every ray, by the same lens
+@lru_cache(256)
+def _widest_angle(k1: float, k2: float, k3: float, k4: float) -> float:
+    """Angle at which the radius stops to grow, radians, no more than pi."""
+    roots = np.roots([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])
+    turns = roots.real[(abs(roots.imag) < 1e-12 * abs(roots)) & (roots.real > 0)]
+    return min(np.pi, float(np.sqrt(turns.min())) if len(turns) else np.pi)
 
 
 #: The model; it has no state.
