@@ -26,8 +26,8 @@ from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Options of one camera that a rig does not take.
-OF_ONE_CAMERA = ('object', 'track', 'report', 'view', 'topic', 'views', 'translation_frames',
-                 'poses', 'poses_format', 'ply', 'colmap', 'transforms', 'robot',
+OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
+                 'poses', 'poses_format', 'ply', 'transforms', 'robot',
                  'mount_output', 'output_dir', 'jobs', 'scheduler')
 #: Motions of a rig.
 MOTIONS = ('auto', 'planar', 'general')
@@ -65,6 +65,7 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
     from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.report.rig_colmap import rig_config, rig_config_path
     from selfcal_ros.report.rig_files import (camchain, output_names, rig_camera_yaml, rig_text,
                                               rig_to_dict)
     for name in OF_ONE_CAMERA:
@@ -80,7 +81,11 @@ def run_rig(args: argparse.Namespace, settings) -> int:
         raise ArgumentError(f'--output {base} is a folder; name a file, such as camera.yaml.')
     files = output_names(base, [one.name for one in inputs])
     chain = base.with_name(f'{base.stem}_camchain.yaml')
-    check_outputs((*files.values(), chain), (*args.input, args.mask), args.force, (args.json,))
+    of_colmap = rig_config_path(args.colmap) if args.colmap else None
+    check_outputs((*files.values(), chain), (*args.input, args.mask), args.force,
+                  (args.json, args.report))
+    if args.colmap is not None and args.colmap.is_file():
+        raise ArgumentError(f'{args.colmap} is a file; --colmap takes the name of a folder.')
     with Progress.of(args) as progress:
         result, reading = calibrate_rig_input(inputs, settings, args.baseline, progress)
         progress('writing')
@@ -94,6 +99,14 @@ def run_rig(args: argparse.Namespace, settings) -> int:
         else:
             left_out.append('A chain of Kalibr needs metres, all poses, and lenses that Kalibr '
                             f'knows: {chain} was not written.')
+        written += _for_colmap(of_colmap, rig_config(result), left_out)
+    text = rig_text(result) if result else str(result)
+    if args.report:
+        from selfcal_ros.report.provenance import Provenance
+        from selfcal_ros.report.rig_page import write_rig_page
+        written.append(write_rig_page(
+            args.report, result, text, reading.description, reading.tracks, reading.shared,
+            Provenance.of_this_run(getattr(args, 'command_line', ()), args.input)))
     if args.json:
         content = rig_to_dict(result)
         content['seed'] = settings.seed
@@ -101,10 +114,23 @@ def run_rig(args: argparse.Namespace, settings) -> int:
         if not is_standard_output(args.json):
             written.append(args.json)
     if not (args.quiet or is_standard_output(args.json)):
-        print(coloured(rig_text(result) if result else str(result)))
+        print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
     for sentence in left_out if not args.quiet else ():
         print(sentence, file=sys.stderr)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+
+
+def _for_colmap(path: Path | None, content: str | None, left_out: list[str]) -> list[Path]:
+    """Write the rig for COLMAP, if it is asked for and can hold it."""
+    from selfcal_ros.report.files import atomic_write
+    if path is None:
+        return []
+    if content is None:
+        left_out.append('A rig of COLMAP needs all poses, and lenses without skew that COLMAP '
+                        f'knows: {path} was not written.')
+        return []
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return [atomic_write(path, content)]

@@ -42,7 +42,7 @@ def add_scene_arguments(group) -> None:
                             'with many recordings, poses of each in this format')
     group.add_argument('--colmap', type=Path, metavar='FOLDER',
                        help='text model of COLMAP; images of a bag or a video as PNG in '
-                            'FOLDER/images')
+                            'FOLDER/images; of several cameras rig_config.json')
     group.add_argument('--transforms', type=Path, metavar='TRANSFORMS.JSON',
                        help='cameras for nerfstudio and its like, with '
                             f'{SPARSE_POINTS} beside it; images as with --colmap')

@@ -94,7 +94,7 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
     script = _script() if scene else None
     drawings, tables = _drawings(shown, tracks)
     said = ranked_notes(shown, notes)
-    page = _environment().get_template('page.html.j2').render(
+    page = page_environment().get_template('page.html.j2').render(
         calibrated=bool(shown), result=result, text=text, source=source, grade=result.grade,
         no_mount=_no_mount(shown),
         drawings=drawings, of=lambda section: [name for name, drawing in drawings.items()
@@ -103,8 +103,8 @@ def page_html(result: Calibration | NotCalibrated, text: str, source: str = '',
         figures=[Markup(figure) for figure in figures],
         camera_name=camera_name, pictures=pictures, scene=scene, script=script,
         policy=_policy(script),
-        verdict=_unbroken(verdict(result)) if result else result.reason,
-        quality=_unbroken(quality(shown)) if shown else '',
+        verdict=unbroken(verdict(result)) if result else result.reason,
+        quality=unbroken(quality(shown)) if shown else '',
         matrix=matrix(shown) if shown else [],
         distortion=distortion(shown) if shown else [],
         rows=parameter_rows(shown) if shown else [], lens=_lens(shown),
@@ -133,17 +133,18 @@ def _images_and_scene(result, tracks, open_frames) -> tuple[list, dict | None]:
     from selfcal_ros.report.scene_figure import scene_figure
     return pictures, {'json': scene.as_json(), 'unit': scene.unit, 'views': len(scene.frames),
                       'points': len(scene.points), 'path': scene.path,
-                      'still': _drawn([scene_figure(scene)])['still']}
+                      'still': drawn([scene_figure(scene)])['still']}
 
 
 def _drawings(result, tracks) -> tuple[dict, list]:
     """Return the figures as elements of a page, by name, and the tables."""
     # Matplotlib takes a while to load, and most runs write no page
     from selfcal_ros.report.figures import draw_figures, draw_tables
-    return _drawn(draw_figures(result, tracks)), draw_tables(result, tracks)
+    return drawn(draw_figures(result, tracks)), draw_tables(result, tracks)
 
 
-def _drawn(drawings) -> dict:
+def drawn(drawings) -> dict:
+    """Return figures as elements of a page, by name."""
     from selfcal_ros.report.inline_svg import inline_svg
     return {drawing.name: {
         'name': drawing.name, 'title': drawing.title, 'caption': drawing.caption,
@@ -168,14 +169,14 @@ def _policy(script: str | None) -> str:
     return policy
 
 
-def _unbroken(sentence: str) -> str:
+def unbroken(sentence: str) -> str:
     """Keep a number, its sigma and its unit on one line."""
     for words in (' ± ', ' px', ' = ', '± ', ' mm', ' cm', ' 10 m'):
         sentence = sentence.replace(words, words.replace(' ', '\u00a0'))
     return sentence
 
 
-def _environment() -> Environment:
+def page_environment() -> Environment:
     """Escape whatever the name of the template: a bag may name its topic <script>."""
     environment = Environment(loader=PackageLoader('selfcal_ros.report', 'templates'),
                               autoescape=True, undefined=StrictUndefined, trim_blocks=True,

@@ -164,7 +164,7 @@ def rig_text(rig: RigCalibration) -> str:
     first = next(iter(rig.cameras))
     for name, pose in list(rig.poses.items())[1:]:
         lines += ['', f'{name} in the frame of {first} (x right, y down, z forward):']
-        turns = _turns(pose)
+        turns = turns_deg(pose)
         for k, free in enumerate(POSE):
             if pose.status[free] == 'unobservable':
                 lines.append(f'{free:>6} {"open":>10}')
@@ -178,7 +178,7 @@ def rig_text(rig: RigCalibration) -> str:
     return '\n'.join([*lines, '', *rig.notes])
 
 
-def _turns(pose: CameraInRig) -> np.ndarray:
+def turns_deg(pose: CameraInRig) -> np.ndarray:
     """Angles about the fixed x, y and z axes of the rig that turn it to the camera, degrees."""
     R = pose.T_rig_camera[:3, :3]
     return np.degrees([np.arctan2(R[2, 1], R[2, 2]),

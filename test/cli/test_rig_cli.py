@@ -15,11 +15,15 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from selfcal_ros.cli.main import main
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
+from selfcal_ros.report.rig_epipolar import epipolar_distances
+from selfcal_ros.report.rig_figure import epipolar_figure
 from selfcal_ros.synthetic.rig_scenes import hand_path, rig_scene
 import yaml
 
@@ -37,7 +41,8 @@ def calibrated(tmp_path_factory):
     status = main(['calibrate', str(folder / 'left.csv'), str(folder / 'right.csv'), '--cameras',
                    'left,right', '--baseline', f'{scene.baseline_m}:0.0005', '--lens', 'none',
                    '--image-size', '640', '480', '--output', str(folder / 'camera.yaml'),
-                   '--json', str(folder / 'result.json'), '--quiet'])
+                   '--json', str(folder / 'result.json'), '--report', str(folder / 'rig.html'),
+                   '--colmap', str(folder / 'colmap'), '--quiet'])
     return scene, folder, status, json.loads((folder / 'result.json').read_text('utf-8'))
 
 
@@ -90,13 +95,50 @@ def test_the_chain_of_kalibr_has_the_pose_between_the_cameras(calibrated):
     assert document['cam1']['rostopic'] == '/right/image_raw'
 
 
+def test_the_rig_of_colmap_leads_from_the_rig_to_each_camera(calibrated):
+    _, folder, _, content = calibrated
+    left, right = json.loads((folder / 'colmap/rig_config.json').read_text('utf-8'))[0]['cameras']
+    assert left['ref_sensor'] and left['image_prefix'] == 'left/'
+    T = np.linalg.inv(content['rig']['right']['T_rig_camera'])
+    w, *axis = right['cam_from_rig_rotation']
+    assert np.allclose(Rotation.from_quat([*axis, w]).as_matrix(), T[:3, :3])
+    assert np.allclose(right['cam_from_rig_translation'], T[:3, 3])
+    # COLMAP counts pixels from their corners
+    camera = content['cameras']['right']['camera']
+    assert right['camera_model_name'] == 'PINHOLE'
+    assert np.allclose(right['camera_params'][2:], [camera['cx'] + 0.5, camera['cy'] + 0.5])
+
+
+def test_the_page_of_a_rig_tells_of_every_camera_and_of_its_matches(calibrated):
+    _, folder, _, content = calibrated
+    page = (folder / 'rig.html').read_text('utf-8')
+    assert page.count('<svg') == 2 and 'http://' not in page.replace('http://www.w3.org', '')
+    for name in ('left', 'right'):
+        assert f'Camera file of {name}' in page
+    assert f'{content["cameras"]["right"]["camera"]["fx"]:.1f}' in page
+    assert 'right sits 1' in page and 'mm from left' in page and 'Rectification' in page
+
+
+def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():
+    rng = np.random.default_rng(5)
+    scene = rig_scene(rng, hand_path(rng, 6), overlap=True, points=100)
+    T = scene.T_rig_camera['right']
+    rig = SimpleNamespace(cameras={name: SimpleNamespace(camera=camera) for name, camera in
+                                   scene.cameras.items()}, between=lambda first, second: T)
+    (px,) = epipolar_distances(rig, scene.tracks).values()
+    assert len(px) > 100
+    assert np.std(px) == pytest.approx(0.3, rel=0.1)
+    figure = epipolar_figure({('left', 'right'): px})
+    assert len(figure.svgs()) == 1 and epipolar_figure({}) is None
+
+
 @pytest.mark.parametrize('words, reason', [
     (['--cameras', 'left'], 'two or more'),
     (['--cameras', 'left,right,top'], '3 cameras'),
     (['--cameras', 'left,left'], 'same name'),
     (['--cameras', 'left,right', '--output', '/'], 'is a folder'),
     (['--cameras', 'left,right', '--baseline', '11cm'], 'metres'),
-    (['--cameras', 'left,right', '--report', 'r.html'], 'single camera'),
+    (['--cameras', 'left,right', '--ply', 'r.ply'], 'single camera'),
     (['--baseline', '0.1'], '--cameras')])
 def test_what_is_wrong_is_one_sentence(words, reason, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

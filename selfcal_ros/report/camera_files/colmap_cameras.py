@@ -157,8 +157,16 @@ def _camera(source, identity, model, size, values) -> StoredCamera:
     return StoredCamera(camera, f'camera_{identity}')
 
 
-def _entry(camera: Camera) -> tuple[str, list[float]]:
-    """Return COLMAP's model for a camera and its parameters."""
+def colmap_model(camera: Camera) -> tuple[str, list[float]]:
+    """
+    Return COLMAP's model for a camera and its parameters.
+
+    Raises
+    ------
+    ArgumentError
+        If the camera has skew.
+
+    """
     without_skew(camera, 'COLMAP')
     plumb = camera.distortion_as('plumb_bob')
     if plumb is None:
@@ -184,7 +192,7 @@ def colmap_line(camera: Camera) -> str:
         If the camera has skew.
 
     """
-    model, values = _entry(camera)
+    model, values = colmap_model(camera)
     return f'{model} {camera.width} {camera.height} {" ".join(map(repr, values))}'
 
 
@@ -213,6 +221,6 @@ def colmap_binary(camera: Camera, name: str = '', topic: str = '') -> bytes:
         If the camera has skew.
 
     """
-    model, values = _entry(camera)
+    model, values = colmap_model(camera)
     return struct.pack(f'<QIiQQ{len(values)}d', 1, 1, _MODELS[model][0], camera.width,
                        camera.height, *values)
