@@ -202,12 +202,14 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
         from selfcal_ros.features.mask import read_mask
         mask = read_mask(settings.mask)
     chosen = _keyframes(sources[0], settings, progress, mask)
-    images = _simultaneous(sources, chosen, progress)
+    images, apart_ms = _simultaneous(sources, chosen, progress)
     frames = sorted(set.intersection(*(set(one) for one in images)))
     if len(frames) < MIN_INSTANTS:
+        far = [f'the nearest of {one.name} are {ms:.3g} ms away (median)'
+               for one, ms in zip(inputs[1:], apart_ms) if ms > MAX_APART_NS / 1e6]
         raise InputError(f'Only {len(frames)} images of {inputs[0].name} have one of the same '
-                         'instant in every other camera; trigger the cameras together, or check '
-                         'their stamps.')
+                         f'instant in every other camera{": " if far else ""}{", ".join(far)}; '
+                         'trigger the cameras together, or check their stamps.')
     timed = sources[0].clock != 'nominal'
 
     def report(text, done):
@@ -251,21 +253,35 @@ def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Cal
 
 
 def _simultaneous(sources: list[FrameSource], chosen: dict[int, tuple[int, str]],
-                  progress: Callable | None) -> list[dict[int, np.ndarray]]:
-    """Return the images of every camera at the chosen instants, by the first one's index."""
+                  progress: Callable | None,
+                  ) -> tuple[list[dict[int, np.ndarray]], list[float]]:
+    """
+    Find the images of every camera at the chosen instants.
+
+    Returns
+    -------
+    images : list of dict of int to ndarray
+        By the first camera's index.
+    apart_ms : list of float
+        Of every other camera, how far its nearest images are (median); 0 without stamps.
+
+    """
     images: list[dict[int, np.ndarray]] = [
         {frame.index: frame.image for frame in sources[0].only(chosen)}]
     by_name = {Path(name).stem: index for index, (_, name) in chosen.items()}
     indices = np.array(list(chosen))
     stamps = np.array([stamp for stamp, _ in chosen.values()])
     timed = all(source.clock != 'nominal' for source in sources)
+    apart_ms = []
     for source in sources[1:]:
         found: dict[int, np.ndarray] = {}
         named = 0
+        apart = np.full(len(stamps), np.inf if timed else 0.0)
         for frame in source:
             if timed:
-                near = int(np.argmin(np.abs(stamps - frame.stamp_ns)))
-                if abs(int(stamps[near]) - frame.stamp_ns) <= MAX_APART_NS:
+                off = np.abs(stamps - frame.stamp_ns)
+                apart, near = np.minimum(apart, off), int(np.argmin(off))
+                if off[near] <= MAX_APART_NS:
                     found[int(indices[near])] = frame.image
                 continue
             at = by_name.get(Path(frame.name).stem)
@@ -276,6 +292,7 @@ def _simultaneous(sources: list[FrameSource], chosen: dict[int, tuple[int, str]]
             # names say nothing: equal places in the folders are of one instant
             found = {frame.index: frame.image for frame in source.only(chosen)}
         images.append(found)
+        apart_ms.append(float(np.median(apart)) / 1e6)
         if progress:
             progress('reading', len(found), len(chosen))
-    return images
+    return images, apart_ms

@@ -17,8 +17,13 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+from msg_adapters.image import image_message
+from msg_adapters.message_types import rosbags_types
+from msg_adapters.stamps import header_message
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
 from selfcal_ros.cli.main import main
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
@@ -130,6 +135,26 @@ def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():
     assert np.std(px) == pytest.approx(0.3, rel=0.1)
     figure = epipolar_figure({('left', 'right'): px})
     assert len(figure.svgs()) == 1 and epipolar_figure({}) is None
+
+
+def test_cameras_of_a_bag_that_are_not_triggered_together_are_refused(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (8, 48, 64), np.uint8)
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        types = get_typestore(Stores.ROS2_JAZZY)
+        for name, late_ns in (('left', 0), ('right', 16_000_000)):
+            topic = writer.add_connection(f'/{name}/image_raw', 'sensor_msgs/msg/Image',
+                                          typestore=types)
+            for k, image in enumerate(images):
+                stamp = 10**18 + k * 10**8 + late_ns
+                message = image_message(image, header_message(stamp, name, rosbags_types()),
+                                        rosbags_types())
+                writer.write(topic, stamp, types.serialize_cdr(message, topic.msgtype))
+    assert main(['calibrate', str(tmp_path / 'bag'), '--cameras', 'left,right', '--output',
+                 str(tmp_path / 'camera.yaml')]) == 2
+    said = capsys.readouterr().err.strip()
+    assert 'right are 16 ms away' in said and 'trigger the cameras together' in said
+    assert len(said.splitlines()) == 1 and not (tmp_path / 'camera_left.yaml').exists()
 
 
 @pytest.mark.parametrize('words, reason', [
