@@ -127,8 +127,9 @@ class CalibratorParameters:
         0.03, 'a view is kept when its points have moved by this share of the image diagonal',
         1e-4, 0.5, live=True)
     monitor: bool = parameter(
-        True, 'watch whether the camera changes, once it is calibrated; switched off during an '
-        'alarm, estimates go on from the views since the change and replace the calibration',
+        True, 'watch whether the camera changes, or how it is mounted on the robot, once that is '
+        'known; switched off during an alarm, estimates go on from the views since the change '
+        'and replace the calibration',
         live=True)
     false_alarm_keyframes: float = parameter(
         3.6e6, 'mean number of views between false alarms of the monitor, at least', 1e3, 1e12,

@@ -13,19 +13,25 @@
 # limitations under the License.
 """A calibrator whose camera is zoomed on the way: it warns, keeps its calibration, and obeys."""
 
+from dataclasses import replace
 import json
 from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.diagnostics import WARN
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message
 from msg_adapters.tracks import tracks_message
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
+from selfcal_ros.calibration.monitoring.mount_monitor import MountChange
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.change_watch import ChangeWatch
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
+from selfcal_ros.pipeline.monitoring import MonitoringSnapshot, MountSnapshot
 from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -163,3 +169,24 @@ def test_the_monitor_is_switched_and_set_while_the_node_runs(zoomed):
     zoomed.graph.wait_for(lambda: len(zoomed.calibrations()) > 1, 60, 'calibration anew')
     result = zoomed.calibrations()[-1]
     assert abs(result['camera']['fx'] - zoomed.after.K[0, 0]) < 4 * result['sigma']['fx']
+
+
+def test_a_knock_is_told_with_its_axis_and_what_it_asks_the_robot_for():
+    asked = []
+    watch = ChangeWatch(SimpleNamespace(keyframes=[]), None, MonitorSettings(),
+                        lambda: asked.append(1))
+    sigma = np.radians([0.04, 0.04, 0.2])
+    knocked = MountChange(np.radians([0.01, 0.5, -0.3]), np.diag(sigma**2), 3, 11, 27, 80.0, 33.5)
+    state = MonitoringSnapshot(windows=4, threshold=35.0, change=knocked,
+                               mount=MountSnapshot(3, 1, 'no poses', 80.0, 33.5))
+    watch._monitoring = SimpleNamespace(snapshot=lambda: state, next_request=lambda ask: ask())
+    level, message, values = watch.judge(b'\x00', 'calibrated', {})
+    assert level == WARN and 'pitch +0.500 ± 0.040 degrees' in message
+    assert 'yaw' not in message and 'roll' not in message and '~/calibrate' in message
+    assert values['change of pitch deg'] == pytest.approx(0.5)
+    assert values['change of yaw deg sigma'] == pytest.approx(0.2)
+    assert values['mount monitor windows'] == 3
+    assert values['mount monitor last skipped'] == 'no poses'
+    assert watch.next_job() is None and asked
+    state = replace(state, change=None)
+    assert watch.judge(b'\x00', 'calibrated', {})[:2] == (b'\x00', 'calibrated')

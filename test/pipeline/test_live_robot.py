@@ -13,6 +13,8 @@
 # limitations under the License.
 """Poses of the robot while they come: bounded memory, wrong stamps, frames that are not there."""
 
+from dataclasses import replace
+
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.poses import pose_message, transform_message
 from msg_adapters.stamps import header_message
@@ -126,3 +128,21 @@ def test_poses_that_are_no_poses_are_dropped_and_told():
     add(pose_at(2), 2 * STEP_NS)
     poses = robot.snapshot().poses()
     assert (poses.kind, poses.world_frame, len(poses)) == ('absolute', 'map', 2)
+
+
+def test_a_stretch_of_what_is_known_has_the_same_poses():
+    robot = LiveRobot(RobotSource.parse('/tf:odom:tip'))
+    robot.add_transforms(tf(0.5, 0, 'base', 'tip'), True)
+    stamps = [10**18 + k * 10**8 for k in range(100)]
+    for k, stamp in enumerate(stamps):
+        robot.add_transforms(tf(k / 100, stamp, 'odom', 'base'), False)
+    whole = robot.snapshot()
+    part = whole.between(stamps[40], stamps[50]).poses()
+    # with a second to both sides, for clocks that differ
+    assert stamps[30] < part.stamps_ns[0] <= stamps[32] and part.stamps_ns[-1] < stamps[60]
+    same = np.isin(whole.poses().stamps_ns, part.stamps_ns)
+    assert np.allclose(part.position, whole.poses().position[same])
+    poses = replace(whole, read=whole.poses())
+    assert len(poses.between(stamps[40], stamps[50]).poses()) == len(part)
+    # of a time that nobody told of, two poses far away
+    assert len(poses.between(2 * 10**18, 2 * 10**18 + 1).poses()) == 2
