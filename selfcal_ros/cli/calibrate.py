@@ -203,6 +203,8 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
                   settings.robot and settings.robot.table, force=args.force)
     check_outputs((), (path,), args.force, (args.view,))
     with Progress.of(args, CALIBRATION) as progress:
+        # libraries load and the first image is searched before there is more to say
+        progress('starting')
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)
         else:

@@ -95,6 +95,7 @@ def test_the_command_tells_its_stages_where_there_is_no_terminal(driven, capsys,
     heard = capsys.readouterr()
     told = [re.sub(r'^\[.*?\] ', '', line) for line in heard.err.splitlines()]
     assert [re.sub(r'[\d.]+ \w+$', 'T', line) for line in told] == [
-        'estimating ...', 'estimating: done in T', 'writing ...', 'writing: done in T']
+        'starting ...', 'starting: done in T', 'estimating ...', 'estimating: done in T',
+        'writing ...', 'writing: done in T']
     assert selfcal('calibrate', driven[0], *SIZE, '-q', '--force') == 0
     assert capsys.readouterr() == ('', '')
