@@ -45,12 +45,13 @@ from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, m
                                                                timed)
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, over_all, settle_zoom,
-                                                               zooming)
+                                                               zoomed_fit, zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.moving.sorting import moving_findings, sort_tracks, stands_out
+from selfcal_ros.calibration.moving.sorting import (explained_share, moving_findings, sort_tracks,
+                                                    SortedTracks, stands_out)
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -58,6 +59,8 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
+from selfcal_ros.values.track_labels import MOVING
+from selfcal_ros.values.tracks import Tracks
 
 #: Kinds of motion to try, by name.
 MOTION_MODELS = {
@@ -76,6 +79,8 @@ NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Where less than this share of what a view shows stands still, it may as well be the rest.
 LEAST_STILL = 0.5
+#: A zoom that makes more than this share of what moves stand still may be the cause.
+ZOOM_EXPLAINS = 0.25
 #: Tracks per view on which the distortion model and the planarity are decided.
 MODEL_TRACKS_PER_VIEW = 100
 
@@ -310,7 +315,8 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
     if graph.given is None or fit.motion.zoom is not None or fit.observations.shutter is not None:
         return None
-    if not stands_out(fit, tried, graph.tracks.in_frames(frames), graph.given.in_frames(frames)):
+    given = graph.given.in_frames(frames)
+    if not stands_out(fit, tried, graph.tracks.in_frames(frames), given):
         return None
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
     findings = moving_findings(found[0].labels) if found else ()
@@ -318,7 +324,8 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
         return None
     sorted_tracks, still = found
     # two cameras, or one that zooms, part the tracks as well: those are asked for next
-    if sorted_tracks.still_share < LEAST_STILL:
+    if sorted_tracks.still_share < LEAST_STILL and _is_zoom_or_two(
+            fit, sorted_tracks, problem, graph, given):
         return None
     # what is explained is no outlier, and has no vote any more
     rest = replace(graph, tracks=sorted_tracks.static, given=None,
@@ -331,6 +338,15 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
     if not result or result.focal is not None:
         return None
     return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))
+
+
+def _is_zoom_or_two(fit: RobustFit, found: SortedTracks, problem: SelfCalibrationProblem,
+                    graph: ViewGraph, given: Tracks) -> bool:
+    """Tell whether another focal length of views explains what was taken for things that move."""
+    if not may_zoom(problem) or of_two_cameras(fit, problem, graph) is not None:
+        return True
+    moving = found.labels.track[found.labels.label >= MOVING]
+    return explained_share(zoomed_fit(fit, problem.instants), given, moving) > ZOOM_EXPLAINS
 
 
 def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:

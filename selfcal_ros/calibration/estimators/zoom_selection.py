@@ -24,20 +24,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, refit, RobustFit,
-                                                       with_all_points)
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
+                                                       refit, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
 from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, FocalEvidence,
-                                                              gain_of_most, shape_gain, SURE)
+                                                              gain_of_most, gains_of_tracks,
+                                                              shape_gain, SURE)
 from selfcal_ros.geometry.camera import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
 START_SIGMA = 0.03
 #: The same for all views where a stretch of them is constant.
 STILL_SIGMA = 3e-4
+#: Share of the tracks that a zoom may not rest on: what is left is fitted again.
+FEW = 0.05
 #: Rounds in which the size of the walk settles, and the change of its log that ends them.
 ROUNDS, SETTLED = 3, 0.4
 
@@ -58,7 +61,33 @@ def contradicted(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
     stated = problem.facts.focal == 'constant' and not problem.facts.trusted
     if not (may_vary(problem) or stated and problem.instants):
         return False
-    return seems_to_vary(fit, problem.instants, problem.size)
+    if not seems_to_vary(fit, problem.instants, problem.size):
+        return False
+    dependence = robust_covariance_of(fit, problem.size).inflation**2
+    found = focal_evidence(fit, problem.instants, dependence)
+    if found is None or not problem.of_still and found.sigma == 0:
+        return True
+    # what moves and is not found, and gross errors, ask for a zoom in single views
+    rest = _without_few(fit, problem.instants, found)
+    return rest is None or seems_to_vary(rest, problem.instants, problem.size)
+
+
+def zoomed_fit(fit: RobustFit, instants: tuple[float, ...]) -> RobustFit:
+    """Fit the same observations with a focal length that varies from view to view."""
+    state = replace(fit.state, zoom=Zoom.constant(len(instants)))
+    return refit(fit, replace(fit.motion, zoom=ZoomModel(instants, START_SIGMA)), state)
+
+
+def _without_few(fit: RobustFit, instants: tuple[float, ...],
+                 found: FocalEvidence) -> RobustFit | None:
+    """Fit again without the few tracks that say most for a focal length that varies."""
+    gain = gains_of_tracks(fit, instants, found)
+    most = np.argsort(gain)[len(gain) - int(np.ceil(FEW * len(gain))):]
+    rest, points = fit.observations.select(~np.isin(fit.observations.point, most))
+    if len(np.unique(rest.view)) < len(fit.state.path):
+        return None
+    state = replace(fit.state, points=fit.state.points[points])
+    return fit_robustly(rest, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
 
 
 def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:

@@ -116,6 +116,15 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     return bool(share > FEW or np.mean(~test.explained[test.tested]) > UNEXPLAINED_SHARE)
 
 
+def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> float:
+    """Share of some tracks that are still points by a fit; zero where none is judged."""
+    test = _tested(fit, given)
+    if test is None:
+        return 0.0
+    mine = np.isin(np.unique(given.with_at_least(2).track), identity) & test.tested
+    return float(test.explained[mine].mean()) if mine.any() else 0.0
+
+
 def _tested(fit: RobustFit, given: Tracks) -> TrackTest | None:
     """Judge the given tracks as points that stand still; None where that is not possible."""
     given = given.with_at_least(2)

@@ -177,19 +177,24 @@ def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEviden
         Log of the probability over that of a constant focal length.
 
     """
+    less = np.sort(gains_of_tracks(fit, instants, found)) / dependence
+    few = max(LEAST_FEW, int(np.ceil(FEW * len(less))))
+    if len(less) <= 4 * few:
+        return found.gain
+    most = less[few:-few].sum() * len(less) / (len(less) - 2 * few)
+    return found.gain + float(most - less.sum())
+
+
+def gains_of_tracks(fit: RobustFit, instants: tuple[float, ...],
+                    found: FocalEvidence) -> np.ndarray:
+    """What every track (P,) gains by a focal length that varies, in units of sigma²."""
     sigma = 0.0 if found.steady_gain >= found.walk_gain else found.walk_sigma
     model = ZoomModel(instants, sigma)
     bundle = bundle_of(fit.observations, replace(fit.motion, zoom=model), fit.bundle.priors,
                        fit.bundle.sigma_px)
     constant = replace(fit.state, zoom=Zoom.constant(len(instants)))
     varying = bundle.optimise(constant, iterations=4, tolerance=0.1)
-    less = np.sort(_cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying))
-    less /= dependence
-    few = max(LEAST_FEW, int(np.ceil(FEW * len(less))))
-    if len(less) <= 4 * few:
-        return found.gain
-    most = less[few:-few].sum() * len(less) / (len(less) - 2 * few)
-    return found.gain + float(most - less.sum())
+    return _cost_of_tracks(bundle, constant) - _cost_of_tracks(bundle, varying)
 
 
 def _cost_of_tracks(bundle: Bundle, state: SceneState) -> np.ndarray:
