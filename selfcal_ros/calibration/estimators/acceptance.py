@@ -57,6 +57,9 @@ from selfcal_ros.geometry.estimate import NoEstimate
 EXPLAINED = 4.0
 #: A larger fraction of outliers than this, and the rest proves nothing.
 MAX_OUTLIERS = 1 / 3
+#: A focal length of each view is there to explain what contradicts one: more than this share that
+#: contradicts it all the same, and something else is the cause.
+MAX_BESIDE_ZOOM = 0.2
 #: With its distortion free a lens deviates from its model by less than this fraction of the
 #: image's longer side (kitti, the worst of the recorded sets that are right: 0.0002), or than so
 #: many sigmas of the noise; what deviates by more is not the lens.
@@ -111,7 +114,8 @@ class _Optimum:
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
-    return most_agree(found.rejected)
+    return most_agree(found.rejected, MAX_OUTLIERS if found.fit.motion.zoom is None
+                      else MAX_BESIDE_ZOOM)
 
 
 def _facts_hold(found: _Optimum) -> NoEstimate | None:
@@ -246,7 +250,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                          problem.motion.fixed_pivot)
     status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
     rejected = outliers / max(outliers + len(fit.observations.view), 1)
-    if rejected > MAX_OUTLIERS:
+    if rejected > (MAX_OUTLIERS if fit.motion.zoom is None else MAX_BESIDE_ZOOM):
         rejected = min(rejected, share_that_contradicts(fit, graph))
     optimum = _Optimum(fit, model, problem, path, status, held, rejected, graph.noise_px, field,
                        verdict, covariance)
@@ -308,10 +312,10 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
                                     if one.kind == 'motion_suggestion'))
 
 
-def most_agree(rejected: float) -> NoEstimate | None:
-    """Refuse what a larger share of the observations than `MAX_OUTLIERS` contradicts."""
+def most_agree(rejected: float, most: float = MAX_OUTLIERS) -> NoEstimate | None:
+    """Refuse what a larger share of the observations than `most` contradicts."""
     return (NoEstimate('too_many_outliers', rejected=float(rejected))
-            if rejected > MAX_OUTLIERS else None)
+            if rejected > most else None)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:
