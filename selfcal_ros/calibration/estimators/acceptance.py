@@ -114,8 +114,7 @@ class _Optimum:
 
 def _most_agree(found: _Optimum) -> NoEstimate | None:
     """Refuse what most observations contradict."""
-    return most_agree(found.rejected, MAX_OUTLIERS if found.fit.motion.zoom is None
-                      else MAX_BESIDE_ZOOM)
+    return most_agree(found.rejected, found.fit.motion.zoom is not None)
 
 
 def _facts_hold(found: _Optimum) -> NoEstimate | None:
@@ -312,10 +311,10 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
                                     if one.kind == 'motion_suggestion'))
 
 
-def most_agree(rejected: float, most: float = MAX_OUTLIERS) -> NoEstimate | None:
-    """Refuse what a larger share of the observations than `most` contradicts."""
+def most_agree(rejected: float, zooms: bool = False) -> NoEstimate | None:
+    """Refuse what a larger share of the observations contradicts than may."""
     return (NoEstimate('too_many_outliers', rejected=float(rejected))
-            if rejected > most else None)
+            if rejected > (MAX_BESIDE_ZOOM if zooms else MAX_OUTLIERS) else None)
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:
