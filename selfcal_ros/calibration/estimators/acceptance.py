@@ -249,7 +249,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                          problem.motion.fixed_pivot)
     status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
     rejected = outliers / max(outliers + len(fit.observations.view), 1)
-    if rejected > (MAX_OUTLIERS if fit.motion.zoom is None else MAX_BESIDE_ZOOM):
+    if most_agree(rejected, fit.motion.zoom is not None) is not None:
         rejected = min(rejected, share_that_contradicts(fit, graph))
     optimum = _Optimum(fit, model, problem, path, status, held, rejected, graph.noise_px, field,
                        verdict, covariance)

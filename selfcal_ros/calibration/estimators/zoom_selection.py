@@ -61,12 +61,9 @@ def contradicted(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
     stated = problem.facts.focal == 'constant' and not problem.facts.trusted
     if not (may_vary(problem) or stated and problem.instants):
         return False
-    if not seems_to_vary(fit, problem.instants, problem.size):
-        return False
-    dependence = robust_covariance_of(fit, problem.size).inflation**2
-    found = focal_evidence(fit, problem.instants, dependence)
+    found = _variation(fit, problem.instants, problem.size)
     if found is None or not problem.of_still and found.sigma == 0:
-        return True
+        return found is not None
     # what moves and is not found, and gross errors, ask for a zoom in single views
     rest = _without_few(fit, problem.instants, found)
     return rest is None or seems_to_vary(rest, problem.instants, problem.size)
@@ -98,10 +95,18 @@ def zooming(problem: SelfCalibrationProblem) -> SelfCalibrationProblem:
 
 def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, int]) -> bool:
     """Test whether the images contradict a constant focal length."""
+    return _variation(fit, instants, size) is not None
+
+
+def _variation(fit: RobustFit, instants: tuple[float, ...],
+               size: tuple[int, int]) -> FocalEvidence | None:
+    """Return what contradicts a constant focal length; None where nothing does."""
     dependence = robust_covariance_of(fit, size).inflation**2
     found = focal_evidence(fit, instants, dependence)
-    return (found is not None and _is_zoom(found, fit, dependence)
-            and gain_of_most(fit, instants, found, dependence) > SURE)
+    if (found is None or not _is_zoom(found, fit, dependence)
+            or gain_of_most(fit, instants, found, dependence) <= SURE):
+        return None
+    return found
 
 
 def _is_zoom(found: FocalEvidence, fit: RobustFit, dependence: float) -> bool:

@@ -15,7 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,6 +82,16 @@ class MonitorSettings:
         return (self.keyframes - 1) / self.false_alarm_keyframes
 
 
+def what_changed(names: Sequence[str], values: np.ndarray, sigmas: np.ndarray,
+                 units: Sequence[str]) -> tuple[dict[str, Any], ...]:
+    """Return those parts of a change that are clear; all where none is."""
+    told = [{'name': name, 'value': value, 'sigma': sigma, 'unit': unit}
+            for name, value, sigma, unit in zip(names, values.tolist(), sigmas.tolist(), units)]
+    # significant together need not be significant one by one
+    clear = [part for part in told if abs(part['value']) > SAID_SIGMAS * part['sigma']]
+    return tuple(clear or told)
+
+
 @dataclass(frozen=True)
 class CameraChange:
     """
@@ -117,13 +129,8 @@ class CameraChange:
     def finding(self) -> Finding:
         """Tell what changed and by how much."""
         scale = np.array([100 / self.focal_px, 1, 1])
-        told = [{'name': name, 'value': value, 'sigma': sigma, 'unit': unit}
-                for name, value, sigma, unit in zip(
-                    CHANGE_NAMES, (self.change_px * scale).tolist(),
-                    (self.sigma_px * scale).tolist(), ('%', 'px', 'px'))]
-        # significant together need not be significant one by one
-        clear = [part for part in told if abs(part['value']) > SAID_SIGMAS * part['sigma']]
-        return Finding('camera_changed', changes=tuple(clear or told))
+        return Finding('camera_changed', changes=what_changed(
+            CHANGE_NAMES, self.change_px * scale, self.sigma_px * scale, ('%', 'px', 'px')))
 
     def __str__(self) -> str:
         """Say what changed and by how much."""

@@ -29,14 +29,12 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, to_intrinsics
 from selfcal_ros.calibration.monitoring.camera_change import CameraChange, CHANGES, MonitorSettings
-from selfcal_ros.calibration.monitoring.sequential_test import SequentialTest
-from selfcal_ros.calibration.monitoring.window_scatter import WindowScatter
+from selfcal_ros.calibration.monitoring.sequential_monitor import SequentialMonitor
+from selfcal_ros.calibration.monitoring.window_scatter import UsualWindows
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
 
-#: Share of the windows' scatter, as a variance, that a change has to exceed.
-SHARED_SCATTER = 0.25
 #: A window does not fit where noise that the epipolar geometry lacks exceeds the usual by this
 #: factor, or where tracks agree with themselves alone, by the factors of misfit and dependence.
 UNUSUAL_NOISE, UNUSUAL_MISFIT, UNUSUAL_DEPENDENCE = 1.3, 1.2, 1.5
@@ -46,7 +44,7 @@ MOSTLY_STILL = 0.9
 CURVATURE = 0.1
 
 
-class ChangeMonitor:
+class ChangeMonitor(SequentialMonitor):
     """
     Compares windows with a calibration, and with one another.
 
@@ -67,13 +65,13 @@ class ChangeMonitor:
         That the next window is to be scored against: the one in force, or after an alarm the one
         that there seems to be, since a score is exact to first order only.
     change : CameraChange or None
-        The alarm. It stays once it is raised, and what it states improves with every window.
-    windows : int
-        Windows that were taken.
+        The alarm.
     unexplained : int
         Windows, up to the newest, that no camera explains: they are not taken.
 
     """
+
+    change: CameraChange | None
 
     def __init__(self, calibration: Calibration, settings: MonitorSettings = MonitorSettings()):
         self.settings, self.calibration = settings, calibration
@@ -84,56 +82,15 @@ class ChangeMonitor:
                           if variance > 0 or name in CHANGES)
         places = lens.places(self.free)
         self.in_force = lens.take(self.free)
-        self._changes = [self.free.index(name) for name in CHANGES]
         size = np.hypot(self.camera.width, self.camera.height)
-        focal = self.camera.K[0, 0]
         # displacement half a diagonal from the middle: of a focal length, and of the middle
-        reach = 2 * focal / size
-        self._least = np.square(settings.tolerance_px * np.array([reach, 1, 1]))
-        prior = covariance[np.ix_(places, places)]
-        self._stated = prior + np.diag(self._along(0.01 * self._least))
-        self._test = SequentialTest(self._stated, self._changes, self._least, settings.chance,
-                                    first_alone=True)
-        self._scatter = WindowScatter(self._least)
-        self._of_windows = self._least
-        self.change: CameraChange | None = None
-        self.windows = self.unexplained = 0
-
-    @property
-    def statistic(self) -> float:
-        """Of the newest test."""
-        return self._test.statistic
-
-    @property
-    def threshold(self) -> float:
-        """Of the newest test."""
-        return self._test.threshold
-
-    @property
-    def discarded(self) -> int:
-        """Windows that agreed with nothing before or after."""
-        return self._test.discarded
-
-    @property
-    def remembered(self) -> list:
-        """The evidence so far, in blocks."""
-        return self._test.blocks
-
-    def _along(self, values) -> np.ndarray:
-        """Spread values (3,) of what may change over the free parameters, (k,)."""
-        result = np.zeros(len(self.free))
-        result[self._changes] = values
-        return result
-
-    def learn(self, score: WindowScore) -> None:
-        """
-        Take the score of a window of those keyframes that the calibration was made from.
-
-        It is no evidence, but tells how well windows agree with this calibration.
-        """
-        mean = self._along(self._remember(score))
-        # by so much all windows may disagree with the calibration
-        self._test.prior = self._stated + np.outer(mean, mean)
+        reach = 2 * self.camera.K[0, 0] / size
+        super().__init__(covariance[np.ix_(places, places)],
+                         [self.free.index(name) for name in CHANGES],
+                         np.square(settings.tolerance_px * np.array([reach, 1, 1])),
+                         settings.chance, first_alone=True)
+        self._usual = UsualWindows()
+        self.unexplained = 0
 
     def add(self, score: WindowScore) -> CameraChange | None:
         """
@@ -153,26 +110,18 @@ class ChangeMonitor:
         if not self.explains(score):
             self.unexplained += 1
             return self.change
-        self.windows += 1
         self.unexplained = 0
-        step = score.at + score.step - self.in_force
-        information = score.information / self._scatter.inflation(score.dependence)
+        information = score.information / self._usual.inflation(score.dependence)
         # every scene has its own small error, however much it tells
-        own = np.diag(self._along(self._of_windows
-                                  + np.square(CURVATURE * score.step[self._changes])))
-        weight = np.linalg.inv(np.eye(len(self.free)) + information @ own)
-        found = self._test.add(weight @ information, weight @ information @ step, score.frames,
-                               score, self.change is not None)
+        found = self._ask(score, information,
+                          information @ (score.at + score.step - self.in_force),
+                          self._of_windows + np.square(CURVATURE * score.step[self._changes]))
         if found is not None:
             self.change = CameraChange(
                 found.change, found.covariance, float(self.in_force[0]), found.since_frame,
                 found.clear_from_frame, found.until_frame, self.statistic, self.threshold)
             self.camera = self._changed(found.change)
-        if self._test.oldest is not None:
-            # not after a change: windows then scatter about another camera
-            if self.change is None:
-                self._remember(self._test.oldest)
-            self._test.retire()
+        self._retire()
         return self.change
 
     def explains(self, score: WindowScore) -> bool:
@@ -182,7 +131,7 @@ class ChangeMonitor:
         What moves by itself, or a shutter that shakes, leaves more than the usual noise. Where
         pairs of images show that noise as well, and tracks are independent, it is noise.
         """
-        usual = self._scatter.usual(self.calibration.noise_sigma_px)
+        usual = self._usual.usual(self.calibration.noise_sigma_px)
         return (score.noise_px < UNUSUAL_NOISE * usual.noise_px
                 or score.misfit < UNUSUAL_MISFIT * usual.misfit
                 and score.dependence < UNUSUAL_DEPENDENCE * usual.dependence
@@ -198,14 +147,14 @@ class ChangeMonitor:
         return lens.with_values(dict(zip(CHANGES, (focal, *point)))).camera(camera.width,
                                                                             camera.height)
 
-    def _remember(self, score: WindowScore) -> np.ndarray:
-        """Learn how large the errors of windows are; returns their mean, shape (3,)."""
-        spread = _inverse(score.information) * self._scatter.inflation(score.dependence)
+    def _seen(self, score: WindowScore) -> tuple[np.ndarray, np.ndarray]:
+        spread = _inverse(score.information) * self._usual.inflation(score.dependence)
         step = (score.at + score.step - self.in_force)[self._changes]
-        self._scatter.remember(score, step, spread[np.ix_(self._changes, self._changes)])
-        self._of_windows, mean = self._scatter.tolerance()
-        # neighbouring windows share a scene, so that their mean scatters, too
-        self._test.tolerance = np.maximum(self._least, SHARED_SCATTER * self._of_windows)
+        return step, spread[np.ix_(self._changes, self._changes)]
+
+    def _remember(self, score: WindowScore) -> np.ndarray:
+        mean = super()._remember(score)
+        self._usual.remember(score)
         return mean
 
 

@@ -38,21 +38,11 @@ class UsualWindow(NamedTuple):
     dependence: float
 
 
-class WindowScatter:
-    """
-    How large the errors of windows are, judged by the windows so far.
+class UsualWindows:
+    """What most windows of a camera are like, judged by the windows so far."""
 
-    Parameters
-    ----------
-    tolerance : ndarray, shape (3,)
-        Variances that every window has in addition to its covariance, at least.
-
-    """
-
-    def __init__(self, tolerance: np.ndarray):
-        self._least = tolerance
+    def __init__(self) -> None:
         self._known: list[WindowScore] = []
-        self._seen: list[tuple[np.ndarray, np.ndarray]] = []
 
     def usual(self, noise_px: float) -> UsualWindow:
         """Return the medians of the windows so far; the noise that is given without any."""
@@ -72,12 +62,31 @@ class WindowScatter:
             return own
         return max(1.0, float(np.median([*before, own])))
 
-    def remember(self, score: WindowScore | None, step, covariance) -> None:
+    def remember(self, score: WindowScore) -> None:
+        """Remember a window."""
+        self._known.append(score)
+        del self._known[:-REMEMBERED]
+
+
+class WindowScatter:
+    """
+    How large the errors of windows are, judged by the windows so far.
+
+    Parameters
+    ----------
+    tolerance : ndarray, shape (3,)
+        Variances that every window has in addition to its covariance, at least.
+
+    """
+
+    def __init__(self, tolerance: np.ndarray):
+        self._least = tolerance
+        self._seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def remember(self, step: np.ndarray, covariance: np.ndarray) -> None:
         """Remember a window: its distance from what is in force, and its covariance."""
-        if score is not None:
-            self._known.append(score)
         self._seen.append((step, covariance))
-        del self._known[:-REMEMBERED], self._seen[:-REMEMBERED]
+        del self._seen[:-REMEMBERED]
 
     def tolerance(self) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -90,7 +99,7 @@ class WindowScatter:
         tolerance : ndarray, shape (3,)
             Variances under which the windows scatter as they do, or the least.
         mean : ndarray, shape (3,)
-            Of their distances from the camera in force; zero where they are too few.
+            Of their distances from what is in force; zero where they are too few.
 
         """
         count = len(self._seen)

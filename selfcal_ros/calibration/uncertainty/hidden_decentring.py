@@ -99,14 +99,8 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
     columns = _by_decentring(fit)
     tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2'), columns)],
                                known, field, field_px).test(_DECENTRING)
-    told = np.isfinite(np.diag(tested.covariance))
-    information = np.zeros((2, 2))
-    information[np.ix_(told, told)] = np.linalg.pinv(tested.covariance[np.ix_(told, told)],
-                                                     hermitian=True)
-    widest = np.linalg.inv(information + np.eye(2) / DECENTRING[-1]**2)
-    size = likely_decentring(widest @ information @ tested.value, widest)
-    after = np.linalg.inv(information + np.eye(2) / size**2)
-    found = after @ information @ tested.value
+    size = likely_decentring(*tested.with_prior(DECENTRING[-1]**2))
+    found, after = tested.with_prior(size**2)
     response = tested.response * unknowns.free[unknowns.lens][:, None]
     return HiddenDecentring(found, size, bool(chi2_chance(tested.chi2, 2) < ACCIDENT),
                             response @ (after + np.outer(found, found)) @ response.T, columns)

@@ -91,12 +91,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
         return None
     joint = joint_information(fit, [Supposition(_PRISM, ('s1', 's2'), _by_prism(fit))], known)
     tested = joint.test(_PRISM)
-    told = np.isfinite(np.diag(tested.covariance))
-    information = np.zeros((2, 2))
-    information[np.ix_(told, told)] = np.linalg.pinv(tested.covariance[np.ix_(told, told)],
-                                                     hermitian=True)
-    after = np.linalg.inv(information + np.eye(2) / size)
-    found = after @ information @ tested.value
+    found, after = tested.with_prior(size)
     response = tested.response * unknowns.free[unknowns.lens][:, None]
     return PossiblePrism(float(np.sqrt(np.sum(p**2))),
                          response @ (after + np.outer(found, found)) @ response.T)

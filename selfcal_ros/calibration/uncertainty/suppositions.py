@@ -124,6 +124,29 @@ class Tested:
         return (float(normal_limit(p / 2)) if p > _TINY
                 else float(np.sqrt(max(self.chi2 - self.freedom, 0))))
 
+    @property
+    def information(self) -> np.ndarray:
+        """What the images tell of the further unknowns, shape (m, m)."""
+        told = np.isfinite(np.diag(self.covariance))
+        information = np.zeros_like(self.covariance)
+        information[np.ix_(told, told)] = np.linalg.pinv(self.covariance[np.ix_(told, told)],
+                                                         hermitian=True)
+        return information
+
+    def with_prior(self, variance: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the further unknowns where each has a variance beforehand, about zero.
+
+        Returns
+        -------
+        value : ndarray, shape (m,)
+        covariance : ndarray, shape (m, m)
+
+        """
+        information = self.information
+        covariance = np.linalg.inv(information + np.eye(len(information)) / variance)
+        return covariance @ information @ self.value, covariance
+
 
 @dataclass(frozen=True)
 class JointInformation:
