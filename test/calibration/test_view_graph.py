@@ -120,3 +120,35 @@ def test_two_views_left_of_more_are_not_trusted():
     assert verified(point, keep).tolist() == [False] * 3 + [True] * 6
     assert not verified(np.array([0, 0]), np.array([True, False])).any()
     assert verified(np.zeros(0, int), np.zeros(0, bool)).shape == (0,)
+
+
+def test_a_view_that_keeps_nothing_is_no_view(rng):
+    # the last image shows three parts of the scene from three places; each neighbour sees
+    # another part as it is, so that two of three contradict every point of that image
+    K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    X = rng.uniform([-2, -1.5, 4], [2, 1.5, 8], (220, 3))
+    third = np.repeat([-1, 0, 1, 2], [100, 40, 40, 40])
+    centres = np.column_stack([0.25 * np.arange(10), rng.uniform(-0.3, 0.3, (10, 2))])
+
+    def pixels(points, centre):
+        x = (points - centre) @ K.T
+        return x[:, :2] / x[:, 2:] + 0.2 * rng.standard_normal((len(x), 2))
+
+    rows = []
+    for frame in range(9):
+        seen = (third < 0) | (frame >= 6)
+        xy = pixels(X[seen], centres[frame])
+        wrong = (third[seen] >= 0) & (third[seen] != frame - 6)
+        xy[wrong] += rng.uniform(-40, 40, (wrong.sum(), 2))
+        rows.append((frame, np.flatnonzero(seen), xy))
+    for k in range(3):
+        own = third == k
+        rows.append((9, np.flatnonzero(own),
+                     pixels(X[own], centres[9] + rng.uniform(-1.5, 1.5, 3))))
+    tracks = Tracks(np.concatenate([np.full(len(track), frame) for frame, track, _ in rows]),
+                    np.concatenate([track for _, track, _ in rows]),
+                    np.concatenate([xy for *_, xy in rows]), (640, 480))
+    graph = build_view_graph(tracks, rng)
+    assert graph.frames.tolist() == list(range(9))
+    assert np.isin(graph.frames, graph.tracks.frame).all()
+    assert max(pair.second for pair in graph.pairs) == 8

@@ -41,6 +41,8 @@ MINIMUM_MATCHES = 12
 #: Between views that those leave unlinked: so many, if every one of them agrees. An eighth match
 #: may agree by chance with what seven determine; the adjustment of all views finds that out.
 FEWEST_MATCHES = 8
+#: Points that a view has to keep: three leave four poses open.
+LEAST_OF_VIEW = 4
 #: Noise below this is rounding.
 MIN_NOISE_PX = 1e-3
 #: So many matches of a pair, evenly chosen, decide on its epipolar geometry.
@@ -296,19 +298,29 @@ def build_view_graph(tracks: Tracks, rng: np.random.Generator, straight: bool = 
         spreads.append((robust_sigma(distance[inlier])
                         * np.sqrt(count / max(count - 7, 1)), count))
         pairs.append(PairGeometry(a, b, F, both[inlier], xy_a[inlier], xy_b[inlier]))
+    none = NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
+                      least_doubtful=MINIMUM_MATCHES)
     if not pairs:
-        return NoEstimate('no_epipolar_geometry', least=FEWEST_MATCHES,
-                          least_doubtful=MINIMUM_MATCHES)
+        return none
     keep = votes >= 0.5 * np.maximum(used, 1)
-    # the largest connected set of views
-    label = _components([(p.first, p.second) for p in pairs], len(frames))
-    largest = label == np.argmax(np.bincount(label))
+    # the largest connected set of views, of those that keep enough
+    voted, shown = keep, np.ones(len(frames), bool)
+    while True:
+        pairs = [p for p in pairs if shown[p.first] and shown[p.second]]
+        if not pairs:
+            return none
+        label = _components([(p.first, p.second) for p in pairs], len(frames))
+        largest = label == np.argmax(np.bincount(label))
+        keep = voted & largest[view]
+        kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
+        shown = np.bincount(np.searchsorted(frames, kept.frame),
+                            minlength=len(frames)) >= LEAST_OF_VIEW
+        if shown[largest].all():
+            break
     index = np.cumsum(largest) - 1
     pairs = [replace(p, first=int(index[p.first]), second=int(index[p.second]))
              for p in pairs if largest[p.first] and largest[p.second]]
-    rejected = int(np.sum((tested | (used > 0)) & ~keep))
-    keep &= largest[view]
-    kept = tracks.select(keep & verified(point, keep)).with_at_least(2)
+    rejected = int(np.sum((tested | (used > 0)) & ~voted))
     noise, weight = np.array(spreads).T
     order = np.argsort(noise)
     share = np.cumsum(weight[order]) / weight.sum()
