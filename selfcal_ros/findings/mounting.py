@@ -131,6 +131,10 @@ MOUNTING: dict[str, Phrase] = {
         'The body must turn about two axes that are not parallel, or move along two directions.',
         'A single axis or direction leaves the angle about it open.',
         'Turn about a second axis, by 20 degrees or more.'),
+    'turn_within_errors': Phrase(
+        'The poses err by as much as the robot turned, so that up and down look alike.',
+        'The sense of the turns tells which side of the way is up. Straight parts show the rest.',
+        'Drive curves of a few tens of degrees, or state the roll with its sigma.'),
     'metric_scale_open': Phrase(
         'The body must move farther than its poses err to show the scale.',
         'Images know no metre. The way of the body gives it.',

@@ -19,6 +19,7 @@ import pytest
 from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.values.body_poses import BodyPoses
 
 VIEWS = 20
@@ -168,3 +169,51 @@ def test_too_few_poses_are_refused():
 def test_facts_that_cannot_be_are_refused():
     with pytest.raises(ArgumentError, match='sigma'):
         MountFacts(z=(0.3, -1.0))
+
+
+def _bend(seed, turned_deg, facts):
+    rng = np.random.default_rng(seed)
+    heading = np.radians(turned_deg) * np.linspace(0, 1, 30)
+    middle = (heading[1:] + heading[:-1]) / 2
+    way = 0.2 * np.cumsum(np.stack([np.cos(middle), np.sin(middle), 0 * middle], axis=1), axis=0)
+    none = 0 * heading
+    world = worlds.World(rotation_matrix(np.stack([none, none, heading], axis=1)),
+                         np.concatenate([np.zeros((1, 3)), way]), worlds.mount_of(rng), True)
+    poses = worlds.odometry(rng, world.rotation, world.position, (0.01, 0.003, 0.01),
+                            frames=np.arange(30))
+    return world, mount_camera(worlds.calibrated(rng, world), poses, facts=facts).mount
+
+
+def test_a_slight_bend_leaves_open_which_side_is_up():
+    for seed in range(4):
+        world, mount = _bend(seed, 3.0, MountFacts())
+        assert [name for name in NAMES if mount.status[name] == 'unobservable'] == [
+            'x', 'y', 'z', 'roll']
+        assert 'up and down look alike' in mount.missing['roll']
+        # the way is seen all the same
+        seen = world.T_body_camera[:3, :3].T @ mount.axis.axis
+        assert np.linalg.norm(seen - mount.axis.in_camera) < 3.5 * np.sqrt(2) * mount.axis.sigma
+
+
+def test_a_roll_that_is_known_roughly_tells_which_side_is_up():
+    world, mount = _bend(0, 3.0, MountFacts(roll=(0.0, 0.3)))
+    truth = mount_angles(world.T_body_camera[:3, :3])[0]
+    assert mount.status['roll'] == 'estimated'
+    assert abs(mount.angles['roll'] - truth) < 3.5 * mount.sigma['roll']
+
+
+def test_a_wider_bend_tells_which_side_is_up():
+    world, mount = _bend(0, 15.0, MountFacts())
+    truth = mount_angles(world.T_body_camera[:3, :3])[0]
+    assert mount.status['roll'] == 'estimated'
+    assert abs(mount.angles['roll'] - truth) < 3.5 * mount.sigma['roll']
+
+
+def test_odometry_of_another_body_is_refused():
+    rng, world, calibration = _hand(4)
+    heading = 0.3 * np.sin(0.4 * np.arange(VIEWS))
+    none = 0 * heading
+    path = rotation_matrix(np.stack([none, none, heading], axis=1)), 0.1 * np.stack(
+        [np.arange(VIEWS), none, none], axis=1)
+    poses = worlds.odometry(rng, *path, (0.01, 0.003, 0.01), frames=np.arange(VIEWS))
+    assert mount_camera(calibration, poses).mount.kind == 'body_turns_otherwise'

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros import CameraFacts
+from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -32,6 +32,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_m
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.lenses.catalogue import lens_model
+from selfcal_ros.geometry.lenses.plumb_bob import tangential
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.rig_scenes import driven_path, hand_path, RIG_CAMERAS, rig_scene
 
@@ -205,3 +206,24 @@ def test_a_rig_needs_two_cameras_and_a_length():
     nothing = NotCalibrated.of(NoEstimate('no_parallax', parallax_ratio=1.0))
     refused = calibrate_rig(scene.tracks, facts=FACTS, alone=dict.fromkeys(RIG_CAMERAS, nothing))
     assert not refused and refused.kind == 'rig_cameras_refused' and 'left' in str(refused)
+
+
+def test_the_sigmas_of_a_rig_hold_decentring_that_no_fisheye_model_has():
+    rng = np.random.default_rng(1)
+    cameras = {name: Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,
+                            480, 'equidistant')
+               for name, f, cx, cy in (('left', 260.0, 322, 236), ('right', 255.0, 315, 243))}
+    scene = rig_scene(rng, hand_path(rng, 12), True, cameras, points=300)
+    tracks = {}
+    for name, one in scene.tracks.items():
+        p1, p2 = 1e-3 * rng.normal(size=2)
+        K = cameras[name].K
+        x, y = ((one.xy - K[:2, 2]) / K[0, 0]).T
+        tracks[name] = replace(one, xy=one.xy + K[0, 0] * np.column_stack(
+            tangential(p1, p2, x, y, x * x + y * y)))
+    result = calibrate_rig(tracks, shared_tracks=True, facts=CameraFacts(
+        aspect_ratio=1.0, skew=0.0, distortion='equidistant'))
+    for name, found in result.cameras.items():
+        off = (found.camera.parameters - cameras[name].parameters)[[0, 2, 3]]
+        assert np.abs(off / [found.sigma[one] for one in ('fx', 'cx', 'cy')]).max() < 3
+    assert 'fisheye_decentred' in [one.kind for one in result.findings]

@@ -123,6 +123,11 @@ class Lens:
         """Tell whether such a lens can exist at all."""
         return bool(np.isfinite(self.values).all() and (self.values[:2] > 0).all())
 
+    @property
+    def parts(self) -> tuple[tuple[Lens, slice], ...]:
+        """The lens of every camera, and where it stands in the block."""
+        return ((self, slice(0, len(self))),)
+
     def pixel_directions(self, xy: np.ndarray) -> np.ndarray:
         """
         Return about where pixels look, shape (N, 3), good enough to tell ahead from behind.

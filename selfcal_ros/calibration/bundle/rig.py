@@ -100,6 +100,11 @@ class Rig(Lens):
         """The focal length of every camera, pixels, shape (C,)."""
         return self.values[[self.of_lens(k).start for k in range(len(self.cameras))]]
 
+    @property
+    def parts(self) -> tuple[tuple[Lens, slice], ...]:
+        """The lens of every camera, and where it stands in the block."""
+        return tuple((self.lens(k), self.of_lens(k)) for k in range(len(self.models)))
+
     def place(self, k: int) -> np.ndarray:
         """Return the centre of a camera in the rig, shape (3,)."""
         return self.values[self.of_pose(k)][:3] if k else np.zeros(3)

@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.priors import Priors
@@ -164,6 +165,23 @@ class RobustFit:
     def motion(self) -> MotionModel:
         """The kind of motion."""
         return self.model.motion
+
+    def lenses(self) -> list[tuple[Lens, slice, np.ndarray, set[str]]]:
+        """
+        Take the cameras apart, which are one unless this is a rig.
+
+        Returns
+        -------
+        list of (Lens, slice, ndarray of bool, set of str)
+            Of every camera: its lens, where that stands in the block, which observations are its
+            own (N,), and the names of its unknowns that are free.
+
+        """
+        free, camera = self.bundle.unknowns.free, self.observations.camera
+        return [(lens, part,
+                 np.ones(len(self.bundle.view), bool) if camera is None else camera == k,
+                 {name for name, one in zip(lens.names, free[part]) if one})
+                for k, (lens, part) in enumerate(self.state.lens.parts)]
 
     @property
     def cost(self) -> float:

@@ -278,7 +278,7 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
     joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
                                     for fact, names in about.items()], known,
                               None if hidden is None else hidden.columns,
-                              1.0 if hidden is None else hidden.size)
+                              1.0 if hidden is None else hidden.sigma)
     return [joint.test(fact) for fact in about]
 
 

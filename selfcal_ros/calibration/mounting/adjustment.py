@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +127,12 @@ class Adjustment:
         """Which unknowns are free, shape (16 + k,)."""
         return self._free
 
+    def near_by(self) -> Adjustment:
+        """Return the same of a camera that stays near the body's origin, whatever is shown."""
+        other = copy(self)
+        other._open = np.eye(3)
+        return other
+
     def predict(self, state: State) -> Prediction:
         """Hold a state against the poses."""
         body = self._track.at(state.offset, self._rows)
@@ -228,6 +235,14 @@ class Adjustment:
         weights = keep.astype(float)
         H, g = self._of_poses(state, prediction, errors, weights)
         return H, g, float(weights @ self._distances(prediction, errors) + state.w @ state.w)
+
+    def misfit(self, optimum: Optimum, keep: np.ndarray) -> float:
+        """Return minus twice the log-likelihood of an optimum, but for a constant."""
+        prediction, errors = self.predict(optimum.state), optimum.errors
+        squares = float(self._distances(prediction, errors)[keep].sum())
+        sizes = float(np.linalg.slogdet(errors.covariances()[keep])[1].sum())
+        facts, w = self._priors(optimum.state)[0], optimum.state.w
+        return squares + sizes + float(w @ w + facts @ facts)
 
     def descend(self, state: State, errors: PoseErrors,
                 keep: np.ndarray | None = None) -> tuple[State, float]:

@@ -21,16 +21,18 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.known_directions import PlaceAlong
-from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount
+from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount, TURN as ANGLES
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
-    degrees_of_freedom, known_places, missing_motion, open_axis, open_places)
+    axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
+    without_sense)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.starts import pairs_of, starts
+from selfcal_ros.calibration.mounting.turning_sense import open_sense
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -42,6 +44,9 @@ _MARGIN_S = 0.05
 STILL_M, STILL_RAD = 1e-3, 2e-3
 #: Poses that disagree with the images by this share of what moved belong to another motion.
 CONTRADICTION = 0.3
+#: Odometry drifts where its heading errs by less, radians for a metre or radian of the way, and
+#: successive errors are alike by less than so many sigmas. Else it is of another body.
+MOST_DRIFT_RAD, ALIKE = 0.05, 4.0
 #: Places of the poses are late behind their turns where that shows by so many sigmas, and is
 #: more than this, seconds.
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
@@ -180,10 +185,23 @@ def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
     ours, theirs = (np.linalg.norm(one, axis=1) for one in (pairs.camera_turn, pairs.body_turn))
     apart = float(np.median(np.abs(ours - theirs)))
     usual = float(np.median(np.maximum(ours, theirs)))
-    if usual > 5 * STILL_RAD and apart > CONTRADICTION * usual:
+    if (usual > 5 * STILL_RAD and apart > CONTRADICTION * usual
+            and not (track.odometry and _drifts(optimum))):
         return NoEstimate('body_turns_otherwise', camera_deg=float(np.rad2deg(np.median(ours))),
                           body_deg=float(np.rad2deg(np.median(theirs))))
     return None
+
+
+def _drifts(optimum: Optimum) -> bool:
+    """Tell whether odometry errs by chance, as wheels do, and not by another motion."""
+    heading = 5
+    errors = optimum.prediction.residual[optimum.keep, heading]
+    ways = optimum.errors.shapes[:, optimum.keep, heading, heading].sum(axis=0)
+    # of the same size, however long their ways are
+    errors = errors / np.sqrt(ways)
+    alike = float(errors[1:] @ errors[:-1] / max(errors @ errors, 1e-300))
+    return bool(optimum.errors.by_component[heading] < MOST_DRIFT_RAD
+                and alike < ALIKE / np.sqrt(len(errors)))
 
 
 def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
@@ -193,6 +211,11 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     body = track.at(state.offset, rows)
     turns = pairs_of(camera, body).body_turn
     status = degrees_of_freedom(optimum, adjustment.free, track, facts)
+    either = None
+    angles = {status[name] for name in ANGLES}
+    if 'estimated' in angles and 'unobservable' not in angles:
+        either = open_sense(adjustment, optimum, body)
+        status = without_sense(status, either)
     columns = np.r_[T, TURN, SCALE, OFFSET]
     total = optimum.covariance.copy()
     # the turns' clock is taken; that of the places may be the right one
@@ -216,14 +239,15 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     if 'unobservable' in (status['x'], status['y'], status['z']) and (
             status['scale'] != 'unobservable'):
         places = known_places(optimum, adjustment.free, track.odometry)
-    if any(status[name] == 'unobservable' for name in ('roll', 'pitch', 'yaw')):
+    if any(status[name] == 'unobservable' for name in ANGLES):
         pose[:3, :3] = np.nan
-        axis = open_axis(optimum, adjustment.free, track.odometry)
+        axis = (open_axis(optimum, adjustment.free, track.odometry) if either is None
+                else axis_in_camera(optimum, either))
     if status['scale'] == 'unobservable':
         scale = np.nan
     offset = state.offset if status['time_offset'] != 'unobservable' else np.nan
     return Mount(poses.body_frame, pose, covariance, status, scale, float(offset),
-                 missing_motion(status, track, turns), len(rows),
+                 missing_motion(status, track, turns, either is not None), len(rows),
                  int((~optimum.keep).sum()), optimum.errors.sigma(0), optimum.errors.sigma(3),
                  places=places, axis=axis, pose_sigmas=optimum.errors.by_component)
 

@@ -102,13 +102,38 @@ def known_places(optimum: Optimum, free: np.ndarray, odometry: bool) -> tuple[Pl
 def open_axis(optimum: Optimum, free: np.ndarray, odometry: bool) -> AxisInCamera | None:
     """Return the one axis about which the turn of the camera is not shown, or None."""
     found = _open_directions(optimum, free, odometry, TURN)
-    if len(found) != 1:
-        return None
-    axis = found[0] * np.sign(found[0][np.argmax(np.abs(found[0]))])
+    return axis_in_camera(optimum, found[0]) if len(found) == 1 else None
+
+
+def axis_in_camera(optimum: Optimum, axis: np.ndarray) -> AxisInCamera:
+    """Return where the camera has an axis (3,) of the body, whatever the turn about it."""
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     across = np.eye(3) - np.outer(axis, axis)
     # the larger of the two
     sigma = np.sqrt(np.linalg.eigvalsh(across @ optimum.covariance[TURN, TURN] @ across)[-1])
     return AxisInCamera(axis, optimum.state.turn.T @ axis, float(sigma))
+
+
+def without_sense(status: dict[str, str], way: np.ndarray | None) -> dict[str, str]:
+    """
+    Open what a camera that may be turned over has not.
+
+    Parameters
+    ----------
+    status : dict of str to str
+    way : ndarray, shape (3,), or None
+        Unit vector in the body about which it may be turned by half a turn.
+
+    Returns
+    -------
+    dict of str to str
+
+    """
+    if way is None:
+        return status
+    turned = [name for name, part in zip(ANGLES, way) if 2 * abs(part) > LIMIT_RAD]
+    return {name: 'unobservable' if how == 'estimated' and name in (*PLACE, *turned) else how
+            for name, how in status.items()}
 
 
 def _open_directions(optimum: Optimum, free: np.ndarray, odometry: bool,
@@ -194,7 +219,8 @@ def _by_crossing(Q: np.ndarray, W: np.ndarray) -> np.ndarray:
     return total
 
 
-def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray) -> dict[str, str]:
+def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray,
+                   slight: bool = False) -> dict[str, str]:
     """
     Say which motion or fact would show what is open.
 
@@ -204,6 +230,8 @@ def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray) 
     track : BodyTrack
     turns : ndarray, shape (m, 3)
         Of the body between images, in its own axes (rad).
+    slight : bool
+        The poses err by as much as the body turned.
 
     Returns
     -------
@@ -216,7 +244,9 @@ def missing_motion(status: dict[str, str], track: BodyTrack, turns: np.ndarray) 
     for name, verdict in status.items():
         if verdict != 'unobservable':
             continue
-        if name == 'z' and upright:
+        if slight and name in ANGLES:
+            finding = Finding('turn_within_errors')
+        elif name == 'z' and upright:
             finding = Finding('height_open')
         elif name in PLACE:
             finding = Finding('place_open_in_plane') if upright else Finding('place_open')

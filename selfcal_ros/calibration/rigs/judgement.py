@@ -38,6 +38,8 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
+from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
+from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -122,8 +124,8 @@ class RigOptimum:
         """
         Allow for what a single camera's estimate allows for, too.
 
-        These are errors that tracks and regions share, lenses beside their models, and errors
-        that stretches of the way share.
+        These are errors that tracks and regions share, lenses beside their models, their
+        decentring and prisms that no model has, and errors that stretches of the way share.
 
         Returns
         -------
@@ -142,9 +144,17 @@ class RigOptimum:
             covariance = field.covariance
             findings = (*dependence.findings('track'), *field.findings())
             better = replace(self, deviation=field)
-        ratio, added = jackknife_excess(*delete_a_group(fit), fit.lens_covariance,
-                                        dependence.inflation**2)
-        return better, covariance + added, (*findings, *segment_findings(ratio))
+        known = dependence.inflation**2
+        ratio, added = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
+        covariance, findings = covariance + added, (*findings, *segment_findings(ratio))
+        hidden = hidden_decentring(fit, known, *(
+            () if field is None else (field.modes, field.size_px)))
+        if hidden is not None:
+            covariance, findings = covariance + hidden.covariance, findings + hidden.findings()
+        prism = possible_prism(fit, covariance, known)
+        if prism is not None:
+            covariance, findings = covariance + prism.covariance, findings + prism.findings()
+        return better, covariance, findings
 
     def shared_points(self) -> np.ndarray:
         """Count the points that each camera shares with another, (C,)."""

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
@@ -46,40 +47,47 @@ class HiddenDecentring:
 
     Attributes
     ----------
-    value : ndarray, shape (2,)
-        p1 and p2 as the images suggest, among lenses of the size found.
-    size : float
+    value : ndarray, shape (n, 2)
+        p1 and p2 of every fisheye as the images suggest, among lenses of the size found.
+    size : ndarray, shape (n,)
         Standard deviation of either among lenses.
-    is_certain : bool
+    is_certain : ndarray of bool, shape (n,)
         Whether the images show it beyond doubt.
     covariance : ndarray, shape (k, k)
-        To add to that of the unknowns of the lens.
-    columns : ndarray, shape (N, 2, 2)
-        Derivative of every residual by p1 and p2, pixels.
+        To add to that of the unknowns of the lens block.
+    columns : ndarray, shape (N, 2, 2 n)
+        Derivative of every residual by each p1 and p2, pixels.
 
     """
 
     value: np.ndarray
-    size: float
-    is_certain: bool
+    size: np.ndarray
+    is_certain: np.ndarray
     covariance: np.ndarray
     columns: np.ndarray
 
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of each p1 and p2 among lenses, shape (2 n,)."""
+        return np.repeat(self.size, 2)
+
     def findings(self) -> tuple[Finding, ...]:
-        """Tell of it where it is certain."""
-        return ((Finding('fisheye_decentred', decentring=float(np.hypot(*self.value))),)
-                if self.is_certain else ())
+        """Tell of the largest that is certain."""
+        certain = self.value[self.is_certain]
+        return ((Finding('fisheye_decentred',
+                         decentring=float(np.hypot(*certain.T).max())),)
+                if len(certain) else ())
 
 
 def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = None,
                       field_px: float = 1.0) -> HiddenDecentring | None:
     """
-    Ask the images of an optimum for decentring that their lens model lacks.
+    Ask the images of an optimum for decentring that their lens models lack.
 
     Parameters
     ----------
     fit : RobustFit
-        At its optimum.
+        At its optimum; of one camera or of a rig.
     known : float
         Variance of the estimate over that with independent errors.
     field : ndarray, shape (N, 2, q), optional
@@ -90,33 +98,49 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
     Returns
     -------
     HiddenDecentring or None
-        None where the model has coefficients for it, or no lens is estimated.
+        None where the models have coefficients for it, or no lens is estimated.
 
     """
     unknowns = fit.bundle.unknowns
-    if fit.state.lens.model.is_perspective or not {'k1', 'k2'} <= set(unknowns.free_lens_names):
+    columns = [_by_decentring(fit, lens, rows) for lens, _, rows, free in fit.lenses()
+               if not lens.model.is_perspective and {'k1', 'k2'} <= free]
+    if not columns:
         return None
-    columns = _by_decentring(fit)
-    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2'), columns)],
+    every = np.concatenate(columns, axis=2)
+    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2') * len(columns),
+                                                 every)],
                                known, field, field_px).test(_DECENTRING)
-    size = likely_decentring(*tested.with_prior(DECENTRING[-1]**2))
-    found, after = tested.with_prior(size**2)
+    widest, spread = tested.with_prior(DECENTRING[-1]**2)
+    lenses = [slice(2 * k, 2 * k + 2) for k in range(len(columns))]
+    size = np.array([likely_decentring(widest[one], spread[one, one]) for one in lenses])
+    found, after = tested.with_prior(np.repeat(size, 2)**2)
     response = tested.response * unknowns.free[unknowns.lens][:, None]
-    return HiddenDecentring(found, size, bool(chi2_chance(tested.chi2, 2) < ACCIDENT),
-                            response @ (after + np.outer(found, found)) @ response.T, columns)
+    return HiddenDecentring(
+        found.reshape(-1, 2), size,
+        np.array([_is_certain(tested.value[one], tested.covariance[one, one])
+                  for one in lenses]),
+        response @ (after + np.outer(found, found)) @ response.T, every)
 
 
-def _by_decentring(fit: RobustFit) -> np.ndarray:
-    """Differentiate the residuals by p1 and p2, shape (N, 2, 2)."""
-    f, aspect, cx, cy, skew = fit.state.lens.values[:5]
-    at = fit.bundle.xy + fit.linearisation.residual
+def _is_certain(value: np.ndarray, covariance: np.ndarray) -> bool:
+    """Tell whether p1 and p2 of a lens, shape (2,), are no accident."""
+    if not np.isfinite(np.diag(covariance)).all():
+        return False
+    return bool(chi2_chance(value @ np.linalg.pinv(covariance, hermitian=True) @ value, 2)
+                < ACCIDENT)
+
+
+def _by_decentring(fit: RobustFit, lens: Lens, rows: np.ndarray) -> np.ndarray:
+    """Differentiate the residuals by p1 and p2 of the lens that made some rows, (N, 2, 2)."""
+    f, aspect, cx, cy, skew = lens.values[:5]
+    at = (fit.bundle.xy + fit.linearisation.residual)[rows]
     y = (at[:, 1] - cy) / (f * aspect)
     x = (at[:, 0] - cx - skew * y) / f
     square = x * x + y * y
-    columns = np.zeros((len(at), 2, 2))
+    columns = np.zeros((len(rows), 2, 2))
     for k, (p1, p2) in enumerate(((1.0, 0.0), (0.0, 1.0))):
         dx, dy = tangential(p1, p2, x, y, square)
-        columns[:, 0, k], columns[:, 1, k] = f * dx + skew * dy, f * aspect * dy
+        columns[rows, 0, k], columns[rows, 1, k] = f * dx + skew * dy, f * aspect * dy
     return columns
 
 

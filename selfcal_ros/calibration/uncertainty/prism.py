@@ -28,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.priors import ORDINARY_DECENTRING
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
@@ -47,7 +48,7 @@ class PossiblePrism:
     Attributes
     ----------
     decentring : float
-        Root of p1² + p2².
+        Root of p1² + p2², the largest of all cameras.
     covariance : ndarray, shape (k, k)
         To add to that of the unknowns of the lens.
 
@@ -69,7 +70,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
     Parameters
     ----------
     fit : RobustFit
-        At its optimum.
+        At its optimum; of one camera or of a rig.
     covariance : ndarray, shape (k, k)
         Of the unknowns of the lens, with all that it allows for.
     known : float
@@ -81,31 +82,43 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
         None for most lenses.
 
     """
-    lens, unknowns = fit.state.lens, fit.bundle.unknowns
-    if not {'p1', 'p2'} <= set(unknowns.free_lens_names):
+    unknowns = fit.bundle.unknowns
+    columns, sizes, decentring = [], [], 0.0
+    for lens, part, rows, free in fit.lenses():
+        if {'p1', 'p2'} <= free:
+            places = lens.places(('p1', 'p2'))
+            size = _beyond_ordinary(lens.values[places],
+                                    covariance[part, part][np.ix_(places, places)])
+            if size > 0:
+                columns.append(_by_prism(fit, lens, rows))
+                sizes += [size, size]
+                decentring = max(decentring, float(np.sqrt(np.sum(lens.values[places]**2))))
+    if not columns:
         return None
-    places = lens.places(('p1', 'p2'))
-    p, own = lens.values[places], covariance[np.ix_(places, places)]
-    size = float(np.sum(p**2) - np.trace(own) - 2 * ORDINARY_DECENTRING**2) / 2
-    if size <= 0 or chi2_chance(p @ np.linalg.solve(own, p), 2) > ACCIDENT:
-        return None
-    joint = joint_information(fit, [Supposition(_PRISM, ('s1', 's2'), _by_prism(fit))], known)
+    joint = joint_information(
+        fit, [Supposition(_PRISM, ('s1', 's2') * len(columns), np.concatenate(columns, axis=2))],
+        known)
     tested = joint.test(_PRISM)
-    found, after = tested.with_prior(size)
+    found, after = tested.with_prior(np.array(sizes))
     response = tested.response * unknowns.free[unknowns.lens][:, None]
-    return PossiblePrism(float(np.sqrt(np.sum(p**2))),
-                         response @ (after + np.outer(found, found)) @ response.T)
+    return PossiblePrism(decentring, response @ (after + np.outer(found, found)) @ response.T)
 
 
-def _by_prism(fit: RobustFit) -> np.ndarray:
-    """Differentiate the residuals by s1 and s2, shape (N, 2, 2)."""
-    lens = fit.state.lens
+def _beyond_ordinary(p: np.ndarray, own: np.ndarray) -> float:
+    """Return the variance of decentring beyond that of most lenses, zero where none is sure."""
+    size = float(np.sum(p**2) - np.trace(own) - 2 * ORDINARY_DECENTRING**2) / 2
+    sure = size > 0 and chi2_chance(p @ np.linalg.solve(own, p), 2) <= ACCIDENT
+    return size if sure else 0.0
+
+
+def _by_prism(fit: RobustFit, lens: Lens, rows: np.ndarray) -> np.ndarray:
+    """Differentiate the residuals by s1 and s2 of the lens that made some rows, (N, 2, 2)."""
     f, aspect, cx, cy, skew = lens.values[:5]
     # where the distorted image is; what r² differs there is of the order of s times k1
-    at = fit.bundle.xy + fit.linearisation.residual
+    at = (fit.bundle.xy + fit.linearisation.residual)[rows]
     y = (at[:, 1] - cy) / (f * aspect)
     square = ((at[:, 0] - cx - skew * y) / f)**2 + y**2
-    columns = np.zeros((len(at), 2, 2))
-    columns[:, 0, 0], columns[:, 0, 1] = f * square, skew * square
-    columns[:, 1, 1] = f * aspect * square
+    columns = np.zeros((len(rows), 2, 2))
+    columns[rows, 0, 0], columns[rows, 0, 1] = f * square, skew * square
+    columns[rows, 1, 1] = f * aspect * square
     return columns

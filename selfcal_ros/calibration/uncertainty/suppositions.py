@@ -133,9 +133,13 @@ class Tested:
                                                          hermitian=True)
         return information
 
-    def with_prior(self, variance: float) -> tuple[np.ndarray, np.ndarray]:
+    def with_prior(self, variance: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the further unknowns where each has a variance beforehand, about zero.
+
+        Parameters
+        ----------
+        variance : float, or ndarray of shape (m,)
 
         Returns
         -------
@@ -144,7 +148,7 @@ class Tested:
 
         """
         information = self.information
-        covariance = np.linalg.inv(information + np.eye(len(information)) / variance)
+        covariance = np.linalg.inv(information + np.diag(1 / np.full(len(information), variance)))
         return covariance @ information @ self.value, covariance
 
 
@@ -220,7 +224,8 @@ class JointInformation:
 
 
 def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known: float = 1.0,
-                      nuisance: np.ndarray | None = None, nuisance_sigma: float = 1.0,
+                      nuisance: np.ndarray | None = None,
+                      nuisance_sigma: float | np.ndarray = 1.0,
                       ) -> JointInformation:
     """
     Eliminate all that the estimate knows from the further unknowns of suppositions.
@@ -235,7 +240,7 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
         covariance of the camera allows for, too.
     nuisance : ndarray, shape (N, 2, q), optional
         Derivatives by unknowns that are eliminated with the rest, as those of a smooth field.
-    nuisance_sigma : float
+    nuisance_sigma : float, or ndarray of shape (q,)
         Their standard deviation.
 
     Returns
@@ -267,7 +272,7 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     if gauge is not None:
         system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
                                                 * np.outer(gauge, gauge))
-    system.matrix[aside, aside] += 1 / nuisance_sigma**2
+    system.matrix[aside, aside] += 1 / np.square(nuisance_sigma)
 
     places, next_common, next_own = {}, aside.size + first, linearisation.view.shape[2]
     for one in common:
