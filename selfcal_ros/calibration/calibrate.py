@@ -252,13 +252,15 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
     if turned is not None:
         # a path that only looks like a turn contradicts the facts, too
         left_px = turned.noise_sigma_px if turned else turned_px
-        return moving if moving and moving.noise_sigma_px < CLEARER * left_px else turned
+        clearer = moving and moving.noise_sigma_px < CLEARER * left_px
+        return moving if clearer or (moving and _is_open(turned)) else turned
     if not little or (moving and turning is not None):
         return moving
     if turning is None:
-        rotating = calibrate_rotating(graph.tracks, size, facts, not moving)
+        rotating = calibrate_rotating(graph.tracks, size, facts, not moving, may_miss=True)
     else:
-        rotating = (judge_rotations(turning, size, facts) if isinstance(turning, RotationFit)
+        rotating = (judge_rotations(turning, size, facts, may_miss=True)
+                    if isinstance(turning, RotationFit)
                     else turning)
     if rotating:
         simpler = not moving or (rotating.noise_sigma_px
@@ -276,7 +278,12 @@ def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph
     """Tell whether a turn contradicts the facts, or leaves more than pairs of images do."""
     if turned:
         return left_px > WORSE_THAN_PAIRS * graph.noise_px
-    return turned.kind == 'fact_contradicted'
+    return turned.kind == 'fact_contradicted' or _is_open(turned)
+
+
+def _is_open(turned: Calibration | NoEstimate) -> bool:
+    """Tell whether a turn leaves parameters of the camera open, as a path may not."""
+    return isinstance(turned, NoEstimate) and turned.kind == 'parameters_undetermined'
 
 
 def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
@@ -301,10 +308,9 @@ def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, 
     problem, decision = decided
     noise_px = decision.model.fit.bundle.sigma_px
     if decision.is_rotation and motion == 'auto':
-        rotating = judge_rotations(turning, size, facts, may_zoom=False)
+        rotating = judge_rotations(turning, size, facts, may_zoom=False, may_miss=True)
         if rotating:
-            return replace(rotating, covariance=rotating.covariance
-                           + decision.hidden(rotating, size)), noise_px
+            return rotating, noise_px
     explained = noise_px < PIVOT_NOISE * problem.noise_px
     if decision.holds and explained and decision.moved_share < SHORT_WAY:
         result = finish(settled(problem, decision.model), decision.model, graph, facts)

@@ -91,6 +91,13 @@ REMARKS: dict[str, Phrase] = {
         'Lock zoom and focus where one calibration is to hold; or take the focal length of each '
         'image.'),
     # the motion
+    'lever_not_excluded': Phrase(
+        'The camera may turn about a point beside it, {share:.2%} of the depth away. The sigmas '
+        'allow for it.',
+        'Such a turn looks like one about the camera itself, with another focal length. The '
+        'points are too alike in depth, or too few, to tell the two apart.',
+        'Record something near as well, turn farther, or move the camera; state a rotation '
+        '(--motion rotation) only if the head is known to be exact.'),
     'circular_motion': Phrase(
         'The camera circles one axis; the calibration rests on square pixels.',
         'Circular motion leaves two directions of the parameters open. Facts close them.',

@@ -41,9 +41,9 @@ _DOUBT = ('fact_contradicted_too', 'fact_doubtful', 'fact_unsure', 'fact_trusted
 _WIDER = ('errors_within_track', 'errors_within_region', 'errors_within_segment',
           'errors_at_object_points', 'errors_within_edge', 'regions_beyond_lens', 'lens_deviates',
           'lens_may_be_prism', 'fisheye_decentred', 'focal_drifts', 'focal_varies',
-          'circular_motion', 'not_exactly_planar', 'frames_turned_estimated', 'rolling_shutter',
-          'rolling_shutter_unstamped', 'rolling_shutter_stated', 'tracks_moving',
-          'motion_suggestion')
+          'lever_not_excluded', 'circular_motion', 'not_exactly_planar',
+          'frames_turned_estimated', 'rolling_shutter', 'rolling_shutter_unstamped',
+          'rolling_shutter_stated', 'tracks_moving', 'motion_suggestion')
 _MEANS = ('field_of_view', 'central_angle', 'typical_measurements')
 _MADE = ('few_images', 'mode_chosen', 'frames_thinned', 'division_model', 'tracks_contradictory',
          'positions_unregistered', 'positions_contradictory', 'keyframes_chosen', 'views_used',

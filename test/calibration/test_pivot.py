@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, R
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
 from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
@@ -70,6 +71,26 @@ def test_without_a_lever_it_is_a_rotation():
 
     assert result.motion == 'rotation'
     assert away(result) < 4
+
+
+@pytest.mark.parametrize('seed', [50, 57])
+def test_a_lever_too_short_to_be_seen_is_in_the_sigmas(seed):
+    # 1 cm before points at 1 to 6 m, turned by 6 degrees: -3.7 px of f in silence before
+    result = calibrate(head(seed, lever=(0, 0.003, 0.01), turn_deg=6.0).tracks, facts=STRAIGHT)
+
+    assert result.motion == 'rotation'
+    assert away(result) < 3
+    assert 'lever_not_excluded' in [one.kind for one in result.findings]
+
+
+def test_a_camera_that_turns_about_its_centre_has_about_its_usual_sigmas():
+    tracks = head(63, lever=(0, 0, 0), turn_deg=12.0).tracks
+    found, exact = (calibrate(tracks, motion=motion, facts=STRAIGHT)
+                    for motion in ('auto', 'rotation'))
+
+    assert found.motion == exact.motion == 'rotation'
+    assert exact.sigma['fx'] < found.sigma['fx'] < 2 * exact.sigma['fx']
+    assert not found.findings
 
 
 def state_of(sequence, tracks):
@@ -138,3 +159,18 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
 
     assert result.motion != 'pivot'
     assert abs(result.camera.K[0, 0] - 520) < 4 * result.sigma['fx']
+
+
+def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
+    sequence = vehicle(np.random.default_rng([3, 5]), s_curve(6), count=60, noise_px=0.5)
+    module = importlib.import_module('selfcal_ros.calibration.calibrate')
+    monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
+    monkeypatch.setattr(module, 'fit_rotations',
+                        lambda *_: SimpleNamespace(left_px=1.0, noise_px=0.5))
+    monkeypatch.setattr(module, '_about_a_point',
+                        lambda *_: (NoEstimate('parameters_undetermined', missing=('fx',)), 0.5))
+    result = calibrate(sequence.tracks, facts=STRAIGHT)
+
+    assert result.motion == 'planar'
+    assert away(result) < 4

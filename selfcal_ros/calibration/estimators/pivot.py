@@ -46,8 +46,6 @@ from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_
 from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 
 #: So many starts are followed to the end.
@@ -57,8 +55,6 @@ RIVALS = 4
 NEARLY_FIXED = 6.0
 #: Where more than this share of the observations contradict, it is the point that moves.
 MOST_LOST = 0.1
-#: A lever that lowers the cost by more than so many sigmas beyond chance may as well be there.
-TOLD_SIGMAS = 2.0
 #: Where the likeliest turn leaves more than so many times the noise, and so do rotations alone, no
 #: model of lens or shutter makes a turn of it.
 HOPELESS = 4.0
@@ -92,34 +88,6 @@ class PivotDecision:
     def is_rotation(self) -> bool:
         """Tell whether there may be no lever at all, by a likelihood ratio at 4 sigma."""
         return is_chance(self.rotation_excess, self.rotation_freedom)
-
-    def hidden(self, rotating: Calibration, size: tuple[int, int]) -> np.ndarray:
-        """
-        Return what a lever too short to be told from none adds to a covariance.
-
-        Parameters
-        ----------
-        rotating : Calibration
-            By rotations alone.
-        size : (int, int)
-            Width and height of the image.
-
-        Returns
-        -------
-        ndarray, shape (k, k)
-            Of the parameters of `rotating`.
-
-        """
-        beyond = max(self.rotation_excess - self.rotation_freedom, 0.0)
-        other = self.model.fit.state.camera(*size)
-        away = np.zeros(len(rotating.parameter_names))
-        count = len(MATRIX_PARAMETERS)
-        away[:count] = other.parameters[:count] - rotating.camera.parameters[:count]
-        away[[name in rotating.held_by for name in rotating.parameter_names]] = 0
-        # no bias is larger, in sigmas, than the root of what it costs
-        square = float(away @ np.linalg.pinv(rotating.covariance, hermitian=True) @ away)
-        share = min(beyond / np.sqrt(2 * self.rotation_freedom) / TOLD_SIGMAS, 1.0)
-        return share * min(1.0, beyond / max(square, 1e-300)) * np.outer(away, away)
 
     @property
     def holds(self) -> bool:

@@ -50,6 +50,7 @@ from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
+from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
@@ -123,7 +124,8 @@ class RotationFit:
 
 
 def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts | None = None,
-                       may_zoom: bool = True) -> Calibration | NoEstimate:
+                       may_zoom: bool = True, may_miss: bool = False,
+                       ) -> Calibration | NoEstimate:
     """
     Calibrate a camera that only rotates.
 
@@ -137,6 +139,8 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     may_zoom : bool
         Whether the focal length may vary. A step along the axis looks like a zoom: where the
         camera may have moved, it may not.
+    may_miss : bool
+        Whether the camera may miss the point that it turns about: the sigmas allow for it then.
 
     Returns
     -------
@@ -148,7 +152,7 @@ def calibrate_rotating(tracks: Tracks, size: tuple[int, int], facts: CameraFacts
     facts = CameraFacts() if facts is None else facts
     found = fit_rotations(tracks, size, facts, varying=facts.focal == 'varying')
     return (found if isinstance(found, NoEstimate)
-            else judge_rotations(found, size, facts, may_zoom))
+            else judge_rotations(found, size, facts, may_zoom, may_miss))
 
 
 def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
@@ -188,15 +192,15 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
 
 
 def judge_rotations(found: RotationFit, size: tuple[int, int], facts: CameraFacts,
-                    may_zoom: bool = True) -> Calibration | NoEstimate:
-    """Tell whether rotations alone explain the views, and what they determine."""
-    result = _assess(found.lens, found, size, facts)
+                    may_zoom: bool = True, may_miss: bool = False) -> Calibration | NoEstimate:
+    """Tell whether rotations alone explain the views; see `calibrate_rotating`."""
+    result = _assess(found.lens, found, size, facts, may_miss)
     if may_zoom and facts.focal == 'auto' and not result and result.kind in (
             'focal_not_constant', 'moved_not_rotated'):
         lens = _fit(_zooming(found.frames), found.observed, found.H, found.order, found.conic,
                     found.sigma_px, size, facts)
         if not isinstance(lens, NoEstimate):
-            return _assess(lens, found, size, facts) or result
+            return _assess(lens, found, size, facts, may_miss) or result
     return result
 
 
@@ -253,7 +257,7 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
 
 
 def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], stated: CameraFacts,
-            ) -> Calibration | NoEstimate:
+            may_miss: bool) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
     observed, frames, noise_px = found.observed, found.frames, found.noise_px
     state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
@@ -290,6 +294,11 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     hidden = hidden_decentring(fit, dependence.inflation**2)
     if hidden is not None:
         inner = inner + hidden.covariance
+    further = hidden.findings() if hidden else ()
+    if may_miss:
+        lever = hidden_lever(fit, dependence.inflation**2)
+        further += lever.findings(inner)
+        inner = inner + lever.covariance
     course = focal_course(fit, state, frames, inner, dependence.inflation**2)
     covariance = without_held(to_parameters(inner, state.lens),
                               camera, facts)
@@ -318,7 +327,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points, pose_precision=pose_precision(fit, False)),
         residuals=residuals, population=priors.population, focal=course,
-        findings=course_findings(course) + of_facts + (hidden.findings() if hidden else ()))
+        findings=course_findings(course) + of_facts + further)
 
 
 def _starting_cameras(conic, size, facts):

@@ -28,7 +28,8 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
+from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
+                                                              Supposition)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.geometry.lenses.plumb_bob import tangential
@@ -148,8 +149,7 @@ def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
     """
     Return the sigma of p1 and p2 that their estimate suggests.
 
-    The root mean square over `DECENTRING`, each size weighed by how probable it makes the
-    estimate: where the images say little it stays large.
+    See `likely_size`; the sizes are those of `DECENTRING`.
 
     Parameters
     ----------
@@ -166,9 +166,6 @@ def likely_decentring(found: np.ndarray, variance: np.ndarray) -> float:
     values, vectors = np.linalg.eigh(variance)
     values = np.clip(values, 1e-16, 0.999 * DECENTRING[-1]**2)
     # the prior taken out again
-    of_images = 1 / (1 / values - 1 / DECENTRING[-1]**2)
-    free = (vectors.T @ found) * of_images / values
-    total = of_images[:, None] + DECENTRING**2
-    log_probability = -0.5 * np.sum(free[:, None]**2 / total + np.log(total), axis=0)
-    weight = np.exp(log_probability - log_probability.max())
-    return float(np.sqrt(weight @ DECENTRING**2 / weight.sum()))
+    told = 1 / values - 1 / DECENTRING[-1]**2
+    free = vectors @ ((vectors.T @ found) / (values * told))
+    return likely_size(free, (vectors * told) @ vectors.T, DECENTRING)

@@ -152,6 +152,38 @@ class Tested:
         return covariance @ information @ self.value, covariance
 
 
+def likely_size(value: np.ndarray, information: np.ndarray, sizes: np.ndarray,
+                further: np.ndarray | float = 0.0) -> float:
+    """
+    Return the standard deviation of unknowns that their estimate suggests.
+
+    The root mean square over sizes that are as likely beforehand, each weighed by how probable it
+    makes the estimate: where the images say little it stays large.
+
+    Parameters
+    ----------
+    value : ndarray, shape (m,)
+        The estimate, of unknowns about zero.
+    information : ndarray, shape (m, m)
+        Of the images; it may be singular.
+    sizes : ndarray, shape (n,)
+    further : ndarray, shape (n,), optional
+        What else makes a size likely, as a logarithm.
+
+    Returns
+    -------
+    float
+
+    """
+    told, vectors = np.linalg.eigh(information)
+    told = np.maximum(told, 0)[:, None]
+    ratio = 1 + told * sizes**2
+    square = told * ((vectors.T @ value)**2)[:, None]
+    log_probability = -0.5 * np.sum(square / ratio + np.log(ratio), axis=0) + further
+    weight = np.exp(log_probability - log_probability.max())
+    return float(np.sqrt(weight @ sizes**2 / weight.sum()))
+
+
 @dataclass(frozen=True)
 class JointInformation:
     """
