@@ -19,14 +19,24 @@ import numpy as np
 import pytest
 
 from selfcal_ros import calibrate, Camera, CameraFacts, Tracks
-from selfcal_ros.calibration.bundle.robust_fit import Observations
+from selfcal_ros.calibration.bundle.lens import Lens
+from selfcal_ros.calibration.bundle.motion import GENERAL
+from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
+from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations,
+                                                       with_all_points)
+from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.zoom_selection import contradicted, zoomed_fit
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
+from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies
+from selfcal_ros.calibration.moving.sorting import explained_share, explains_all
 from selfcal_ros.calibration.moving.track_test import judged
 from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_to_json
-from selfcal_ros.values.track_labels import TrackLabels
+from selfcal_ros.values.track_labels import STATIC, TrackLabels
 
 CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), width=640, height=480)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
@@ -180,3 +190,105 @@ def test_a_body_that_keeps_ahead_is_found_by_its_size():
     _, members = next(find_bodies(observations, CAMERA, NOISE_PX, rng))
 
     assert set(members) <= set(range(26)) and len(members) >= 24
+
+
+def observed(tracks):
+    """Index tracks of all views."""
+    order = np.lexsort((tracks.frame, tracks.track))
+    names, point = np.unique(tracks.track[order], return_inverse=True)
+    return Observations(tracks.frame[order], point, tracks.xy[order], names)
+
+
+def fitted(tracks, path):
+    """Fit tracks from given poses with a constant focal length."""
+    observations = observed(tracks)
+    lens = Lens.of(CAMERA)
+    state = SceneState(lens, AxisPath.of_poses(np.eye(3), path), np.zeros((0, 4)))
+    return fit_robustly(observations, with_all_points(state, observations), GENERAL,
+                        priors_from_facts(FACTS), NOISE_PX)
+
+
+def bent(seed, moving=60):
+    """Tracks with a thing that moves, the true poses, and a fit that follows the thing."""
+    rng = np.random.default_rng(seed)
+    tracks, path = world(rng, moving=moving), poses(np.random.default_rng(seed))
+    thing = tracks.select(tracks.track >= 150 - moving)
+    still = tracks.select(tracks.track < 150 - moving)
+    # as if every other still track was too short to weigh
+    few = Tracks(np.append(thing.frame, still.frame[still.track % 2 == 0]),
+                 np.append(thing.track, still.track[still.track % 2 == 0]),
+                 np.concatenate([thing.xy, still.xy[still.track % 2 == 0]]), (640, 480))
+    return tracks, path, fit_robustly_loosely(few, path)
+
+
+def fit_robustly_loosely(tracks, path):
+    """Fit tracks without leaving any out."""
+    observations = observed(tracks)
+    state = SceneState(Lens.of(CAMERA), AxisPath.of_poses(np.eye(3), path), np.zeros((0, 4)))
+    return fit_robustly(observations, with_all_points(state, observations), GENERAL,
+                        priors_from_facts(FACTS), 20.0, rounds=1)
+
+
+@pytest.mark.parametrize('seed', range(21, 25))
+def test_half_of_the_tracks_do_without_a_thing_that_moves(seed):
+    rng = np.random.default_rng(seed)
+    tracks, path = world(rng, moving=55), poses(np.random.default_rng(seed))
+    # as far off as pairs of views and a supposed focal length are
+    turned = rotation_matrix(0.003 * rng.standard_normal((VIEWS, 3))) @ path
+    camera = Camera(np.array([[470.0, 0, 320], [0, 470, 240], [0, 0, 1]]), width=640, height=480)
+    start = SceneState(Lens.of(camera), AxisPath.of_poses(np.eye(3), turned), np.zeros((0, 4)))
+    half = coherent_half(observed(tracks), start, GENERAL, priors_from_facts(FACTS), 2.0, NOISE_PX)
+
+    assert np.mean(half.observations.track >= 95) < 0.05
+    assert NOISE_PX < half.bundle.sigma_px < 1.6 * NOISE_PX
+    assert abs(half.state.lens['f'] / 500 - 1) < 0.01
+
+
+@pytest.mark.parametrize('seed', range(21, 25))
+def test_a_false_zoom_moves_what_stands_still(seed):
+    tracks, path, fit = bent(seed)
+    still = fitted(tracks.select(tracks.track < 90), path)
+    names = np.unique(tracks.track)
+    labels = TrackLabels(names, np.where(names < 90, STATIC, 4), 1)
+    false = zoomed_fit(fit, tuple(range(VIEWS)))
+    assert not explains_all(false, still, tracks, labels)
+    assert explained_share(false, tracks, names[names < 90]) < 0.95
+
+    # one that is true keeps all that a constant one explains
+    scale = np.where(np.arange(VIEWS) < 5, 1.0, 1.06)[tracks.frame, None]
+    magnified = Tracks(tracks.frame, tracks.track, [320, 240] + scale * (tracks.xy - [320, 240]),
+                       (640, 480)).select(tracks.track < 90)
+    constant = fitted(magnified, path)
+    true = zoomed_fit(constant, tuple(range(VIEWS)))
+    of_still = names[names < 90]
+    assert explains_all(true, constant, magnified,
+                        TrackLabels(of_still, np.full(len(of_still), STATIC), 0))
+    assert explained_share(true, magnified, of_still) > 0.98
+
+
+@pytest.mark.parametrize('seed', range(31, 35))
+def test_a_few_tracks_make_no_zoom(seed):
+    rng = np.random.default_rng(seed)
+    tracks, path = world(rng), poses(np.random.default_rng(seed))
+    problem = SelfCalibrationProblem(observed(tracks), [], (640, 480), FACTS, NOISE_PX,
+                                     motion=GENERAL, instants=tuple(range(VIEWS)))
+    # four points of a hundred and more, magnified in one view
+    some = (tracks.track % 30 == 3) & (tracks.frame == 4)
+    xy = tracks.xy + some[:, None] * 0.02 * (tracks.xy - [320, 240])
+    assert not contradicted(fitted(Tracks(tracks.frame, tracks.track, xy, (640, 480)), path),
+                            problem)
+    # all that this view sees
+    whole = (tracks.frame == 4)[:, None] * 0.02 * (tracks.xy - [320, 240])
+    assert contradicted(fitted(Tracks(tracks.frame, tracks.track, tracks.xy + whole, (640, 480)),
+                               path), problem)
+
+
+def test_long_tracks_of_a_thing_that_leads_do_not_lead_astray():
+    rng = np.random.default_rng(12)
+    tracks = world(rng, moving=45)
+    # the scene passes by: only the thing is seen for long
+    first = rng.integers(0, VIEWS - 3, tracks.track.max() + 1)[tracks.track]
+    tracks = tracks.select((tracks.track >= 105) | (
+        (tracks.frame >= first) & (tracks.frame < first + 4))).with_at_least(3)
+    result = calibrate(tracks, motion='general', facts=FACTS)
+    assert not result or np.abs(off_by(result)).max() < 4

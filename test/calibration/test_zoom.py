@@ -27,6 +27,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import VIEW_NAME, with_walk, Zoom, ZoomModel
+from selfcal_ros.calibration.estimators.acceptance import most_agree
 from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, gain_of_most,
                                                               shape_gain, SURE)
 from selfcal_ros.errors import ArgumentError
@@ -35,6 +36,7 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict
 from selfcal_ros.synthetic.hard_scenes import (bumpy, hand, rolled, s_curve, scene, short_tracks,
                                                vehicle)
+from selfcal_ros.synthetic.special_scenes import with_outliers
 from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
@@ -227,3 +229,25 @@ def test_the_walk_is_measured_between_views():
 def test_what_is_said_of_the_focal_length_is_checked():
     with pytest.raises(ArgumentError, match='one of auto, constant, varying'):
         CameraFacts(focal='zoom')
+
+
+@pytest.mark.parametrize(('rejected', 'zooms', 'kind'), [
+    (0.15, True, None), (0.25, True, 'too_many_outliers'), (0.25, False, None),
+    (0.4, False, 'too_many_outliers')])
+def test_less_may_contradict_a_focal_length_of_each_view(rejected, zooms, kind):
+    refusal = most_agree(rejected, zooms)
+    assert (None if refusal is None else refusal.kind) == kind
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_true_zoom_with_gross_errors_is_kept_until_they_are_many(seed):
+    rng = np.random.default_rng([seed, 16])
+    scale = np.linspace(0.95, 1.1, VIEWS)
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=150), scale, rng)
+    few = calibrate(with_outliers(sequence, rng, 0.08).tracks, motion='planar', facts=FACTS)
+    assert few and few.focal is not None
+    fx = sequence.camera.K[0, 0] * scale[list(few.frames)]
+    assert (np.abs(few.focal.fx - fx) < 4 * few.focal.sigma).all()
+
+    many = calibrate(with_outliers(sequence, rng, 0.3).tracks, motion='planar', facts=FACTS)
+    assert not many and many.kind == 'too_many_outliers'

@@ -21,18 +21,19 @@ same bundle adjustment on a small fraction of the tracks, the best one is finish
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
-from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
+from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        RobustFit, with_all_points)
-from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
-from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
+from selfcal_ros.calibration.estimators.all_views import extend
+from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
@@ -46,12 +47,15 @@ from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, m
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, over_all, settle_zoom,
                                                                zoomed_fit, zooming)
-from selfcal_ros.calibration.initialisation.multi_start import best_start, START_TRACKS_PER_VIEW
+from selfcal_ros.calibration.initialisation.multi_start import best_start, FOCAL_SWEEP
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
+from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
+                                                                  supposed_camera)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.moving.sorting import (explained_share, moving_findings, sort_tracks,
-                                                    SortedTracks, stands_out)
+from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all,
+                                                    moving_findings, sort_tracks, SortedTracks,
+                                                    stands_out)
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -77,6 +81,9 @@ LITTLE_TURN_RAD, MANY_REJECTED = np.radians(35.0), 0.05
 #: Refusal of a focal length that varies, and those that it may be the reason of.
 NOT_CONSTANT = 'focal_not_constant'
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
+#: Refusals that things that move may be the reason of, and focal lengths from which to part them.
+MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
+COHERENT_STARTS = 4
 #: Where less than this share of what a view shows stands still, it may as well be the rest.
 LEAST_STILL = 0.5
 #: A zoom that makes more than this share of what moves stand still may be the cause.
@@ -130,6 +137,14 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
         if free and _rejected(free, graph) < _rejected(result, graph) / 2:
             result = free
+    if not result and result.kind in MAY_BE_MOVING:
+        # most of what the starts look at may move, as long tracks ahead of a vehicle do
+        for motion in motions:
+            focal_px = likely_focal_lengths(size, problem.bend, FOCAL_SWEEP)[:COHERENT_STARTS]
+            found = _of_coherent_tracks(replace(problem, motion=motion), graph, (
+                supposed_camera(one, size, facts, problem.bend) for one in focal_px))
+            if found:
+                return found
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
@@ -217,7 +232,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         again = _of_still_tracks(fit, medium, problem, graph)
         if again is not None:
             return again
-    shutter = choose_shutter(fit, medium, window)
+    first, shutter = fit, choose_shutter(fit, medium, window)
     fit, findings = shutter.fit, shutter.findings
     if not (is_explained or fit.observations.shutter is not None):
         return unexplained
@@ -227,7 +242,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if mixed is not None:
         return mixed
     if contradicted(fit, window):
-        return (_attempt(zooming(problem), graph, proposals, fit) if may_zoom(problem)
+        return (_parted_or_zooming(problem, graph, proposals, first, fit) if may_zoom(problem)
                 else NoEstimate(NOT_CONSTANT))
     if fit.motion.zoom is not None:
         fit = settle_zoom(fit, window.facts, window.size)
@@ -245,11 +260,20 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
             and widest_turn_rad(model.fit.state.path.rotations()) < LITTLE_TURN_RAD
             and leaves_plane(model, medium, problem.size)):
         return not_planar(out_of_plane_rad(model.fit.state.path))
-    problem, stated = settled(problem, model), problem.facts
-    result = finish(problem, model, graph, stated)
-    if not result and result.kind == NOT_CONSTANT and may_zoom(problem):
-        return _attempt(zooming(problem), graph, proposals, model.fit)
+    known = settled(problem, model)
+    result = finish(known, model, graph, problem.facts)
+    if not result and result.kind == NOT_CONSTANT and may_zoom(known):
+        return _parted_or_zooming(known, graph, proposals, first, model.fit)
     return replace(result, findings=(*findings, *result.findings)) if result else result
+
+
+def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
+                       proposals: list[Camera], first: RobustFit, near: RobustFit,
+                       ) -> Calibration | NoEstimate:
+    """Part what moves, which bends the path until a zoom seems to mend it; else let it zoom."""
+    rival = zoomed_fit(first, problem.window().instants)
+    parted = _of_coherent_tracks(problem, graph, [first.state.camera(*problem.size)], rival)
+    return parted or _attempt(zooming(problem), graph, proposals, near)
 
 
 def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibrationProblem:
@@ -318,13 +342,26 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
     given = graph.given.in_frames(frames)
     if not stands_out(fit, tried, graph.tracks.in_frames(frames), given):
         return None
+    return _of_sorted(fit, problem, graph)
+
+
+def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph,
+               rival: RobustFit | None = None) -> Calibration | None:
+    """Calibrate from what stands still by a fit, unless its rival explains that as well."""
+    frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
+    if graph.given is None:
+        return None
+    given = graph.given.in_frames(frames)
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
     findings = moving_findings(found[0].labels) if found else ()
     if not found or not findings:
         return None
     sorted_tracks, still = found
+    # what stands still without a zoom stands still with it, too, if there is one
+    if rival is not None and explains_all(rival, still, given, sorted_tracks.labels):
+        return None
     # two cameras, or one that zooms, part the tracks as well: those are asked for next
-    if sorted_tracks.still_share < LEAST_STILL and _is_zoom_or_two(
+    if rival is None and sorted_tracks.still_share < LEAST_STILL and _is_zoom_or_two(
             fit, sorted_tracks, problem, graph, given):
         return None
     # what is explained is no outlier, and has no vote any more
@@ -340,6 +377,16 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
     return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))
 
 
+def _of_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
+                        proposals: Iterable[Camera], rival: RobustFit | None = None,
+                        ) -> Calibration | None:
+    """Calibrate from what the most coherent half of the tracks says that stands still."""
+    if graph.given is None or problem.window().views < problem.views:
+        return None
+    half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals)
+    return None if half is None else _of_sorted(half, problem, graph, rival)
+
+
 def _is_zoom_or_two(fit: RobustFit, found: SortedTracks, problem: SelfCalibrationProblem,
                     graph: ViewGraph, given: Tracks) -> bool:
     """Tell whether another focal length of views explains what was taken for things that move."""
@@ -347,29 +394,3 @@ def _is_zoom_or_two(fit: RobustFit, found: SortedTracks, problem: SelfCalibratio
         return True
     moving = found.labels.track[found.labels.label >= MOVING]
     return explained_share(zoomed_fit(fit, problem.instants), given, moving) > ZOOM_EXPLAINS
-
-
-def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:
-    """Start for all views and tracks from what was found on a fraction of them."""
-    found = model.fit.state
-    folded = NoEstimate('distortion_not_invertible', model=model.facts.distortion)
-    if len(found.path) == problem.views:
-        return with_all_points(found, problem.observations) or folded
-    few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
-    # the rows' displacements are found once there is a path
-    few = replace(few, shutter=None)
-    lens, priors = gentle_lens(model.fit, problem.facts, problem.size)
-    bundle = bundle_of(few, problem.motion, priors, 10 * problem.noise_px)
-    camera = replace(found, lens=lens).camera()
-    standing = [state if not model.exact else replace(state, path=state.path.flat())
-                for state in problem.starts(bundle.blocks, few.xy, camera)]
-    costs = [bundle.cost(state) for state in standing]
-    if not np.isfinite(min(costs, default=np.inf)):
-        return folded
-    state = with_fixed(standing[int(np.argmin(costs))], bundle.priors)
-    state = replace(state, path=state.path.aligned(problem.motion))
-    state = bundle.optimise(state, iterations=15, tolerance=1.0)
-    whole = with_all_points(replace(state, line_delay=found.line_delay), problem.observations)
-    if whole is None:
-        return folded
-    return with_lens(whole, problem.observations.xy, problem.facts.distortion)

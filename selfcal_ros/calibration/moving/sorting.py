@@ -22,7 +22,7 @@ from one still point to another, as on a repeated pattern.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,10 @@ UNEXPLAINED_SHARE = 0.09
 #: their patches. Then still ones fail as wholes, too, and the share of rejected ones that stands
 #: out is this: a rendered still scene reaches 0.04.
 DRIFTS, FEW_DRIFTING = 1.25, 0.08
+#: A zoom has to explain more than these shares of what stands still, and of what moves, without
+#: it. True zooms and second cameras explain 0.99 and 0.9 and more; false zooms 0.68 to 0.88, or
+#: more if they are small, and 0.28 to 0.59.
+ALL, MOST_MOVING = 0.95, 0.75
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
@@ -123,6 +127,21 @@ def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> floa
         return 0.0
     mine = np.isin(np.unique(given.with_at_least(2).track), identity) & test.tested
     return float(test.explained[mine].mean()) if mine.any() else 0.0
+
+
+def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: TrackLabels) -> bool:
+    """
+    Tell whether a fit explains what another parts into still and moving, by the less noise.
+
+    A model with more freedom that is the true one keeps all points still that stand by the other,
+    unless by chance, and what seemed to move stands still. If things that move have bent it, it
+    explains neither.
+    """
+    sigma_px = min(rival.bundle.noise_rms(rival.state), still.bundle.sigma_px)
+    fine = replace(rival, bundle=rival.bundle.with_sigma(sigma_px))
+    moving = labels.track[labels.label >= MOVING]
+    return (explained_share(fine, given, labels.track[labels.label == STATIC]) > ALL
+            and (not len(moving) or explained_share(fine, given, moving) > MOST_MOVING))
 
 
 def _tested(fit: RobustFit, given: Tracks) -> TrackTest | None:
