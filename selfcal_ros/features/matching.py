@@ -30,9 +30,9 @@ from scipy.spatial import cKDTree
 
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
-from selfcal_ros.features.likeness import (alike_among, best_and_second, GUIDED_RATIO,
-                                           look_of, MIN_SIMILARITY, perhaps_alike,
-                                           similarity, USUAL_SIMILARITY)
+from selfcal_ros.features.likeness import (alike_among, best_and_second, Described, GUIDED_RATIO,
+                                           look_of, mutual_nearest, perhaps_alike,
+                                           USUAL_SIMILARITY)
 from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.geometry.division import DivisionModel
 
@@ -92,15 +92,14 @@ class _Gallery:
             if most >= max(sizes):
                 break
             (first, look), (second, other) = self.coarse(i, most), self.coarse(j, most)
-            a, b = _distinctive(first.twin_similarity, second.twin_similarity,
-                                similarity(look, other))
+            a, b = _distinctive(first.twin_similarity, second.twin_similarity, look, other)
             if len(a) >= _ENOUGH:
                 return a, b
         else:
             if len(a) < _HOPE:
                 return a, b
-        return _distinctive(self.twin_similarity(i), self.twin_similarity(j),
-                            similarity(self.whole(i), self.whole(j)))
+        return _distinctive(self.twin_similarity(i), self.twin_similarity(j), self.whole(i),
+                            self.whole(j))
 
     def along_curves(self, pair: tuple[int, int], epipolar: EpipolarImages, F: np.ndarray,
                      band_px: float):
@@ -139,21 +138,14 @@ def _in_order(F: np.ndarray, curves: np.ndarray):
     return curves, np.argsort(np.where(turned, angle % np.pi, angle), kind='stable')
 
 
-def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, product: np.ndarray):
+def _distinctive(twins_a: np.ndarray, twins_b: np.ndarray, first: Described,
+                 second: Described):
     """
     Mutual nearest neighbours that pass the ratio test both ways, also against their twins.
 
     The squares of a chessboard pass the usual test where the right partner is out of view.
     """
-    if not product.size:
-        return np.empty(0, int), np.empty(0, int)
-    a = np.arange(len(product))
-    b = product.argmax(axis=1)
-    best = product[a, b]
-    mutual = (product.argmax(axis=0)[b] == a) & (best > MIN_SIMILARITY)
-    a, b, best = a[mutual], b[mutual], best[mutual]
-    product[a, b] = -1
-    runner_up = np.maximum(product[a].max(axis=1, initial=-1), product.max(axis=0)[b])
+    a, b, best, runner_up = mutual_nearest(first, second)
     twin = np.maximum(twins_a[a], twins_b[b])
     # |p - q|^2 = 2 - 2 cos
     good = (1 - best) < RATIO ** 2 * (1 - np.maximum(runner_up, twin))

@@ -20,7 +20,8 @@ from selfcal_ros.features.epipolar import (choose_division, EpipolarImages, esti
                                            sampson_distance)
 from selfcal_ros.features import detection, matching
 from selfcal_ros.features.detection import detect, Features
-from selfcal_ros.features.likeness import MIN_SIMILARITY, perhaps_alike, similarity
+from selfcal_ros.features.likeness import (MIN_SIMILARITY, mutual_nearest, perhaps_alike,
+                                           similarity)
 from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import ImagePairMatches, match_pairs, moving_part
 from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
@@ -187,13 +188,22 @@ def test_blocks_of_curves_find_what_every_pair_of_places_gives():
     epipolar = EpipolarImages(choose_division([], SIZE))
     found = matching._Gallery(features).along_curves((0, 1), epipolar, F, band_px)
     look, other = first.described(), second.described()
-    alike = similarity(look, other)
+    alike = similarity(look, np.arange(look.count), other)[:, np.argsort(other.order)]
     a, b = np.nonzero(alike > MIN_SIMILARITY)
     near = np.abs(epipolar.distance(F, first.xy[a], second.xy[b])) < band_px
     near &= np.abs(np.log2(first.size_px[a] / second.size_px[b])) < 1
     assert near.sum() > 500
     assert set(zip(found[0], found[1])) == set(zip(a[near], b[near]))
     assert found[2] == pytest.approx(alike[found[0], found[1]], abs=1e-5)
+    # mutual neighbours and their runners-up, as the whole table has them
+    a, b, best, runner_up = mutual_nearest(look, other)
+    assert len(a) > 500 and (best > MIN_SIMILARITY).all()
+    assert np.array_equal(alike[a].argmax(axis=1), b)
+    assert np.array_equal(alike[:, b].argmax(axis=0), a)
+    assert best == pytest.approx(alike[a, b], abs=1e-5)
+    alike[a, b] = -1
+    assert runner_up == pytest.approx(np.maximum(alike[a].max(axis=1), alike[:, b].max(axis=0)),
+                                      abs=1e-5)
     # what sketches let pass is little more than what is alike, and holds all of it
     rows, columns = perhaps_alike(look.sketch, other.sketch)
     assert set(zip(*np.nonzero(look.vectors @ other.vectors.T > MIN_SIMILARITY))) <= set(
