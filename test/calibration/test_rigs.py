@@ -227,3 +227,18 @@ def test_the_sigmas_of_a_rig_hold_decentring_that_no_fisheye_model_has():
         off = (found.camera.parameters - cameras[name].parameters)[[0, 2, 3]]
         assert np.abs(off / [found.sigma[one] for one in ('fx', 'cx', 'cy')]).max() < 3
     assert 'fisheye_decentred' in [one.kind for one in result.findings]
+
+
+def test_a_plane_leaves_the_height_of_a_camera_open_that_shares_no_points():
+    rng = np.random.default_rng(2)
+    scene = rig_scene(rng, driven_path(16), False, points=200)
+    result = calibrate_rig(scene.tracks, facts=FACTS)
+    pose, T = result.poses['right'], scene.T_rig_camera['right']
+    # the camera looks down by 20 degrees
+    height = np.array([0, np.cos(np.radians(20)), np.sin(np.radians(20))])
+    assert pose.status['y'] == pose.status['z'] == 'unobservable' and np.isnan(
+        pose.T_rig_camera[1:3, 3]).all()
+    assert len(pose.places) == 2
+    for one in pose.places:
+        assert abs(one.direction @ height) < 0.05
+        assert abs(one.direction @ T[:3, 3] / scene.step_m - one.value) < 3.5 * one.sigma

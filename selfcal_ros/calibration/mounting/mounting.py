@@ -32,7 +32,8 @@ from selfcal_ros.calibration.mounting.open_freedoms import (
     without_sense)
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.starts import pairs_of, starts
-from selfcal_ros.calibration.mounting.turning_sense import open_sense
+from selfcal_ros.calibration.mounting.turning_sense import (alike_in_a_row, HEADING,
+                                                            open_sense)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -45,8 +46,8 @@ STILL_M, STILL_RAD = 1e-3, 2e-3
 #: Poses that disagree with the images by this share of what moved belong to another motion.
 CONTRADICTION = 0.3
 #: Odometry drifts where its heading errs by less, radians for a metre or radian of the way, and
-#: successive errors are alike by less than so many sigmas. Else it is of another body.
-MOST_DRIFT_RAD, ALIKE = 0.05, 4.0
+#: successive errors are not alike. Else it is of another body.
+MOST_DRIFT_RAD = 0.05
 #: Places of the poses are late behind their turns where that shows by so many sigmas, and is
 #: more than this, seconds.
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
@@ -194,14 +195,8 @@ def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
 
 def _drifts(optimum: Optimum) -> bool:
     """Tell whether odometry errs by chance, as wheels do, and not by another motion."""
-    heading = 5
-    errors = optimum.prediction.residual[optimum.keep, heading]
-    ways = optimum.errors.shapes[:, optimum.keep, heading, heading].sum(axis=0)
-    # of the same size, however long their ways are
-    errors = errors / np.sqrt(ways)
-    alike = float(errors[1:] @ errors[:-1] / max(errors @ errors, 1e-300))
-    return bool(optimum.errors.by_component[heading] < MOST_DRIFT_RAD
-                and alike < ALIKE / np.sqrt(len(errors)))
+    return bool(optimum.errors.by_component[HEADING] < MOST_DRIFT_RAD
+                and not alike_in_a_row(optimum))
 
 
 def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,

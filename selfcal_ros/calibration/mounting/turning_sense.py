@@ -29,6 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyAt
 from selfcal_ros.calibration.mounting.model import State
+from selfcal_ros.calibration.mounting.pose_errors import SHOWS
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 
 #: Bodies that turned by more tell right from left, radians.
@@ -37,6 +38,8 @@ TURNED_RAD = np.radians(30.0)
 #: of their sense, it is a Gaussian of mean 4 s² and sigma 4 s: it reaches the negative of this
 #: for the wrong sense once in two million at most.
 TOLD = 24.0
+#: Among the components of a misfit.
+HEADING = 5
 #: Squared misfits (six components each, in sigmas) that most poses must not have.
 IMPOSSIBLE = 36.0
 
@@ -75,7 +78,20 @@ def open_sense(adjustment: Adjustment, optimum: Optimum, body: BodyAt) -> np.nda
         return None
     over = near.optimum(state, errors)
     keep = upright.keep & over.keep
-    return way if near.misfit(over, keep) - near.misfit(upright, keep) < TOLD else None
+    alike = alike_in_a_row(upright)
+    # errors that are alike tell as much as fewer ones
+    gain = (near.misfit(over, keep) - near.misfit(upright, keep)) * (1 - alike) / (1 + alike)
+    return way if gain < TOLD else None
+
+
+def alike_in_a_row(optimum: Optimum) -> float:
+    """Return the correlation of successive errors of the heading, zero where none shows."""
+    errors = optimum.prediction.residual[optimum.keep, HEADING]
+    ways = optimum.errors.shapes[:, optimum.keep, HEADING, HEADING].sum(axis=0)
+    # of the same size, however long their ways are
+    errors = errors / np.sqrt(ways)
+    found = float(errors[1:] @ errors[:-1] / max(errors @ errors, 1e-300))
+    return found if found > SHOWS / np.sqrt(len(errors)) else 0.0
 
 
 def _apart_rad(one: State, other: State) -> float:

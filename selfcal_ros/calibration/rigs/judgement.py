@@ -57,6 +57,10 @@ OPEN_PLACE, OPEN_TURN_RAD = 0.25, np.radians(5.0)
 BASELINE_SIGMA = 0.2
 
 
+#: Tilts must have so many times the squares that errors feign, or they show no height.
+ABOVE_NOISE = 3.0
+
+
 @dataclass(frozen=True)
 class RigOptimum:
     """
@@ -165,6 +169,35 @@ class RigOptimum:
         return count
 
 
+def unseen_heights(optimum: RigOptimum, shared: np.ndarray) -> dict[int, np.ndarray]:
+    """
+    Tell which cameras may sit at any height, since the rig moved in a plane.
+
+    Only tilts show how high a camera sits that shares no points with another. In a plane the
+    information on it is rounding.
+
+    Parameters
+    ----------
+    optimum : RigOptimum
+    shared : ndarray of int, shape (C,)
+        See `RigOptimum.shared_points`.
+
+    Returns
+    -------
+    dict of int to ndarray of shape (3,)
+        By camera, the normal of the plane in the rig.
+
+    """
+    fit = optimum.fit
+    if not fit.motion.keeps_plane:
+        return {}
+    path, places = fit.state.path, fit.bundle.unknowns.of_views('tilt_x', 'tilt_y')
+    feigned = np.sum(np.diag(fit.covariance)[places]) * optimum.dependence().inflation**2
+    if np.sum(path.tilt**2) > ABOVE_NOISE * feigned:
+        return {}
+    return {k: path.mount[:, 2] for k in range(1, len(shared)) if not shared[k]}
+
+
 def refused(optimum: RigOptimum) -> NoEstimate | None:
     """Refuse what is not one rigid body, or is no explanation."""
     fit = optimum.fit
@@ -201,6 +234,10 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     state, rig = optimum.state, optimum.state.lens
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
     more, shared = np.zeros(len(slopes)), optimum.shared_points()
+    heights, spread = unseen_heights(optimum, shared), _spread(state.path.centres())
+    for k, normal in heights.items():
+        rows = rig.of_pose(k).start + np.arange(3)
+        inner[np.ix_(rows, rows)] += spread**2 * np.outer(normal, normal)
     if baseline is not None:
         if shared.any() or _knows_baseline(rig, inner):
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
@@ -212,7 +249,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     for k in range(1, len(rig.cameras)):
         slopes[rig.of_pose(k)][:3] *= scale
     covariance = slopes @ inner @ slopes.T + np.outer(more, more)
-    spread = scale * _spread(state.path.centres())
+    spread *= scale
     cameras, poses, parameters = {}, {}, []
     for k, name in enumerate(rig.cameras):
         one = _camera(optimum, k, covariance, scale)
@@ -223,7 +260,8 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         cameras[name] = one
         parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
         covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
-        poses[name] = _pose(optimum, k, covariance, scale, spread, int(shared[k]))
+        poses[name] = _pose(optimum, k, covariance, scale, spread, int(shared[k]),
+                            heights.get(k, np.zeros(3)))
         remark = poses[name].remark
         findings += () if remark is None else (remark,)
     for k, name in enumerate(rig.cameras[1:], 1):
@@ -308,8 +346,8 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
 
 
 def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spread: float,
-          shared: int) -> CameraInRig:
-    """Return where a camera sits, and what of it is open."""
+          shared: int, height: np.ndarray) -> CameraInRig:
+    """Return where a camera sits, and what of it is open; a height (3,) that is counts as none."""
     rig = optimum.state.lens
     T = np.eye(4)
     if k == 0:
@@ -318,7 +356,8 @@ def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spr
     own = covariance[rig.of_pose(k), rig.of_pose(k)].copy()
     sigma = np.sqrt(np.diag(own))
     is_open = sigma > np.r_[[OPEN_PLACE * spread] * 3, [OPEN_TURN_RAD] * 3]
-    T[:3, :3], T[:3, 3] = rig.rotations[k], rig.place(k) * scale
+    place = rig.place(k)
+    T[:3, :3], T[:3, 3] = rig.rotations[k], (place - height * (height @ place)) * scale
     places: tuple[PlaceAlong, ...] = ()
     if is_open[:3].any():
         # a direction that is open need not be an axis

@@ -178,15 +178,18 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
     if start is None:
         return NoEstimate('start_distortion_not_invertible')
     fit = fit_robustly(everything.observations, start, kind, priors, noise_px)
-    if planar:
-        fit, _ = choose_motion(fit)
-    return judge(RigOptimum(
+    optimum = RigOptimum(
         fit, everything,
         {name: replace(facts[name], distortion=known.get(name, anchor).facts.distortion)
          for name in tracks},
         {name: one.image_size or _size(known.get(name, anchor))
          for name, one in tracks.items()},
-        anchor.motion, noise_px, shared), alone, baseline)
+        anchor.motion, noise_px, shared)
+    if planar:
+        # errors that tracks and regions share must not pass for a motion out of the plane
+        fit, _ = choose_motion(fit, optimum.dependence().inflation**2)
+        optimum = replace(optimum, fit=fit)
+    return judge(optimum, alone, baseline)
 
 
 def _none_moves(alone: Mapping[str, Calibration | NotCalibrated],
