@@ -28,6 +28,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.pivot import _moved_share
 from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -104,6 +105,22 @@ def state_of(sequence, tracks):
     observed = Observations(tracks.frame[rows], point[rows], tracks.xy[rows], names)
     return observed, SceneState(Lens.of(sequence.camera), path,
                                 points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def test_the_way_of_a_camera_is_measured_against_depths_wherever_the_point_that_rests_is():
+    # all turns are about one axis: a point of it that is far away rests as well
+    rng = np.random.default_rng(5)
+    R = rotation_matrix(np.outer(np.radians(np.linspace(-15, 15, 8)), [0, 1, 0]))
+    shares = []
+    for lever in ((0, 0, 0.8), (0, 300.0, 0.8)):
+        poses = np.concatenate([R, np.tile(lever, (8, 1))[:, :, None]], axis=2)
+        path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(R)), translation=poses[:, :, 3])
+        points = np.column_stack([rng.uniform(-1, 1, (50, 3)) * [2, 1, 1] + [0, 0, 4],
+                                  np.ones(50)]) - [*lever, 0]
+        shares.append(_moved_share(SceneState(Lens.of(CAMERA), path, points)))
+
+    assert shares[0] == pytest.approx(0.1, abs=0.02)
+    assert shares[1] == pytest.approx(shares[0], rel=0.1)
 
 
 def test_one_translation_is_shared_by_all_views():

@@ -45,6 +45,8 @@ REGULARISED = ('plumb_bob', 'rational', 'equidistant')
 #: A barrel that moves the image's corner by less than this fraction of its distance is no
 #: fisheye's, and the other family is not tried.
 BARREL = 0.12
+#: Higher terms that move it by more than this fraction may stand for another model.
+BENT = 0.1
 #: Where the corner lies further from the axis, in focal lengths, a polynomial is hardly the whole
 #: lens even without a barrel. Rational ones are tried; a fisheye would have the barrel.
 WIDE_CORNER = 1.0
@@ -129,11 +131,8 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
     if facts.distortion != 'auto':
         found = _fitted(fit, facts, size, dependence, decentring)
         return LensDecision(found, facts, _nothing(found))
-    tried = []
-    for name in _families(fit, size):
-        stated = replace(facts, distortion=name)
-        trial = _fitted(fit, stated, size, dependence, decentring)
-        tried.append((_evidence(trial, dependence), trial, stated))
+    tried = [(_evidence(trial, dependence), trial, replace(facts, distortion=name))
+             for name, trial in _trials(fit, facts, size, dependence, decentring).items()]
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
     if len(tried) > 1:
@@ -149,6 +148,23 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
     return LensDecision(found, stated, _nothing(found) if excess is None else excess)
 
 
+def _trials(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
+            decentring: float | None) -> dict[str, RobustFit]:
+    """Fit every family that may have made the images."""
+    def fitted(name: str, start: RobustFit) -> RobustFit:
+        return _fitted(start, replace(facts, distortion=name), size, dependence, decentring)
+    trials = {name: fitted(name, fit) for name in _families(fit, size)}
+    if 'rational' in trials:
+        # from a polynomial none but polynomials are found: its denominator begins at one
+        fisheye = trials.get('equidistant') or fitted('equidistant', fit)
+        least = _evidence(trials['rational'], dependence)
+        if _evidence(fisheye, dependence) > least:
+            other = fitted('rational', fisheye)
+            if _evidence(other, dependence) > least:
+                trials['rational'] = other
+    return trials
+
+
 def _nothing(fit: RobustFit) -> np.ndarray:
     return np.zeros((len(fit.state.lens),) * 2)
 
@@ -160,7 +176,7 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
         return 'equidistant', 'plumb_bob', 'rational'
     if _is_barrel(lens, size):
         return 'plumb_bob', 'equidistant', 'rational'
-    if float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f']:
+    if float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f'] or _is_bent(lens, size):
         return 'plumb_bob', 'rational'
     return ('plumb_bob',)
 
@@ -168,6 +184,13 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
 def _is_barrel(lens: Lens, size: tuple[int, int]) -> bool:
     corner = float(np.hypot(*size)) / 2 / lens['f']
     return bool(-lens['k1'] * corner**2 > BARREL)
+
+
+def _is_bent(lens: Lens, size: tuple[int, int]) -> bool:
+    """Tell whether the higher terms of a polynomial move the corner by much."""
+    corner = float(np.hypot(*size)) / 2 / lens['f']
+    return any(abs(lens[name]) * corner**power > BENT
+               for name, power in (('k2', 4), ('k3', 6)) if name in lens.names)
 
 
 def gentle_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],

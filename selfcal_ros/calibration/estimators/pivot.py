@@ -154,14 +154,19 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     dependence = robust_covariance_of(fit, problem.size).inflation**2
     still = refit(fit, ROTATION, _without_lever(fit.state))
     free = refit(fit, GENERAL)
-    weight = np.abs(fit.state.points[:, 3]) / np.linalg.norm(fit.state.points[:, :3], axis=1)
-    # the lever itself is open along a common axis of all turns
-    moved = float(np.sqrt(np.ptp(fit.state.path.centres(), axis=0) @ np.ptp(
-        fit.state.path.centres(), axis=0)))
     return problem, PivotDecision(
         model, 2 * (still.cost - fit.cost) / dependence, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / dependence,
-        free.bundle.unknowns.count - fit.bundle.unknowns.count, moved * float(np.median(weight)))
+        free.bundle.unknowns.count - fit.bundle.unknowns.count, _moved_share(fit.state))
+
+
+def _moved_share(state: SceneState) -> float:
+    """Return the extent of the camera's path over the usual depth of the points."""
+    centres, points = state.path.centres(), state.points
+    # not from the point that rests: along a common axis of all turns it may be anywhere
+    far = np.linalg.norm(points[:, :3] - points[:, 3:] * centres.mean(axis=0), axis=1)
+    inverse_depth = float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
+    return float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth
 
 
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> SceneState | None:
