@@ -31,7 +31,7 @@ import numpy as np
 from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.epipolar_distance import sampson_distance
 from selfcal_ros.geometry.fundamental import PairMatches, refine_general
-from selfcal_ros.geometry.lifted_ransac import lifted_ransac
+from selfcal_ros.geometry.lifted_ransac import best_sample, lifted_fits, lifted_ransac
 from selfcal_ros.geometry.shared_division import shared_division
 
 #: Pairs with fewer matches have no say on the lens.
@@ -41,7 +41,7 @@ _LEAST_MATCHES = 30
 _ATTEMPTS, _CLEAR = 4, 0.9
 #: Pairs that are polished together, and matches of each that are enough for it: with so many F
 #: is known to a fraction of the bands that it is used for.
-_AT_ONCE, _WITNESSES = 32, 500
+_AT_ONCE, _AT_ONCE_BENT, _WITNESSES = 32, 8, 500
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,12 @@ class EpipolarImages:
                  pool: Executor) -> list[np.ndarray | None]:
         """Fit F to each of several pairs [(xy_a (N, 2), xy_b), ...]; the pool shares the work."""
         if not self.model.straight:
-            return list(pool.map(lambda pair: self.fit(pair[0], pair[1], threshold_px, seed),
-                                 pairs))
+            coefficients = np.array(self.model.coefficients)
+            threshold = threshold_px / self.model.half_diagonal_px
+            found = list(pool.map(lambda pair: best_sample(
+                self.model.units(pair[0]), self.model.units(pair[1]), coefficients, threshold,
+                np.random.default_rng(seed)), pairs))
+            return self._polished_bent(found, pairs, threshold_px, pool)
         # OpenCV releases the interpreter lock
         found = list(pool.map(lambda pair: _sampled_F(pair[0], pair[1], threshold_px, seed=seed),
                               pairs))
@@ -84,8 +88,22 @@ class EpipolarImages:
                    pool: Executor) -> list[np.ndarray | None]:
         """As `fit_each`, for matches that were found near F already."""
         if not self.model.straight:
-            return self.fit_each(pairs, threshold_px, seed, pool)
+            return self._polished_bent(found, pairs, threshold_px, pool)
         return _polished(_polished(found, pairs, 2 * threshold_px), pairs, threshold_px)
+
+    def _polished_bent(self, found: list, pairs: list, threshold_px: float,
+                       pool: Executor) -> list[np.ndarray | None]:
+        """Bring each F for lifted points to the optimum of its inliers."""
+        def polished(begin: int):
+            some = slice(begin, begin + _AT_ONCE_BENT)
+            witnesses = [(self.model.units(a[::len(a) // _WITNESSES + 1]),
+                          self.model.units(b[::len(b) // _WITNESSES + 1]))
+                         for a, b in pairs[some]]
+            return lifted_fits(witnesses, np.array(self.model.coefficients),
+                               threshold_px / self.model.half_diagonal_px, found[some])
+
+        return [F for part in pool.map(polished, range(0, len(pairs), _AT_ONCE_BENT))
+                for F in part]
 
     def distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
         """Signed first-order distance (N,) of matches (N, 2), pixels."""

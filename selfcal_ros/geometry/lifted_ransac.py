@@ -109,7 +109,7 @@ def lifted_ransac(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
         None where fewer than eight matches agree.
 
     """
-    best = _best_sample(xy_a, xy_b, coefficients, threshold, rng, most_samples)
+    best = best_sample(xy_a, xy_b, coefficients, threshold, rng, most_samples)
     if best is None:
         return None
     F, near, stands = _improved(best[None], xy_a[None], xy_b[None],
@@ -123,9 +123,13 @@ def lifted_ransac(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray,
     return (F[0], near[0]) if near.sum() >= 8 else None
 
 
-def _best_sample(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray, threshold: float,
-                 rng: np.random.Generator, most_samples: int) -> np.ndarray | None:
-    """F (3, 3) through the seven matches that most others agree with."""
+def best_sample(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray, threshold: float,
+                rng: np.random.Generator, most_samples: int = _MOST_SAMPLES) -> np.ndarray | None:
+    """
+    Return F (3, 3) through the seven matches that most others agree with.
+
+    The parameters are those of `lifted_ransac`; None where there are fewer than eight matches.
+    """
     count = len(xy_a)
     if count < 8:
         return None
@@ -165,22 +169,65 @@ def lifted_inliers(pairs: Sequence[tuple[np.ndarray, np.ndarray]], coefficients:
         None where fewer than eight matches agree.
 
     """
-    found = [_best_sample(a, b, coefficients, threshold, rng, _MOST_SAMPLES) for a, b in pairs]
+    found = [best_sample(a, b, coefficients, threshold, rng) for a, b in pairs]
     there = [k for k, F in enumerate(found) if F is not None]
     inliers: list[np.ndarray | None] = [None] * len(pairs)
     if not there:
         return inliers
-    counts = np.array([len(pairs[k][0]) for k in there])
-    most = int(counts.max())
-    # what is not there is said once more, and does not count
-    xy = np.array([[np.resize(side, (most, 2)) for side in pairs[k]] for k in there])
+    xy_a, xy_b, present = _stacked([pairs[k] for k in there])
     # all pairs at a time: most of the work is not arithmetic
-    _, near, stands = _improved(np.array([found[k] for k in there]), xy[:, 0], xy[:, 1],
-                                np.arange(most) < counts[:, None], coefficients, threshold)
+    _, near, stands = _improved(np.array([found[k] for k in there]), xy_a, xy_b, present,
+                                coefficients, threshold)
     for n, k in enumerate(there):
         if stands[n]:
             inliers[k] = near[n, :len(pairs[k][0])]
     return inliers
+
+
+def lifted_fits(pairs: Sequence[tuple[np.ndarray, np.ndarray]], coefficients: np.ndarray,
+                threshold: float, found: list[np.ndarray | None],
+                ) -> list[np.ndarray | None]:
+    """
+    Bring F of several pairs to the least squares of their inliers, all at a time.
+
+    Parameters
+    ----------
+    pairs : sequence of (xy_a (m, 2), xy_b (m, 2))
+    coefficients, threshold
+        As in `lifted_ransac`.
+    found : list of (ndarray, shape (3, 3)) or None
+        Roughly F of every pair.
+
+    Returns
+    -------
+    list of (ndarray, shape (3, 3)) or None
+        None where fewer than eight matches agree.
+
+    """
+    there = [k for k, F in enumerate(found) if F is not None and len(pairs[k][0]) >= 8]
+    fits: list[np.ndarray | None] = [None] * len(pairs)
+    if not there:
+        return fits
+    xy_a, xy_b, present = _stacked([pairs[k] for k in there])
+    F, near, stands = _improved(np.array([found[k] for k in there]), xy_a, xy_b, present,
+                                coefficients, threshold)
+    F = refine_division(xy_a, xy_b, np.where(stands[:, None], near, present).astype(float), F,
+                        coefficients, held=True, iterations=5).F
+    near = present & (np.abs(residuals(xy_a, xy_b, F, coefficients)[0]) < threshold)
+    for n, k in enumerate(there):
+        if stands[n] and near[n].sum() >= 8:
+            fits[k] = F[n]
+    return fits
+
+
+def _stacked(pairs: Sequence[tuple[np.ndarray, np.ndarray]],
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places (n, m, 2) of either side, and which of them there are (n, m)."""
+    counts = np.array([len(a) for a, _ in pairs])
+    most = int(counts.max())
+    # what is not there is said once more, and does not count
+    xy = np.array([[np.resize(side, (most, 2)) for side in pair] for pair in pairs])
+    return xy[:, 0], xy[:, 1], np.arange(most) < counts[:, None]
 
 
 def _equations(xy_a: np.ndarray, xy_b: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

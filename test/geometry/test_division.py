@@ -16,7 +16,7 @@
 import numpy as np
 import pytest
 from selfcal_ros.geometry.division import DivisionModel, residuals
-from selfcal_ros.geometry.lifted_ransac import lifted_ransac
+from selfcal_ros.geometry.lifted_ransac import lifted_fits, lifted_ransac
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.geometry.shared_division import shared_division
 
@@ -107,6 +107,22 @@ def test_half_of_the_matches_may_be_wrong():
         right = np.abs(model.sampson_distance(true, a, b)) < 1
         assert np.mean(found[1][right]) > 0.97
         assert np.mean(found[1][~right]) < 0.1
+
+
+def test_pairs_fitted_together_agree_with_each_by_itself():
+    rng = np.random.default_rng(8)
+    model, pairs, _ = images(rng, -1.2, HAND, 0.2, outliers=0.2)
+    coefficients, threshold = np.array(model.coefficients), 1.0 / model.half_diagonal_px
+    units = [(model.units(a), model.units(b)) for a, b in pairs]
+    alone = [lifted_ransac(a, b, coefficients, threshold, rng) for a, b in units]
+    # one more with too few matches, and one where nothing was found
+    units += [(units[0][0][:5], units[0][1][:5]), units[0]]
+    found = [F for F, _ in alone] + [alone[0][0], None]
+    together = lifted_fits(units, coefficients, threshold, found)
+    assert together[-2:] == [None, None]
+    for (F, near), other, (a, b) in zip(alone, together, pairs):
+        apart = model.sampson_distance(F, a, b) - model.sampson_distance(other, a, b)
+        assert np.abs(apart[near]).max() < 0.1
 
 
 @pytest.mark.parametrize('division', [-0.15, -0.6, -1.2, -2.4])
