@@ -337,7 +337,8 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
                      graph: ViewGraph) -> Calibration | None:
     """Calibrate from what stands still, where something that moves or jumps is found."""
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
-    if graph.given is None or fit.motion.zoom is not None or fit.observations.shutter is not None:
+    if (graph.given is None or not problem.instants or fit.motion.zoom is not None
+            or fit.observations.shutter is not None):
         return None
     given = graph.given.in_frames(frames)
     if not stands_out(fit, tried, graph.tracks.in_frames(frames), given):
@@ -381,7 +382,8 @@ def _of_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
                         proposals: Iterable[Camera], rival: RobustFit | None = None,
                         ) -> Calibration | None:
     """Calibrate from what the most coherent half of the tracks says that stands still."""
-    if graph.given is None or problem.window().views < problem.views:
+    # what is of one instant stands still
+    if graph.given is None or not problem.instants or problem.window().views < problem.views:
         return None
     half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals)
     return None if half is None else _of_sorted(half, problem, graph, rival)
