@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros import Camera, CameraFacts
+from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -28,6 +28,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.alignment import align
 from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
+from selfcal_ros.calibration.rigs.start import place_by_points
 from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -242,3 +243,37 @@ def test_a_plane_leaves_the_height_of_a_camera_open_that_shares_no_points():
     for one in pose.places:
         assert abs(one.direction @ height) < 0.05
         assert abs(one.direction @ T[:3, 3] / scene.step_m - one.value) < 3.5 * one.sigma
+
+
+def test_an_instant_that_few_points_tie_does_not_stretch_the_path():
+    rng = np.random.default_rng(5)
+    scene = rig_scene(rng, hand_path(rng, 10), True, points=200)
+    alone = calibrate_rig(scene.tracks, shared_tracks=True, facts=FACTS).alone
+    tracks = {}
+    for name, one in scene.tracks.items():
+        rows = np.flatnonzero(one.frame == 4)
+        wrong, xy = rows[2:15], one.xy.copy()
+        xy[wrong] = rng.uniform([0, 0], [640, 480], (len(wrong), 2))
+        keep = ~np.isin(np.arange(len(one.frame)), rows[15:])
+        tracks[name] = replace(one, frame=one.frame[keep], track=one.track[keep], xy=xy[keep])
+    result = calibrate_rig(tracks, shared_tracks=True, facts=FACTS, alone=alone,
+                           baseline=(scene.baseline_m, 0.0005))
+    assert 4 not in result.frames and len(result.frames) == 9
+    assert np.abs(_errors(result, scene)).max() < 3.5
+
+
+def test_points_place_a_fisheye_by_its_own_lens():
+    rng = np.random.default_rng(1)
+    cameras = {name: Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,
+                            480, 'equidistant')
+               for name, f, cx, cy in (('left', 260.0, 322, 236), ('right', 255.0, 315, 243))}
+    scene = rig_scene(rng, hand_path(rng, 10), True, cameras, points=200)
+    left = calibrate(scene.tracks['left'], facts=replace(FACTS, distortion='equidistant'))
+    T, path = scene.T_rig_camera['right'], left.reconstructed.cam_from_world
+    centres = np.einsum('vji,vj->vi', path[:, :, :3], -path[:, :, 3])
+    metres = scene.step_m / np.sqrt(np.mean(np.sum(np.diff(centres, axis=0)**2, axis=1)))
+    # the other's lens is 7 px beside it each way, which counts as a turn, and 2 % longer
+    for lens, turn, metre in ((cameras['right'], 0.005, 0.02), (None, 0.06, 0.15)):
+        place = place_by_points(left, scene.tracks['right'], lens)[0]
+        assert np.linalg.norm(rotation_vector(place.pose[:, :3] @ T[:3, :3].T)) < turn
+        assert np.abs(metres * place.pose[:, 3] - T[:3, 3]).max() < metre

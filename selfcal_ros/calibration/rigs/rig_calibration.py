@@ -21,7 +21,7 @@ ends it: u = lens[camera](T_camera_rig[camera] · T_rig_world[view] · X).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -33,8 +33,7 @@ from selfcal_ros.calibration.calibrate import calibrate
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.judgement import judge, RigOptimum
 from selfcal_ros.calibration.rigs.result import RigCalibration
-from selfcal_ros.calibration.rigs.start import (best_start, observations_of, place_by_points,
-                                                Placed, places_by_path, priors_of)
+from selfcal_ros.calibration.rigs.start import best_start, observations_of, places, priors_of
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -47,6 +46,9 @@ IN_A_PLANE, MOVING = ('planar', 'circular'), ('planar', 'circular', 'general', '
 WITHOUT_FACTS = ('fact_missing', 'horizon_level')
 #: Instants at which all cameras must have images, at least.
 MIN_INSTANTS = 4
+#: With fewer observations that agree an instant has a pose by chance, and may be anywhere. It
+#: would stretch the path, which is the unit of all places.
+LEAST_OF_INSTANT = 10
 
 
 def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
@@ -155,29 +157,25 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
     reference = min(moving, key=lambda name: known[name].sigma['fx'] / known[name].camera.K[0, 0])
     anchor = known[reference]
     frames = _common_frames(anchor, tracks)
-    choices: list[Sequence[Placed]] = []
-    for name, one in tracks.items():
-        found = ([Placed(anchor.camera, np.eye(3, 4))] if name == reference else
-                 places_by_path(anchor, known[name]) if name in moving else [])
-        if shared and name != reference:
-            by_points = place_by_points(anchor, one)
-            # the lens is the one that it was calibrated with, if it was
-            found = [*found, *(replace(place, camera=known[name].camera) if name in known
-                               else place for place in by_points)]
+    choices = places(reference, known, moving, tracks, shared)
+    for name, found in choices.items():
         if not found:
             return _not_placed(name, alone[name], len(frames), shared)
-        choices.append(found)
     priors = RigPriors.of_cameras({
         name: priors_of(known.get(name, anchor), facts[name]) for name in tracks})
     used = {name: known[name].reconstructed.tracks if name in known else None for name in tracks}
-    everything = observations_of(tracks, used, frames, shared)
-    planar = anchor.motion in IN_A_PLANE
-    kind = NEARLY_PLANAR if planar else GENERAL
+    kind = NEARLY_PLANAR if anchor.motion in IN_A_PLANE else GENERAL
     noise_px = float(np.sqrt(np.mean([one.noise_sigma_px**2 for one in known.values()])))
-    start = best_start(everything, anchor, choices, priors, kind, noise_px)
-    if start is None:
-        return NoEstimate('start_distortion_not_invertible')
-    fit = fit_robustly(everything.observations, start, kind, priors, noise_px)
+    while True:
+        everything = observations_of(tracks, used, frames, shared)
+        start = best_start(everything, anchor, list(choices.values()), priors, kind, noise_px)
+        if start is None:
+            return NoEstimate('start_distortion_not_invertible')
+        fit = fit_robustly(everything.observations, start, kind, priors, noise_px)
+        sure = np.bincount(fit.observations.view, minlength=len(frames)) >= LEAST_OF_INSTANT
+        if sure.all() or sure.sum() < MIN_INSTANTS:
+            break
+        frames = frames[sure]
     optimum = RigOptimum(
         fit, everything,
         {name: replace(facts[name], distortion=known.get(name, anchor).facts.distortion)
@@ -185,7 +183,7 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
         {name: one.image_size or _size(known.get(name, anchor))
          for name, one in tracks.items()},
         anchor.motion, noise_px, shared)
-    if planar:
+    if kind is NEARLY_PLANAR:
         # errors that tracks and regions share must not pass for a motion out of the plane
         fit, _ = choose_motion(fit, optimum.dependence().inflation**2)
         optimum = replace(optimum, fit=fit)

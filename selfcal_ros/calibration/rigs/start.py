@@ -34,6 +34,7 @@ from selfcal_ros.calibration.rigs.alignment import align
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.resection import decompose, resect
+from selfcal_ros.geometry.space_resection import pose_of_rays
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.tracks import of_longest, Tracks
 
@@ -117,10 +118,69 @@ def priors_of(calibration: Calibration, facts: CameraFacts) -> Priors:
 
 @dataclass(frozen=True)
 class Placed:
-    """A camera with its lens, at [R | p] (3, 4) before the reference camera."""
+    """
+    A camera with its lens, before the reference camera.
+
+    Attributes
+    ----------
+    camera : Camera
+    pose : ndarray, shape (3, 4)
+        [R | p] in the reference camera.
+    scale : float
+        Length of the reference's path over that of this camera's own; NaN: not known.
+
+    """
 
     camera: Camera
     pose: np.ndarray
+    scale: float = np.nan
+
+    def before_first(self, other: Placed) -> Placed:
+        """Return another, which is placed before this camera in its own unit, like this one."""
+        R, p = self.pose[:, :3], self.pose[:, 3]
+        return Placed(other.camera, np.column_stack(
+            [R @ other.pose[:, :3], self.scale * R @ other.pose[:, 3] + p]))
+
+
+def places(reference: str, known: Mapping[str, Calibration], moving: Sequence[str],
+           tracks: Mapping[str, Tracks], shared: bool) -> dict[str, list[Placed]]:
+    """
+    Return what the places of all cameras may be.
+
+    Paths lay a camera over the reference. So do points that both see, or that it shares with a
+    camera that is placed so.
+
+    Parameters
+    ----------
+    reference : str
+    known : mapping of str to Calibration
+        Of the cameras that could be calibrated by themselves.
+    moving : sequence of str
+        Those of them that know their path.
+    tracks : mapping of str to Tracks
+    shared : bool
+        Equal numbers in two cameras are the same point.
+
+    Returns
+    -------
+    dict of str to list of Placed
+        Empty for a camera that nothing places.
+
+    """
+    anchor = known[reference]
+    found = {name: [Placed(anchor.camera, np.eye(3, 4))] if name == reference else
+             places_by_path(anchor, known[name]) if name in moving else [] for name in tracks}
+    if not shared:
+        return found
+    cameras = {name: one.camera for name, one in known.items()}
+    for name in tracks.keys() - {reference}:
+        found[name] += place_by_points(anchor, tracks[name], cameras.get(name))
+    for name in [name for name in tracks if not found[name]]:
+        found[name] = [
+            way.before_first(one) for donor in moving if donor != reference
+            for way in found[donor] if np.isfinite(way.scale)
+            for one in place_by_points(known[donor], tracks[name], cameras.get(name))]
+    return found
 
 
 def places_by_path(reference: Calibration, other: Calibration) -> list[Placed]:
@@ -129,15 +189,16 @@ def places_by_path(reference: Calibration, other: Calibration) -> list[Placed]:
                                   return_indices=True)
     found = align(reference.reconstructed.cam_from_world[i],
                   other.reconstructed.cam_from_world[k]) if len(common) else []
-    return [Placed(other.camera, one.pose) for one in found]
+    return [Placed(other.camera, one.pose, one.scale) for one in found]
 
 
-def place_by_points(reference: Calibration, seen: Tracks) -> list[Placed]:
+def place_by_points(reference: Calibration, seen: Tracks, camera: Camera | None) -> list[Placed]:
     """
     Return a camera that the points of a reconstruction are seen by.
 
     All points before the reference camera, at whatever instant, are one object to a camera that
-    moves with it.
+    moves with it. A camera whose lens is not known may have that of the reference, or be one that
+    the points show.
     """
     path = reference.reconstructed
     rows = np.isin(seen.frame, path.frames) & np.isin(seen.track, path.tracks)
@@ -146,17 +207,22 @@ def place_by_points(reference: Calibration, seen: Tracks) -> list[Placed]:
     by_track = np.argsort(path.tracks)
     X = path.points[by_track[np.searchsorted(path.tracks[by_track], seen.track[rows])]]
     poses = path.cam_from_world[np.searchsorted(path.frames, seen.frame[rows])]
-    before = np.einsum('nij,nj->ni', poses, X)
-    points, xy = np.column_stack([before, X[:, 3]]), seen.xy[rows]
-    found = resect(points, xy, huber_sigmas=2.0)
+    before = np.column_stack([np.einsum('nij,nj->ni', poses, X), X[:, 3]])
+    xy, lens = seen.xy[rows], camera or reference.camera
+    placed = []
+    alike = pose_of_rays(before, all_rays(lens, xy))
+    if not isinstance(alike, NoEstimate):
+        R, t = alike.pose[:, :3], alike.pose[:, 3]
+        placed.append(Placed(lens, np.column_stack([R.T, -R.T @ t])))
+    if camera is not None:
+        return placed
+    found = resect(before, xy, huber_sigmas=2.0)
     parts = found if isinstance(found, NoEstimate) else decompose(found.P)
-    if isinstance(parts, NoEstimate):
-        return []
-    K = parts.K
-    # the lens is bent like the other's, for a start
-    middle = reference.camera
-    camera = Camera(K, middle.distortion, *(seen.image_size or (0, 0)), middle.model)
-    return [Placed(camera, np.column_stack([parts.R.T, parts.centre]))]
+    if not isinstance(parts, NoEstimate):
+        # the lens is bent like the other's, for a start
+        placed.append(Placed(Camera(parts.K, lens.distortion, *(seen.image_size or (0, 0)),
+                                    lens.model), np.column_stack([parts.R.T, parts.centre])))
+    return placed
 
 
 def start_state(observations: RigObservations, reference: Calibration, placed: Sequence[Placed],
@@ -246,7 +312,8 @@ def best_start(found: RigObservations, reference: Calibration,
         state = bundle.refine_points(with_fixed(start, priors))
         # far from the optimum what fits would be taken for outliers
         state = bundle.optimise(state, iterations=START_ITERATIONS, tolerance=1.0)
-        cost = bundle.cost(state)
-        if cost < least:
-            best, least = state, cost
+        # wrong tracks may cost less where everything else is bent to them; they are few
+        left = bundle.noise_sigma(state)
+        if left < least:
+            best, least = state, left
     return None if best is None else with_all_points(best, found.observations)
