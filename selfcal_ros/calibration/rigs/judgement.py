@@ -28,6 +28,7 @@ from selfcal_ros.calibration.known_directions import PlaceAlong, places_along
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
+from selfcal_ros.calibration.rigs.overlap import Overlap, unseen_heights
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
 from selfcal_ros.calibration.rigs.start import RigObservations
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
@@ -55,10 +56,6 @@ OPEN_PLACE, OPEN_TURN_RAD = 0.25, np.radians(5.0)
 #: A length that is stated gives the scale where the images know its share of the path so well;
 #: or where points that both cameras see tell how far they are, whatever the path.
 BASELINE_SIGMA = 0.2
-
-
-#: Tilts must have so many times the squares that errors feign, or they show no height.
-ABOVE_NOISE = 3.0
 
 
 @dataclass(frozen=True)
@@ -160,43 +157,6 @@ class RigOptimum:
             covariance, findings = covariance + prism.covariance, findings + prism.findings()
         return better, covariance, findings
 
-    def shared_points(self) -> np.ndarray:
-        """Count the points that each camera shares with another, (C,)."""
-        cameras = len(self.found.cameras)
-        seen = np.zeros((int(self.fit.observations.point.max()) + 1, cameras), bool)
-        seen[self.fit.observations.point, self.camera] = True
-        count: np.ndarray = np.sum(seen & (seen.sum(axis=1) > 1)[:, None], axis=0)
-        return count
-
-
-def unseen_heights(optimum: RigOptimum, shared: np.ndarray) -> dict[int, np.ndarray]:
-    """
-    Tell which cameras may sit at any height, since the rig moved in a plane.
-
-    Only tilts show how high a camera sits that shares no points with another. In a plane the
-    information on it is rounding.
-
-    Parameters
-    ----------
-    optimum : RigOptimum
-    shared : ndarray of int, shape (C,)
-        See `RigOptimum.shared_points`.
-
-    Returns
-    -------
-    dict of int to ndarray of shape (3,)
-        By camera, the normal of the plane in the rig.
-
-    """
-    fit = optimum.fit
-    if not fit.motion.keeps_plane:
-        return {}
-    path, places = fit.state.path, fit.bundle.unknowns.of_views('tilt_x', 'tilt_y')
-    feigned = np.sum(np.diag(fit.covariance)[places]) * optimum.dependence().inflation**2
-    if np.sum(path.tilt**2) > ABOVE_NOISE * feigned:
-        return {}
-    return {k: path.mount[:, 2] for k in range(1, len(shared)) if not shared[k]}
-
 
 def refused(optimum: RigOptimum) -> NoEstimate | None:
     """Refuse what is not one rigid body, or is no explanation."""
@@ -233,13 +193,19 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     optimum, inner, findings = optimum.with_all_errors()
     state, rig = optimum.state, optimum.state.lens
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
-    more, shared = np.zeros(len(slopes)), optimum.shared_points()
-    heights, spread = unseen_heights(optimum, shared), _spread(state.path.centres())
-    for k, normal in heights.items():
-        rows = rig.of_pose(k).start + np.arange(3)
-        inner[np.ix_(rows, rows)] += spread**2 * np.outer(normal, normal)
+    more, overlap = np.zeros(len(slopes)), Overlap.of(optimum.fit.observations)
+    heights, spread = (unseen_heights(optimum.fit, overlap, optimum.dependence().inflation),
+                       _spread(state.path.centres()))
+    for group, normal in heights:
+        # all of them are up together
+        rise = np.zeros(len(inner))
+        for k in group:
+            rise[rig.of_pose(k)][:3] = normal
+        inner += spread**2 * np.outer(rise, rise)
     if baseline is not None:
-        if shared.any() or _knows_baseline(rig, inner):
+        # a length that is partly an open height is not known, however long that may be
+        if overlap.links(0, 1) or not any(1 in group for group, _ in heights) and (
+                _knows_baseline(rig, inner)):
             unit, scale = 'm', baseline[0] / float(np.linalg.norm(rig.place(1)))
             slopes = _carried_by_baseline(rig, slopes)
             for k in range(1, len(rig.cameras)):
@@ -260,15 +226,15 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         cameras[name] = one
         parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
         covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
-        poses[name] = _pose(optimum, k, covariance, scale, spread, int(shared[k]),
-                            heights.get(k, np.zeros(3)))
+        poses[name] = _pose(optimum, k, covariance, scale, spread, int(overlap.points[k]), next(
+            (normal for group, normal in heights if k in group), np.zeros(3)))
         remark = poses[name].remark
         findings += () if remark is None else (remark,)
     for k, name in enumerate(rig.cameras[1:], 1):
         parameters += [name_in_rig(name, one) for one in POSE_NAMES]
         _open(covariance, rig.of_pose(k), poses[name])
-    findings = (Finding('rig_overlap', points=int(shared.max())) if shared.any()
-                else Finding('rig_no_overlap'), *findings)
+    findings = (Finding('rig_overlap', points=int(overlap.points.max()))
+                if overlap.points.any() else Finding('rig_no_overlap'), *findings)
     fit = optimum.fit
     residuals = optimum.residuals[fit.linearisation.ahead]
     return RigCalibration(
