@@ -95,7 +95,7 @@ def starts(report: Report, sequences) -> None:
                    'may be refused; a wrong pose may not be published.')
     rows, wrong_at_all = [], 0
     for degrees in _STARTS_DEG:
-        began = followed = refused = wrong = published = 0
+        began = followed = refused = wrong = published = degraded = 0
         for number, (_, sequence) in enumerate(sequences):
             made, rng = sequence.made, np.random.default_rng([7, number, degrees])
             for _ in range(3):
@@ -104,15 +104,17 @@ def starts(report: Report, sequences) -> None:
                 tracker = RorapidTracker(made.model, made.camera, rng=np.random.default_rng(0))
                 tracker.start(turn @ made.rotations[0], made.translations[0])
                 frames = [tracker.track(image) for image in sequence.images[:_START_IMAGES]]
-                bad = sum(bool(f) and not right(f, made, k) for k, f in enumerate(frames))
+                bad = [f for k, f in enumerate(frames) if f and not right(f, made, k)]
                 began += 1
-                wrong += bad > 0
-                published += bad
+                wrong += bool(bad)
+                published += len(bad)
+                degraded += sum(f.state is TrackerState.DEGRADED for f in bad)
                 refused += not any(frames)
                 followed += bool(frames[-1]) and right(frames[-1], made, len(frames) - 1)
         wrong_at_all += wrong
-        rows.append((degrees, began, followed, refused, wrong, published))
-    report.table(('degrees off', 'starts', 'followed', 'no pose', 'wrong', 'wrong poses'), rows)
+        rows.append((degrees, began, followed, refused, wrong, published, degraded))
+    report.table(('degrees off', 'starts', 'followed', 'no pose', 'wrong', 'wrong poses',
+                  'of them degraded'), rows)
     report.say('')
     report.judge(rows[0][2] == rows[0][1], f'15° off: {rows[0][2]} of {rows[0][1]} followed')
     report.judge(wrong_at_all == 0, f'{wrong_at_all} starts published a wrong pose')
@@ -255,23 +257,26 @@ def absent(report: Report) -> None:
         tracker.start(made.rotations[0], made.translations[0])
         for image in before.images:
             tracker.track(image)
-        wrong = 0
+        wrong = degraded = 0
         for _ in range(_AWAY):
             noisy = np.clip(empty + rng.normal(size=empty.shape), 0, 255).astype(np.uint8)
             began = time.thread_time()
             frame = tracker.track(noisy)
             seconds.append(time.thread_time() - began)
             wrong += bool(frame)
+            degraded += bool(frame) and frame.state is TrackerState.DEGRADED
         again = None
         for k, image in enumerate(after.images):
             frame = tracker.track(image)
             if frame and not right(frame, made, _SEEN + later + k):
                 wrong += 1
+                degraded += frame.state is TrackerState.DEGRADED
             elif frame and again is None:
                 again = k + 1
         found += again is not None
-        rows.append((name, seed, again or 'not', wrong))
-    report.table(('object', 'seed', 'found after images', 'wrong poses'), rows)
+        rows.append((name, seed, again or 'not', wrong, degraded))
+    report.table(('object', 'seed', 'found after images', 'wrong poses', 'of them degraded'),
+                 rows)
     report.say('')
     report.judge(found >= 0.9 * len(trials), f'found within {FOUND_WITHIN} images in {found} of '
                  f'{len(trials)}')
