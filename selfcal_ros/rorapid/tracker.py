@@ -274,6 +274,7 @@ class RorapidTracker:
             return self._judge(measured, image, stamp_ns)
         if good:
             self._misses = 0
+            method.glance(image, measured.state)
             self._filter.absorb(measured.state, measured.covariance)
         else:
             self._misses += 1

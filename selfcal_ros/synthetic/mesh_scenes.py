@@ -55,7 +55,8 @@ def bean(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
             + 0.06 * way[2]**3
         return size_m * radius * way * np.array([1.3, 1.0, 0.8])[:, None, None]
 
-    return _grid(48, 72, place, False)
+    vertices, triangles = _grid(48, 72, place, False)
+    return vertices, triangles[:, ::-1]
 
 
 def ring(size_m: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
@@ -135,8 +136,9 @@ class MeshRenderer:
         """
         camera, n = self._camera, _SAMPLES
         seen = self._vertices @ pose[:, :3].T + pose[:, 3]
-        # sample k of a pixel lies at (k + 1/2) / n - 1/2 from its centre
-        pixels = (camera.project(seen) + 0.5) * n - 0.5
+        # sample k of a pixel lies at (k + 1/2) / n - 1/2 from its centre; half a sample is taken
+        # off, for the part is made narrower by one at the left and above
+        pixels = (camera.project(seen) + 0.5) * n - 1.0
         middle = seen[self._triangles].mean(axis=1)
         normals = self._normals @ pose[:, :3].T
         front = np.flatnonzero(((normals * middle).sum(axis=1) < 0) & self._drawn)
@@ -149,11 +151,15 @@ class MeshRenderer:
         wide, tall = high - low
         if min(wide, tall) < 1:
             return quantise(self._background, rng, noise_sigma)
-        canvas = np.repeat(np.repeat(self._background[low[1]:high[1], low[0]:high[0]], n, axis=0),
-                           n, axis=1).astype(np.float32)
+        canvas = np.full((tall * n, wide * n), -1, np.float32)
         corners = np.rint((pixels[self._triangles] - low * n) * 2**_BITS).astype(np.int32)
         for k in order:
             cv2.fillConvexPoly(canvas, corners[k], float(grey[k]), cv2.LINE_8, _BITS)
+        # polygons are filled with their borders: half a sample too wide all around
+        part = cv2.erode((canvas >= 0).astype(np.uint8), np.ones((2, 2), np.uint8)) > 0
+        behind = np.repeat(np.repeat(self._background[low[1]:high[1], low[0]:high[0]], n, axis=0),
+                           n, axis=1)
+        canvas = np.where(part, canvas, behind)
         image = self._background.copy()
         image[low[1]:high[1], low[0]:high[0]] = canvas.reshape(tall, n, wide, n).mean(axis=(1, 3))
         return quantise(image, rng, noise_sigma)

@@ -105,6 +105,9 @@ class MeshModel(WireframeModel):
             remarks.append(f'{before} faces were simplified to {len(triangles)}.')
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
+        triangles, turned = _oriented(vertices, triangles)
+        if turned:
+            remarks.append(f'{turned} faces that looked inwards were turned round.')
         normals = _unit(np.cross(*np.moveaxis(
             vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
         lines, sides, smooth, open_edges = _creases(vertices, triangles, normals)
@@ -172,6 +175,39 @@ def _clean(vertices, triangles, same):
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
     return vertices[used], index.reshape(-1, 3), before - len(triangles)
+
+
+def _oriented(vertices, triangles):
+    """
+    Turn faces so that neighbours agree and the object's volume is positive; count those turned.
+
+    Each face is two nodes of a graph, one for each way round. Faces on an edge link the ways that
+    agree, so a part that can be oriented makes two components, one the reverse of the other.
+    """
+    count = len(triangles)
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    face, along = np.tile(np.arange(count), 3), ends[:, 0] < ends[:, 1]
+    _, index, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
+                               return_counts=True)
+    order = np.argsort(index.ravel(), kind='stable')
+    first = order[np.concatenate([[0], np.cumsum(size)[:-1]])[size == 2]]
+    second = order[(np.concatenate([[0], np.cumsum(size)[:-1]]) + 1)[size == 2]]
+    # neighbours agree where they run along their edge in opposite ways
+    agree = along[first] != along[second]
+    one, other = face[first], face[second] + np.where(agree, 0, count)
+    rows = np.concatenate([one, one + count])
+    columns = np.concatenate([other, (other + count) % (2 * count)])
+    _, part = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)),
+                                              shape=(2 * count, 2 * count)), directed=False)
+    # of the two ways of a part that which more of its faces have already
+    has = np.bincount(part[:count], minlength=part.max() + 1)
+    turn = has[part[count:]] > has[part[:count]]
+    tied = (has[part[count:]] == has[part[:count]]) & (part[count:] < part[:count])
+    turned = np.where((turn | tied)[:, None], triangles[:, ::-1], triangles)
+    corners = vertices[turned] - vertices.mean(axis=0)
+    if np.linalg.det(corners).sum() < 0:
+        turned = turned[:, ::-1]
+    return turned, int((turned[:, 0] != triangles[:, 0]).sum())
 
 
 def _simplified(vertices, triangles):

@@ -39,8 +39,10 @@ class ControlView:
         Of the model; the same in all views.
     searched : ndarray of bool, shape (C,)
         Neither hidden by the object itself nor outside of the image.
-    contour : ndarray of bool, shape (C,)
-        The background is seen on one side.
+    inward : ndarray, shape (C, 3)
+        Into the object from its outline, object frame; zero where no background is beside.
+    inside : ndarray, shape (C,)
+        1 where the object lies on the normal's side of its outline, -1 on the other; else 0.
     projected : ProjectedPoints
     normal : ndarray, shape (C, 2)
         Unit normal in the image.
@@ -50,6 +52,8 @@ class ControlView:
         In the image, per pixel; positive where the curve bends towards the normal.
     outline : int
         Primitives from this on are pieces of one outline.
+    limb : int
+        Primitives from this on are limbs: where a round part turns away.
 
     """
 
@@ -58,12 +62,19 @@ class ControlView:
     primitive: np.ndarray
     ids: np.ndarray
     searched: np.ndarray
-    contour: np.ndarray
+    inward: np.ndarray
+    inside: np.ndarray
     projected: ProjectedPoints
     normal: np.ndarray
     end_px: np.ndarray
     curvature: np.ndarray
     outline: int
+    limb: int
+
+    @property
+    def contour(self) -> np.ndarray:
+        """Where the background is seen on one side, (C,) bool."""
+        return self.inside != 0
 
 
 class ControlModel:
@@ -104,16 +115,16 @@ class ControlModel:
             state.rotation, state.translation - state.rotation @ self.centre)
         points = seen.object_points - self.centre
         return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
-                           seen.contour, state)
+                           seen.inward, state)
 
     def again(self, view: ControlView, state: ObjectPose) -> ControlView:
         """Return the same control points in a state nearby."""
         return self._place(view.points, view.tangents, view.primitive, view.ids, view.searched,
-                           view.contour, state)
+                           view.inward, state)
 
-    def _place(self, points, tangents, primitive, ids, visible, contour, state):
+    def _place(self, points, tangents, primitive, ids, visible, inward, state):
         n = len(points)
-        parts = [points, points + self._step * tangents]
+        parts = [points, points + self._step * tangents, points + self._step * inward]
         curved = np.flatnonzero(self._bend[ids]) if self._curved else ()
         if len(curved):
             parts.append(points[curved] + self._towards[ids[curved]])
@@ -131,12 +142,14 @@ class ControlModel:
         normal[~(length > 1e-12)] = 0
         projected = ProjectedPoints(pixels, both.xy[:n], both.turned[:n],
                                     both.inverse_depth[:n])
+        inside = np.sign(((both.pixels[2 * n:3 * n] - pixels) * normal).sum(axis=1))
+        inside[~inward.any(axis=1)] = 0
         curvature = np.zeros(n)
         if len(curved):
-            bend = both.pixels[2 * n:] - pixels[curved]
+            bend = both.pixels[3 * n:] - pixels[curved]
             curvature[curved] = (np.einsum('ci,ci->c', bend, normal[curved]) * self._step
                                  * self._bend[ids[curved]]
                                  / np.maximum(length[curved], 1e-12)**2)
-        return ControlView(points, tangents, primitive, ids, searched, contour, projected,
+        return ControlView(points, tangents, primitive, ids, searched, inward, inside, projected,
                            normal, self._end[ids] * length, curvature,
-                           self.visible_model.outline)
+                           self.visible_model.outline, self.visible_model.limb)

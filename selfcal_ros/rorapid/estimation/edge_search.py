@@ -25,8 +25,10 @@ from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_pen
 from selfcal_ros.rorapid.edges.edge_noise import (
     CommonScatter, EdgeNoise, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
+from selfcal_ros.rorapid.edges.limb import limb_shift
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.region.outline_greys import OutlineGreys
 from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
 #: Noise of the edges in one image against what was learned, at the least.
@@ -39,6 +41,8 @@ _LAST_STEPS = 2
 _STRONG = 40.0
 #: The noise of edges is learned from every so many images.
 _NOISE_EVERY = 2
+#: Pixels beside a guessed outline that are learned from.
+_GLANCE_PX = 10
 _NONE = np.zeros(0, bool)
 
 
@@ -62,6 +66,8 @@ class EdgeFit:
     residual, contrast, weight, off : ndarray, shape (C,)
         Pixels, NaN without an edge; grey levels; Tukey's weight over the variance; and the
         squared distance over Tukey's squared limit.
+    profiles : ndarray, shape (C, S)
+        Grey levels along the normals, from before the last correction.
 
     """
 
@@ -77,6 +83,7 @@ class EdgeFit:
     contrast: np.ndarray
     weight: np.ndarray
     off: np.ndarray
+    profiles: np.ndarray
 
 
 class EdgeSearch:
@@ -110,6 +117,7 @@ class EdgeSearch:
         round_parts = visible.outline < len(visible.kind)
         self._common = CommonScatter(UNSEEN_OUTLINE if round_parts else UNSEEN)
         self._noise = EdgeNoise()
+        self._greys = OutlineGreys()
         self.contrast = np.zeros(control.size)
         self._remembered = control.visible_model.remembered()
         self.forget()
@@ -120,6 +128,7 @@ class EdgeSearch:
         self.share, self._images = 1.0, 0
         self._common.forget()
         self._noise.forget()
+        self._greys.forget()
 
     def switch(self, basis: np.ndarray) -> None:
         """Go on with another basis of corrections."""
@@ -164,11 +173,19 @@ class EdgeSearch:
             some = np.flatnonzero(fit.weight > 0)
             self._noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
                               fit.residual[some])
+        self._greys.learn(fit.profiles, fit.view.inside[fit.at])
         # a place on an outline is another place of the object in the next image
         found = found & self._remembered[fit.view.ids[fit.at]]
         ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
         old = self.contrast[ids]
         self.contrast[ids] = np.where(old == 0, now, 0.8 * old + 0.2 * now)
+
+    def glance(self, image: np.ndarray, view: ControlView) -> None:
+        """Learn anew what object and background look like, from a view that is only guessed."""
+        at = np.flatnonzero(view.searched & view.contour)
+        if len(at):
+            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], _GLANCE_PX)
+            self._greys.learn(profiles, view.inside[at], anew=True)
 
     def reach(self, state, view, spread) -> int:
         """Search range from the spread (m, m) of the prediction, pixels."""
@@ -235,11 +252,17 @@ class EdgeSearch:
             # the outer lanes meet a curve where it has bent away
             offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
             contrast = edgels.contrast
+            limb = np.flatnonzero(view.primitive[at] >= view.limb)
+            if len(limb):
+                offset[limb] -= limb_shift(profiles[limb], edgels.offset[limb], contrast[limb],
+                                           view.inside[at[limb]])
+            further = contrast_penalty(contrast, wanted) + self._greys.penalty(
+                profiles, view.inside[at], offset)
         else:
-            offset = contrast = np.zeros((0, options.candidates))
+            offset = contrast = further = np.zeros((0, options.candidates))
+            profiles = np.zeros((0, 1))
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
-        further = contrast_penalty(contrast, wanted)
         weights = weights[at]
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
         if agree.any():
@@ -274,4 +297,5 @@ class EdgeSearch:
         residual = np.where(near, chosen - rows @ q, np.nan)
         measured = H + corner_H
         return EdgeFit(after, H, measured, measured + prior, view, at, weights, rows, residual,
-                       contrast[line, best] if len(at) else np.zeros(0), w, off * off)
+                       contrast[line, best] if len(at) else np.zeros(0), w, off * off,
+                       profiles)

@@ -246,7 +246,12 @@ class RobustTracker:
         PoseMeasurement
 
         """
+        self._edges.glance(image, self.control.view(guess))
         return self.measure(image, self._best_start(image, guess, spread), spread)
+
+    def glance(self, image: np.ndarray, state: ObjectPose) -> None:
+        """Learn anew what object and background look like, from a state that is not confirmed."""
+        self._edges.glance(image, self.control.view(state))
 
     def _best_start(self, image, guess, spread) -> ObjectPose:
         """Try starts around a guess; return the state with the strongest edges."""

@@ -88,6 +88,13 @@ class SolidCylinders:
         exist = np.repeat(outside, 2 * len(self._share))
         return points.reshape(-1, 3), tangents.reshape(-1, 3), exist
 
+    def towards_axis(self, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """Return unit directions (N, 3) from points on cylinders `owner` (N,) to their axes."""
+        axis = self._axis[owner]
+        out = self._start[owner] - points
+        out = out - (out * axis).sum(axis=1, keepdims=True) * axis
+        return out / self._radius[owner, None]
+
     def hidden(self, points: np.ndarray, centre: np.ndarray, own: bool = False) -> np.ndarray:
         """
         Tell which points are hidden by a cylinder.

@@ -87,7 +87,7 @@ class VisibleMesh:
         self.names = tuple(f'{kind} {k}' for k, kind in enumerate(self.kind))
         self.size = len(self.primitive)
         #: Primitives from this on are pieces of one outline.
-        self.outline = len(length)
+        self.outline = self.limb = len(length)
         end_m = np.minimum(share, 1 - share) * length[line]
         self.end_m = np.concatenate([end_m, np.full(self._outline, np.inf)])
         self.bends = np.zeros((self.size, 3))
@@ -138,7 +138,7 @@ class VisibleMesh:
         rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
         centre = -translation @ rotation
         sides = self._side_normals @ centre > self._side_heights
-        rim, tangents = self._rim(centre)
+        rim, tangents, normals = self._rim(centre)
         points = np.concatenate([self._points, rim])
         hidden = self._hidden(points, rotation, translation)
         crease = sides.any(axis=1) & ~hidden[:len(self._points)]
@@ -147,18 +147,21 @@ class VisibleMesh:
         missing = self._outline - len(chosen)
         at = np.concatenate([chosen, np.zeros(missing, int)]) if len(rim) else np.zeros(0, int)
         if not len(rim):
-            rim, tangents, at, missing = centre[None] * 0, np.eye(3)[:1], np.zeros(
-                self._outline, int), self._outline
+            rim, tangents, normals, missing = centre[None] * 0, np.eye(3)[:1], np.eye(
+                3)[:1], self._outline
+            at = np.zeros(self._outline, int)
         visible = np.concatenate([crease, np.arange(self._outline) < self._outline - missing])
-        contour = np.concatenate([crease & ~sides.all(axis=1), np.ones(self._outline, bool)])
         kept = np.flatnonzero(visible)
+        # an outline is convex across: the object lies against the mean of the two normals
+        bent = np.where(sides.all(axis=1)[:, None], 0.0, -self._side_normals.sum(axis=1))
+        inward = np.concatenate([bent, -normals[at]])[kept]
         both = np.concatenate([self._points, rim[at]])[kept]
         slopes = np.concatenate([self._tangents, tangents[at]])[kept]
         return ControlPoints(both, slopes, self.primitive[kept], np.ones(len(kept), bool), kept,
-                             contour[kept], self.kind, self.names)
+                             inward, self.kind, self.names)
 
     def _rim(self, centre):
-        """Points and tangents (N, 3) where smooth parts turn away from a camera."""
+        """Points, tangents and normals (N, 3) where smooth parts turn away from a camera."""
         away = self._heights - self._normals @ centre
         back = away < 0
         a, b = self._pairs[back[self._pairs[:, 0]] != back[self._pairs[:, 1]]].T
@@ -167,7 +170,7 @@ class VisibleMesh:
         normals = (1 - share) * self._normals[a] + share * self._normals[b]
         tangents = np.cross(normals, points - centre)
         length = np.linalg.norm(tangents, axis=1, keepdims=True)
-        return points, tangents / np.maximum(length, 1e-300)
+        return points, tangents / np.maximum(length, 1e-300), normals
 
     def _hidden(self, points, rotation, translation):
         """Which points (N, 3) lie behind the surface, by the depth buffer."""

@@ -57,8 +57,9 @@ class ControlPoints:
         False where a face or cylinder hides the point, or it is not in front of the camera.
     ids : ndarray of int, shape (C,)
         Number of the control point, 0 to `VisibleModel.size` - 1, the same in all views.
-    contour : ndarray of bool, shape (C,)
-        Whether the background, not the object, is seen on one side of the primitive.
+    inward : ndarray, shape (C, 3)
+        Direction from the outline into the object, object frame; zero where the object, not the
+        background, is seen on both sides of the primitive.
     kind : tuple of str, length P
         'line', 'conic' or 'silhouette' for each primitive of the model.
     names : tuple of str, length P
@@ -70,13 +71,18 @@ class ControlPoints:
     primitive: np.ndarray
     visible: np.ndarray
     ids: np.ndarray
-    contour: np.ndarray
+    inward: np.ndarray
     kind: tuple
     names: tuple
 
     def __len__(self):
         """Return the number of control points."""
         return len(self.ids)
+
+    @property
+    def contour(self) -> np.ndarray:
+        """Where the background is seen on one side, (C,) bool."""
+        return self.inward.any(axis=1)
 
 
 def check_size(model: WireframeModel, control_points_per_line: int, per_conic: int) -> None:
@@ -173,6 +179,8 @@ class VisibleModel:
             if model.cylinders else None
         #: Primitives from this on are pieces of one outline: none.
         self.outline = len(self.kind)
+        #: Primitives from this on are limbs of round parts.
+        self.limb = L + K
         self._ends, self._L, self._line = ends, L, n
         self._has_min_area = any(face.min_area_px2 > 0 for face in model.faces)
         self._min_length = np.maximum(model.line_min_length_px, min_length_px)
@@ -310,7 +318,7 @@ class VisibleModel:
         keep = np.flatnonzero(seen[self.primitive])
         primitive = self.primitive[keep]
         return ControlPoints(points[keep], tangents[keep], primitive, visible[keep],
-                             keep, self._contours(centre)[primitive], self.kind, self.names)
+                             keep, self._inward(centre, points, keep), self.kind, self.names)
 
     def _hidden_static(self, centre):
         """Which points of lines and conics the faces hide from a camera there, (N,) bool."""
@@ -331,15 +339,21 @@ class VisibleModel:
             enough &= [not sides or large[list(sides)].any() for sides in self.model.line_faces]
         return enough
 
-    def _contours(self, centre):
-        """Whether the faces of each primitive are seen on one side of it only, (P,) bool."""
-        contour = np.zeros(len(self.kind), bool)
+    def _inward(self, centre, points, keep):
+        """Directions into the object where faces are seen on one side only, (C, 3)."""
+        inward = np.zeros((len(self.kind), 3))
         if self._L:
             view = _cross(self._ends[:, 0] - centre, self._ends[:, 1] - centre)
             side = (self._sides * view[:, None]).sum(axis=2)
-            contour[:self._L] = side.min(axis=1) * side.max(axis=1) > 0
-        contour[len(self.kind) - 2 * len(self.model.cylinders):] = True
-        return contour
+            contour = side.min(axis=1) * side.max(axis=1) > 0
+            inward[:self._L] = np.where(contour[:, None], self._sides[:, 0], 0.0)
+        primitive = self.primitive[keep]
+        inward = inward[primitive]
+        if self._solids is not None:
+            round_part = np.flatnonzero(keep >= self._static)
+            inward[round_part] = self._solids.towards_axis(points[keep[round_part]], (
+                keep[round_part] - self._static) // (2 * self._line))
+        return inward
 
 
 def _cross(a, b):
