@@ -51,6 +51,8 @@ _DAMPING = 0.3
 _PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
+#: A pose whose rotation is known worse than this is hardly one, radians.
+_OPEN_RAD = 0.1
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -333,8 +335,10 @@ class RorapidTracker:
         accepted = measured.determined and (
             measured.recognised if lost else measured.share >= options.lost_share)
         innovation = float('nan')
-        if accepted and not measured.recognised and measured.share <= options.lost_share:
-            # barely found, and not recognised: half a miss
+        open_turn = self._open_turn(measured)
+        if accepted and (open_turn or not measured.recognised
+                         and measured.share <= options.lost_share):
+            # barely found and not recognised, or hardly determined: half a miss
             self._misses += 0.5
             accepted = self._misses < options.frames_to_lost
         elif accepted:
@@ -349,13 +353,13 @@ class RorapidTracker:
                 self._filter.absorb(measured.state, measured.covariance)
             else:
                 self._filter.update(measured.state, measured.covariance)
+            tracking = measured.share >= options.tracking_share and not open_turn
+            self._method.remember(measured, tracking or measured.recognised)
             self._adapt(measured)
-            tracking = measured.share >= options.tracking_share
             doubt = self._in_doubt(image, measured, tracking)
             self._state = (TrackerState.TRACKING if tracking and not doubt
                            else TrackerState.DEGRADED)
             self._good = measured.state
-            self._method.remember(measured, tracking or measured.recognised)
             reason = doubt if tracking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found.')
             if tracking and not doubt and self._camera_model != options.camera_model:
@@ -372,6 +376,12 @@ class RorapidTracker:
                 f'Only {100 * measured.share:.0f} % of what should be visible is found where '
                 'the object was expected.')
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
+
+    def _open_turn(self, measured: PoseMeasurement) -> bool:
+        """Whether an image leaves a rotation open: what is seen of an outline fits many poses."""
+        B = self._basis
+        full = (B @ measured.covariance @ B.T)[:3, :3]
+        return len(B) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
 
     def _in_doubt(self, image, measured: PoseMeasurement, tracking: bool) -> str:
         """Look, now and then, whether this is the object; return what is in doubt."""

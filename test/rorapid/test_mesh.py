@@ -24,7 +24,7 @@ from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
-from selfcal_ros.synthetic.mesh_scenes import MeshRenderer, ring
+from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer, ring
 from selfcal_ros.synthetic.objects import object_poses, perturbed
 from selfcal_ros.values.mesh import MeshModel
 
@@ -172,3 +172,63 @@ def test_a_smooth_part_is_followed_by_its_outline():
         assert np.linalg.norm(frame.translation - pose[:, 3]) < 0.01 * np.linalg.norm(pose[:, 3])
         turn = rotation_vector(frame.rotation @ pose[:, :3].T)
         assert np.rad2deg(np.linalg.norm(turn)) < 2
+
+
+def test_faces_that_look_inwards_are_turned_round():
+    vertices, faces = ring()
+    right = MeshModel.build(vertices, faces)
+    assert not right.remarks
+    some = faces.copy()
+    pick = np.random.default_rng(0).choice(len(faces), 700, replace=False)
+    some[pick] = some[pick, ::-1]
+    for wrong in (some, faces[:, ::-1]):
+        model = MeshModel.build(vertices, wrong)
+        assert np.allclose(model.normals, right.normals) and not len(model.lines)
+        turned = int((wrong != faces).any(axis=1).sum())
+        assert model.remarks == (f'{turned} faces that looked inwards were turned round.',)
+
+
+def test_the_renderer_draws_a_part_neither_wider_nor_narrower():
+    """The area of a cube seen along an axis is known."""
+    model = MeshModel.build(CUBE / 1000 - 0.02, triangles())
+    pose = np.column_stack([np.eye(3), [0.003, -0.002, 0.32]])
+    image = MeshRenderer(model.vertices, model.triangles, CAMERA).render(pose)
+    side = 520 * 0.04 / 0.3
+    part = image[200:280, 280:370].astype(float) - 70
+    assert np.sqrt(part.sum() / part[35:45, 40:50].mean()) == pytest.approx(side, abs=0.08)
+
+
+@pytest.mark.parametrize('part, speed, first', ((ring, 0.9, 60), (handle, 0.9, 60)))
+def test_a_patterned_part_is_followed_by_its_pattern_too(part, speed, first):
+    vertices, faces = part()
+    model = MeshModel.build(vertices, faces)
+    drawn = MeshRenderer(vertices, faces, CAMERA, textured=True)
+    poses = object_poses('general', 240, model.diameter_m, speed=speed)[first:first + 20]
+    tracker = RorapidTracker(model, CAMERA)
+    tracker.start(*perturbed(poses[0][:, :3], poses[0][:, 3], np.random.default_rng(3), 0.05,
+                             0.003))
+    for k, pose in enumerate(poses):
+        frame = tracker.track(drawn.render(pose, np.random.default_rng(k), 1.0))
+        turn = np.rad2deg(np.linalg.norm(rotation_vector(frame.rotation @ pose[:, :3].T)))
+        # a start may take some images to be confirmed; no wrong pose is published
+        assert frame.state is TrackerState.TRACKING or k < 8 and not frame
+        off = np.linalg.norm(frame.translation - pose[:, 3]) / np.linalg.norm(pose[:, 3])
+        assert not frame or turn < 2 and off < 0.01
+    assert len(frame.texture_px) >= 8
+
+
+def test_half_an_outline_of_a_lump_is_never_tracked_to_a_wrong_pose():
+    vertices, faces = bean()
+    model = MeshModel.build(vertices, faces)
+    drawn = MeshRenderer(vertices, faces, CAMERA, np.random.default_rng(1))
+    poses = object_poses('general', 450, model.diameter_m, speed=1.1)[::-1][:60]
+    tracker = RorapidTracker(model, CAMERA)
+    tracker.start(poses[0][:, :3], poses[0][:, 3])
+    for k, pose in enumerate(poses):
+        image = drawn.render(pose, np.random.default_rng(k), 1.0)
+        if k >= 20:
+            middle = int(CAMERA.project(pose[:, 3][None])[0, 0])
+            image[:, max(middle - 150, 0):middle] = 90
+        frame = tracker.track(image)
+        turn = np.rad2deg(np.linalg.norm(rotation_vector(frame.rotation @ pose[:, :3].T)))
+        assert turn < 10 or frame.state is not TrackerState.TRACKING

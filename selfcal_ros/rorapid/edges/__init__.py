@@ -16,4 +16,5 @@ Edges of an image beside the control points of the model (thesis 7.2.1).
 
 Read `control_points` for where edges are searched, then `edgels` for the search along normals.
 `edge_choice` prefers the right edge of several, `edge_noise` tells how well edges are located.
+`limb` takes off what the shading of a round part does to its edge.
 """

@@ -117,7 +117,8 @@ class EdgeSearch:
         round_parts = visible.outline < len(visible.kind)
         self._common = CommonScatter(UNSEEN_OUTLINE if round_parts else UNSEEN)
         self._noise = EdgeNoise()
-        self._greys = OutlineGreys()
+        # lines tell themselves from clutter by polarity and texture; an outline has neither
+        self._greys = OutlineGreys() if round_parts else None
         self.contrast = np.zeros(control.size)
         self._remembered = control.visible_model.remembered()
         self.forget()
@@ -128,7 +129,8 @@ class EdgeSearch:
         self.share, self._images = 1.0, 0
         self._common.forget()
         self._noise.forget()
-        self._greys.forget()
+        if self._greys is not None:
+            self._greys.forget()
 
     def switch(self, basis: np.ndarray) -> None:
         """Go on with another basis of corrections."""
@@ -173,7 +175,9 @@ class EdgeSearch:
             some = np.flatnonzero(fit.weight > 0)
             self._noise.learn(fit.contrast[some], fit.view.end_px[fit.at[some]],
                               fit.residual[some])
-        self._greys.learn(fit.profiles, fit.view.inside[fit.at])
+        if self._greys is not None:
+            self._greys.learn(fit.profiles, fit.view.projected.pixels[fit.at],
+                              fit.view.inside[fit.at])
         # a place on an outline is another place of the object in the next image
         found = found & self._remembered[fit.view.ids[fit.at]]
         ids, now = fit.view.ids[fit.at[found]], fit.contrast[found]
@@ -183,9 +187,10 @@ class EdgeSearch:
     def glance(self, image: np.ndarray, view: ControlView) -> None:
         """Learn anew what object and background look like, from a view that is only guessed."""
         at = np.flatnonzero(view.searched & view.contour)
-        if len(at):
-            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], _GLANCE_PX)
-            self._greys.learn(profiles, view.inside[at], anew=True)
+        if len(at) and self._greys is not None:
+            pixels = view.projected.pixels[at]
+            profiles = sample_normals(image, pixels, view.normal[at], _GLANCE_PX)
+            self._greys.learn(profiles, pixels, view.inside[at], anew=True)
 
     def reach(self, state, view, spread) -> int:
         """Search range from the spread (m, m) of the prediction, pixels."""
@@ -256,8 +261,10 @@ class EdgeSearch:
             if len(limb):
                 offset[limb] -= limb_shift(profiles[limb], edgels.offset[limb], contrast[limb],
                                            view.inside[at[limb]])
-            further = contrast_penalty(contrast, wanted) + self._greys.penalty(
-                profiles, view.inside[at], offset)
+            further = contrast_penalty(contrast, wanted)
+            if self._greys is not None:
+                further += self._greys.penalty(
+                    profiles, view.projected.pixels[at], view.inside[at], offset)
         else:
             offset = contrast = further = np.zeros((0, options.candidates))
             profiles = np.zeros((0, 1))

@@ -30,6 +30,7 @@ from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
 from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, MIN_TEXTURE
+from selfcal_ros.rorapid.texture.surface_views import SurfaceViews
 from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
 from selfcal_ros.rorapid.texture.view_memory import ViewMemory
 from selfcal_ros.values.mesh import MeshModel
@@ -76,7 +77,10 @@ class RobustTracker:
         # texture lives in parts of the image without distortion; edges in the image as it is
         self._lens = Undistorter(self.projection.camera)
         self._pinhole = Projection(self._lens.pinhole, self.projection.model)
-        self.texture = TextureMemory(faces, corners, self._pinhole, options.texture_points)
+        self.texture = SurfaceViews(
+            control.visible_model, control.centre, self._pinhole, options.texture_points
+        ) if isinstance(model, MeshModel) else TextureMemory(
+            faces, corners, self._pinhole, options.texture_points)
         self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._lost_images = 0
@@ -360,7 +364,8 @@ class RobustTracker:
             if measured.recognised and matches is not None:
                 self.texture.judge(matches, details.agree)
             if measured.recognised or min(details.edge_share, measured.share) > EDGES_SUFFICIENT:
-                self.texture.learn(region, measured.state, confirmed)
+                full = self.basis @ measured.covariance @ self.basis.T
+                self.texture.learn(region, measured.state, confirmed, full[:6, :6])
         if confirmed:
             self._views.remember(region, measured.state)
 

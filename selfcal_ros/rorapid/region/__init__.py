@@ -12,7 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The part of an image around the object, without lens distortion, at a scale that is fast.
+What is object and what is not: the part of an image around it, and both sides of its outline.
 
-Ours, not the thesis's: texture is compared in it. There is one module, `region_of_interest`.
+Ours, not the thesis's. `region_of_interest` cuts the part out, without lens distortion, at a scale
+that is fast; texture is compared in it. `outline_greys` knows the grey levels of both sides.
 """

@@ -23,8 +23,8 @@ says which edge is the outline, and the edge says where it is; no pixel counts t
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
+from scipy import ndimage
 
 #: Grey levels of a bin, as a power of two; bins.
 _SHIFT, _BINS = 2, 64
@@ -35,18 +35,22 @@ _UNIFORM = 0.05
 #: Pixels so near the outline are learned from neither side; the farthest that are.
 _MIXED_PX, _FAR_PX = 2.0, 14.0
 #: One pixel says no more than this, nats: neighbours are alike, and histograms are crude.
-_MOST_NATS = 2.0
+_MOST_NATS = 1.0
 #: An edge whose place is less likely by a nat seems so much farther away, pixels; at the most.
 _PX_PER_NAT, _MOST_PX = 2.0, 8.0
 #: ... beyond so many nats: the mixed pixels of the edge itself are worth that.
-_FREE_NATS = 2.0
+_FREE_NATS = 4.0
 #: Share of the histograms that one image renews.
-_RENEWED = 0.1
+_RENEWED = 0.2
+#: Sectors around the object; the weight of a sector's own histogram beside that of them all.
+_SECTORS, _LOCAL = 8, 0.8
 
 
 class OutlineGreys:
     """
     Grey levels beside the outline.
+
+    Shading and background differ around the object, so each sector has its own histograms.
 
     Attributes
     ----------
@@ -62,10 +66,11 @@ class OutlineGreys:
     def forget(self) -> None:
         """Forget what the object and its background look like."""
         self.known = False
-        self._sides = np.full((2, _BINS), 1 / _BINS)
-        self._table = np.zeros((1, 256), np.float32)
+        self._sides = np.zeros((2, _SECTORS, _BINS))
+        self._table = np.zeros((_SECTORS, 256), np.float32)
 
-    def learn(self, profiles: np.ndarray, inside: np.ndarray, anew: bool = False) -> None:
+    def learn(self, profiles: np.ndarray, pixels: np.ndarray, inside: np.ndarray,
+              anew: bool = False) -> None:
         """
         Take in the grey levels beside an outline.
 
@@ -73,8 +78,10 @@ class OutlineGreys:
         ----------
         profiles : ndarray, shape (C, S)
             Grey levels along the normals, a pixel apart, with the outline in the middle.
+        pixels : ndarray, shape (C, 2)
+            Of the outline.
         inside : ndarray, shape (C,)
-            1 where the normal points into the object, else -1.
+            1 where the normal points into the object, -1 where out of it, else 0.
         anew : bool
             Forget what was learned before.
 
@@ -82,18 +89,24 @@ class OutlineGreys:
         place = np.arange(profiles.shape[1]) - profiles.shape[1] // 2
         depth = place * inside[:, None]
         far = (np.abs(depth) > _MIXED_PX) & (np.abs(depth) < _FAR_PX)
-        bins = profiles.astype(np.uint8) >> _SHIFT
+        bins = (profiles.astype(np.uint8) >> _SHIFT) + _BINS * _sector(pixels)[:, None]
         share = _RENEWED if self.known and not anew else 1.0
         for k, side in enumerate((far & (depth > 0), far & (depth < 0))):
-            now = np.convolve(np.bincount(bins[side], minlength=_BINS), _KERNEL, 'same')
-            if now.sum() > 0:
-                self._sides[k] += share * (now / now.sum() - self._sides[k])
-                self.known = True
-        inner, outer = (1 - _UNIFORM) * self._sides + _UNIFORM / _BINS
+            now = np.bincount(bins[side], minlength=_SECTORS * _BINS).reshape(_SECTORS, _BINS)
+            self._sides[k] += share * (now - self._sides[k])
+        self.known = self.known or bool(far.any())
+        smooth = ndimage.convolve1d(self._sides, _KERNEL, axis=2, mode='constant')
+        every = smooth.sum(axis=1, keepdims=True)
+        every /= np.maximum(every.sum(axis=2, keepdims=True), 1e-9)
+        count = smooth.sum(axis=2, keepdims=True)
+        mixed = np.where(count > 0, _LOCAL, 0.0) * smooth / np.maximum(count, 1e-9)
+        mixed = mixed + np.where(count > 0, 1 - _LOCAL, 1.0) * every
+        inner, outer = (1 - _UNIFORM) * mixed + _UNIFORM / _BINS
         nats = np.clip(np.log(inner / outer), -_MOST_NATS, _MOST_NATS)
-        self._table = np.repeat(nats, 1 << _SHIFT).astype(np.float32)[None]
+        self._table = np.repeat(nats, 1 << _SHIFT, axis=1).astype(np.float32)
 
-    def penalty(self, profiles: np.ndarray, inside: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    def penalty(self, profiles: np.ndarray, pixels: np.ndarray, inside: np.ndarray,
+                offset: np.ndarray) -> np.ndarray:
         """
         Pixels by which edges seem farther away, for the outline is not likely there.
 
@@ -101,6 +114,8 @@ class OutlineGreys:
         ----------
         profiles : ndarray, shape (C, S)
             Along the normals, a pixel apart, from -(S - 1) / 2 on.
+        pixels : ndarray, shape (C, 2)
+            Of the middle of each.
         inside : ndarray, shape (C,)
             1 where the normal points into the object, -1 where out of it, 0 where no background
             is beside: there the penalty is 0.
@@ -114,7 +129,7 @@ class OutlineGreys:
         """
         if not self.known or not len(profiles):
             return np.zeros(offset.shape)
-        nats = cv2.LUT(profiles.astype(np.uint8), self._table)
+        nats = self._table[_sector(pixels)[:, None], profiles.astype(np.uint8)]
         # likelihood that the outline lies between sample k - 1 and sample k, up to a constant
         total = np.zeros((len(nats), nats.shape[1] + 1), np.float32)
         np.cumsum(-nats, axis=1, out=total[:, 1:])
@@ -127,3 +142,10 @@ class OutlineGreys:
         there = total[row, low] + (place - low) * (total[row, low + 1] - total[row, low])
         doubt = np.clip(_PX_PER_NAT * (best - there - _FREE_NATS), 0, _MOST_PX)
         return doubt * (inside != 0)[:, None]
+
+
+def _sector(pixels: np.ndarray) -> np.ndarray:
+    """Sector (C,) of pixels (C, 2) about their middle."""
+    x, y = (pixels - 0.5 * (pixels.min(axis=0) + pixels.max(axis=0))).T
+    turn = np.arctan2(y, x) / (2 * np.pi)
+    return np.floor(turn * _SECTORS).astype(int) % _SECTORS

@@ -14,6 +14,7 @@
 """
 What the faces of the object look like, learned while it is tracked. Ours, not the thesis's.
 
-Read `texture_memory` first: pictures of the faces, followed into the next image. `corner_fit`
+Read `texture_memory` first: pictures of the faces, followed into the next image. `surface_views`
+does the same for curved surfaces, which have no plane faces. `corner_fit`
 makes a pose of the corners followed, `view_memory` finds a lost object again.
 """

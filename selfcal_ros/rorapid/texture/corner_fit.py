@@ -128,4 +128,10 @@ class CornerFit:
         w *= np.minimum(2 * matches.score[agree], 1.0)
         both = rows.reshape(-1, rows.shape[2])
         wide = np.concatenate([w, w])
-        return (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())
+        H, g = (both * wide[:, None]).T @ both, both.T @ (wide * residual.ravel())
+        if matches.common is None:
+            return H, g
+        # what the corners share does not average out: (H^-1 + C)^-1 = (I + H C)^-1 H
+        B = self.basis[:6]
+        less = np.linalg.inv(np.eye(len(H)) + H @ (B.T @ matches.common @ B))
+        return less @ H, less @ g

@@ -27,12 +27,12 @@ MIN_SCORE, _DOUBTS = 0.12, 12
 #: Block of the corner detector, pixels, and its answer where grey levels change by 1.5 a pixel in
 #: every direction (its scale: Sobel's 8 over 4 x block x 255, squared, summed over the block).
 _BLOCK = 5
-_FAINT = (8 * 1.5 / (4 * _BLOCK * 255))**2 * _BLOCK**2
+FAINT = (8 * 1.5 / (4 * _BLOCK * 255))**2 * _BLOCK**2
 #: Grey levels by which the surroundings of a texel have changed, and below which they stay what
 #: they changed to; texels across those surroundings.
 _CHANGED, _STEADY, _AROUND = 12, 6, 9
 #: Share by which a score follows what is seen, and while the corner is not seen at all.
-_LEARN, _LEARN_HIDDEN = 0.07, 0.0
+LEARN, _LEARN_HIDDEN = 0.07, 0.0
 
 
 def _empty() -> np.ndarray:
@@ -145,7 +145,7 @@ class Face:
         """Choose corners of the picture that can be followed, and give them a first score."""
         inner = self.inner
         _, strongest, _, _ = cv2.minMaxLoc(cv2.cornerMinEigenVal(self.picture, _BLOCK), mask=inner)
-        quality = max(0.03, _FAINT / max(strongest, 1e-12))
+        quality = max(0.03, FAINT / max(strongest, 1e-12))
         corners = None
         if quality < 1:               # else the face is plain, and what is seen in it is noise
             corners = cv2.goodFeaturesToTrack(self.picture, most, quality, 6, mask=inner,
@@ -173,7 +173,7 @@ class Face:
 
         """
         # one that does not even look the same is hidden, more likely than wrong
-        rate = np.where(followed, _LEARN, _LEARN_HIDDEN)[corners < len(self.score)]
+        rate = np.where(followed, LEARN, _LEARN_HIDDEN)[corners < len(self.score)]
         corners, right = corners[corners < len(self.score)], agree[corners < len(self.score)]
         self.score[corners] += rate * (right - self.score[corners])
         return bool((self.score > MIN_SCORE).sum() >= 0.4 * len(self.score))

@@ -63,6 +63,9 @@ class TextureMatches:
         Which corner of which face.
     score : ndarray, shape (N,)
         How far each corner has proved itself, 0 to 1.
+    common : ndarray, shape (6, 6), or None
+        Covariance (theta, Delta; camera axes of now) of the pose that the corners were learned in:
+        they all share its error. None where it is small beside theirs.
 
     """
 
@@ -72,6 +75,7 @@ class TextureMatches:
     face: np.ndarray
     corner: np.ndarray
     score: np.ndarray
+    common: np.ndarray | None = None
 
 
 class TextureMemory:
@@ -183,15 +187,8 @@ class TextureMemory:
             rank = np.argsort(owner[pick, 1], kind='stable')[:most]
             pick = pick[rank]
         points, und, start, owner = points[pick], und[pick], start[pick], owner[pick]
-        und = np.ascontiguousarray(und, np.float32)
-        found, status, _ = cv2.calcOpticalFlowPyrLK(
-            drawing, region.image, und, np.array(start, np.float32, order='C'),
-            winSize=(_WINDOW, _WINDOW), maxLevel=levels, criteria=(3, 12, 0.02),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
-        good = (status[:, 0] > 0) & ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
-        found[~good] = 0
-        good &= _correlation(drawing, und, region.image, found) > _MIN_CORRELATION
-        return TextureMatches(points, region.outside(found.astype(float)), good,
+        found, good = follow_corners(drawing, region.image, und, start, levels)
+        return TextureMatches(points, region.outside(found), good,
                               owner[:, 0], owner[:, 1], self._scores(owner))
 
     def _draw(self, faces, state, region):
@@ -246,7 +243,7 @@ class TextureMemory:
             if not face.judge(matches.corner[here], matches.followed[here], agree[here]):
                 self._choose(face)
 
-    def learn(self, region: Region, state: ObjectPose, confirmed: bool) -> None:
+    def learn(self, region: Region, state: ObjectPose, confirmed: bool, covariance=None) -> None:
         """
         Take the picture of visible faces: new ones at once, known ones little by little.
 
@@ -257,6 +254,8 @@ class TextureMemory:
             The pose as measured in this image.
         confirmed : bool
             Whether new faces may be learned: their surroundings are well tracked.
+        covariance : ndarray, optional
+            Of that pose; not used: pictures are renewed, and outlive its error.
 
         """
         visible = self._see(state)
@@ -307,6 +306,41 @@ class TextureMemory:
         # that happens to be before the object
         others = any(f is not face and f.seen > _PROVEN for f in self._faces)
         face.choose_corners(3 * self.most_points // 4, _UNPROVEN if others else 0.5)
+
+
+def follow_corners(drawing: np.ndarray, image: np.ndarray, drawn: np.ndarray,
+                   expected: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Follow corners from a drawing of the object into an image.
+
+    Parameters
+    ----------
+    drawing, image : ndarray, shape (h, w), uint8
+    drawn : ndarray, shape (N, 2)
+        Pixels of the corners in the drawing.
+    expected : ndarray, shape (N, 2)
+        Where they are sought first in the image.
+    levels : int
+        Of the pyramid; each doubles the range.
+
+    Returns
+    -------
+    found : ndarray, shape (N, 2)
+        Pixels of the image; 0 where a corner was lost.
+    good : ndarray of bool, shape (N,)
+        Whether it was followed, and what is around it looks the same.
+
+    """
+    height, width = image.shape
+    drawn = np.ascontiguousarray(drawn, np.float32)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        drawing, image, drawn, np.array(expected, np.float32, order='C'),
+        winSize=(_WINDOW, _WINDOW), maxLevel=levels, criteria=(3, 12, 0.02),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+    good = (status[:, 0] > 0) & ((found > 2) & (found < (width - 3, height - 3))).all(axis=1)
+    found[~good] = 0
+    good &= _correlation(drawing, drawn, image, found) > _MIN_CORRELATION
+    return found.astype(float), good
 
 
 def _correlation(one: np.ndarray, here: np.ndarray, other: np.ndarray,

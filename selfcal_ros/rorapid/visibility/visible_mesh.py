@@ -22,6 +22,9 @@ depth buffer: points all over the surface, the nearest in each cell of the image
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import cv2
 import numpy as np
 
 from selfcal_ros.rorapid.visibility.visible_model import ControlPoints, VisibleModel
@@ -140,7 +143,7 @@ class VisibleMesh:
         sides = self._side_normals @ centre > self._side_heights
         rim, tangents, normals = self._rim(centre)
         points = np.concatenate([self._points, rim])
-        hidden = self._hidden(points, rotation, translation)
+        hidden = self.behind(points, rotation, translation)
         crease = sides.any(axis=1) & ~hidden[:len(self._points)]
         keep = np.flatnonzero(~hidden[len(self._points):])
         chosen = self._spread(rim[keep] @ rotation.T + translation, keep)
@@ -172,8 +175,36 @@ class VisibleMesh:
         length = np.linalg.norm(tangents, axis=1, keepdims=True)
         return points, tangents / np.maximum(length, 1e-300), normals
 
-    def _hidden(self, points, rotation, translation):
-        """Which points (N, 3) lie behind the surface, by the depth buffer."""
+    def mask(self, rotation, translation, shape: tuple[int, int], place: Callable) -> np.ndarray:
+        """
+        Mask of the object in an image, roughly: its surface's points, joined.
+
+        Parameters
+        ----------
+        rotation : ndarray, shape (3, 3)
+        translation : ndarray, shape (3,)
+        shape : (int, int)
+            Rows and columns.
+        place : callable
+            Pixels (N, 2) of points (N, 3) of the object frame.
+
+        Returns
+        -------
+        ndarray of uint8, shape `shape`
+            255 on the object.
+
+        """
+        mask = np.zeros(shape, np.uint8)
+        pixels = np.rint(place(self._surface)).astype(int)
+        span = np.ptp(pixels, axis=0)
+        inside = ((pixels >= 0) & (pixels < shape[::-1])).all(axis=1)
+        mask[pixels[inside, 1], pixels[inside, 0]] = 255
+        # half of the points are on the far side; gaps are closed to twice their usual distance
+        gap = 2 * int(np.ceil(np.sqrt(2 * span.prod() / len(self._surface)))) + 1
+        return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((gap, gap), np.uint8))
+
+    def behind(self, points, rotation, translation) -> np.ndarray:
+        """Which points (N, 3) lie behind the surface, by the depth buffer, (N,) bool."""
         surface = self._surface @ rotation.T + translation
         seen = points @ rotation.T + translation
         surface_xy = surface[:, :2] / surface[:, 2:]

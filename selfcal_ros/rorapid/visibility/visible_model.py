@@ -82,7 +82,7 @@ class ControlPoints:
     @property
     def contour(self) -> np.ndarray:
         """Where the background is seen on one side, (C,) bool."""
-        return self.inward.any(axis=1)
+        return np.any(self.inward, axis=1)
 
 
 def check_size(model: WireframeModel, control_points_per_line: int, per_conic: int) -> None:
