@@ -29,6 +29,7 @@ class Seen:
         self.check = StartCheck.__new__(StartCheck)
         self.check.forget()
         self.check.support = lambda image, state: next(self._supports)
+        self.search = self
 
     def rival(self, image, guess, found, spread):
         """Find nothing better."""

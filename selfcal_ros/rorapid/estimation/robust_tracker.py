@@ -19,10 +19,11 @@ import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
+from selfcal_ros.rorapid.estimation.arrival import Arrival
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
-from selfcal_ros.rorapid.estimation.start_check import (
-    quartered, StartCheck, Support, turned)
+from selfcal_ros.rorapid.estimation.pose_search import PoseSearch
+from selfcal_ros.rorapid.estimation.start_check import StartCheck
 from selfcal_ros.rorapid.estimation.track_quality import (
     determines_pose, EDGES_SUFFICIENT, focal_sigma, RECOGNISED_CORNERS, RECOGNISED_FOLLOWED,
     track_quality)
@@ -39,17 +40,13 @@ from selfcal_ros.values.mesh import MeshModel
 _MUCH_HIDDEN = 0.5
 #: An edgel agrees within this, pixels.
 _FOUND_PX = 1.75
-#: Search range once the object is nearly there, and in the later rounds from a guess, pixels.
-_NEAR_REACH_PX, _GUESS_REACH_PX = 5, 8
+#: Search range once the object is nearly there, pixels.
+_NEAR_REACH_PX = 5
 #: Levels of the pyramid on which corners are followed, and whether in the image at half scale
 #: (which a blurred image asks for): at first, and if that fails.
 _ATTEMPTS = ((1, False), (3, False), (2, True))
 #: After a sudden motion the object is searched for so far around, pixels.
 _RELOCALISE_PX = 120.0
-#: Rounds of the search from each start around a first guess, the first of them wide.
-_START_ROUNDS, _WIDE_ROUNDS = 4, 2
-#: Of the turned starts so many are looked at more closely.
-_RIVALS = 6
 #: While lost, edges alone are searched in every so many images.
 _EDGE_SEARCH_EVERY = 3
 
@@ -91,12 +88,15 @@ class RobustTracker:
         self._edges = EdgeSearch(control, basis, options, self._corners)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
         self.check = StartCheck(control, options.least_contrast)
+        self.search = PoseSearch(control, basis, options, self._edges, self.check)
+        self._arrival = Arrival(self.search, self._lens.pinhole.K)
 
     def reset(self) -> None:
         """Forget what the object looks like."""
         self._edges.forget()
         self.texture.forget()
         self._views.forget()
+        self._arrival.forget()
         self.check.forget()
 
     def switch(self, basis: np.ndarray, camera_model: str) -> None:
@@ -104,6 +104,7 @@ class RobustTracker:
         self.basis = basis
         self._corners.switch(basis)
         self._edges.switch(basis)
+        self.search.switch(basis)
         self.projection.become(camera_model)
         self._pinhole.become(camera_model)
 
@@ -113,6 +114,7 @@ class RobustTracker:
                           control.visible_model.nearest_in(self.control.visible_model))
         self.options, self.control = options, control
         self.check = StartCheck(control, options.least_contrast)
+        self.search.adopt(options, control, self.check)
         self._use_texture = options.texture and options.camera_model != 'affine'
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool, spread):
@@ -146,11 +148,17 @@ class RobustTracker:
             yield from self._views.shifted(region, state)
         if everywhere:
             size = np.array(image.shape[::-1])
-            yield from self._views.recognised(self._lens.part(image, 0 * size, size))
+            whole = self._lens.part(image, 0 * size, size)
+            yield from self._views.recognised(whole)
+            if not (self.search.outlined and self.texture.patterned):
+                # what is patterned shows edges where a wrong outline would have them
+                for poses in self._arrival.poses(image, whole, spread):
+                    yield from poses if len(poses) == 1 else self._told_apart(
+                        image, poses, spread, state)
             # without texture there are the edges alone; a slow search, and not in every image
             self._lost_images += 1
             if self._lost_images % _EDGE_SEARCH_EVERY == 0:
-                yield self._best_start(image, state, spread)
+                yield self.search.nearby(image, state, spread)
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
                 spread: np.ndarray) -> PoseMeasurement:
@@ -188,6 +196,23 @@ class RobustTracker:
                                     near, False)
             if _quality(by_edges) > _quality(measured):
                 measured = by_edges
+        return measured
+
+    def _told_apart(self, image, poses, spread, expected) -> list[ObjectPose]:
+        """Return that of several poses which the texture alone recognises, if there is any."""
+        if not (self._use_texture and self.texture.patterned):
+            return self._arrival.nearest(poses, expected)
+        known = [pose for pose in poses if self.measure(image, pose, spread).by_texture]
+        return known if len(known) == 1 else []
+
+    def measured_anew(self, image: np.ndarray, state: ObjectPose,
+                      spread: np.ndarray) -> PoseMeasurement:
+        """Measure without regard to what edges looked like: before another background."""
+        remembered = self._edges.contrast.copy()
+        self._edges.contrast[:] = 0
+        measured = self.measure(image, state, spread)
+        if not measured.recognised:
+            self._edges.contrast[:] = remembered
         return measured
 
     def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
@@ -251,84 +276,11 @@ class RobustTracker:
 
         """
         self._edges.glance(image, self.control.view(guess))
-        return self.measure(image, self._best_start(image, guess, spread), spread)
+        return self.measure(image, self.search.nearby(image, guess, spread), spread)
 
     def glance(self, image: np.ndarray, state: ObjectPose) -> None:
         """Learn anew what object and background look like, from a state that is not confirmed."""
         self._edges.glance(image, self.control.view(state))
-
-    def _best_start(self, image, guess, spread) -> ObjectPose:
-        """Try starts around a guess; return the state with the strongest edges."""
-        values, vectors = np.linalg.eigh(spread)
-        shifts = vectors * np.sqrt(values)
-        starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
-        prior = np.linalg.inv(spread)
-        best, best_score = guess, -1.0
-        for start in starts:
-            state = self.projection.moved(guess, self.basis @ start)
-            state, view = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
-            score = self._edges.score(image, view)
-            if score > best_score:
-                best, best_score = state, score
-        return best
-
-    def _drawn_in(self, image, state, guess, prior, rounds: int):
-        """Let the edges draw a start to themselves; returns state and view."""
-        reach = int(np.ceil(self.options.search_most_px))
-        view = self.control.view(state)
-        for turn in range(rounds):
-            wide = turn < _WIDE_ROUNDS
-            state = self._edges.fit(
-                image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
-                self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
-            view = self.control.view(state)
-        return state, view
-
-    def rival(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
-              spread: np.ndarray) -> tuple[ObjectPose, Support]:
-        """
-        Find the best pose that is turned from a guess, or by quarters from what was found.
-
-        Parameters
-        ----------
-        image : ndarray, shape (H, W), uint8
-        guess, found : ObjectPose
-        spread : ndarray, shape (m, m)
-            Covariance of the guess.
-
-        Returns
-        -------
-        ObjectPose
-        Support
-
-        """
-        prior = np.linalg.inv(spread)
-        if isinstance(self.control.visible_model.model, MeshModel):
-            # the outline of a round part looks much the same from other sides: nearby ones only
-            starts = turned(guess)
-            return self._best_of(image, starts[:len(starts) // 2], prior)
-        state, support = self._best_of(image, turned(guess) + quartered(found), prior)
-        if not self.check.plain(support):
-            # what looks nearly right may be right but for a quarter of a turn
-            other, better = self._best_of(image, quartered(state), prior)
-            if better.length > support.length:
-                return other, better
-        return state, support
-
-    def _best_of(self, image, starts, prior) -> tuple[ObjectPose, Support]:
-        """Draw all starts in a little, the best ones wholly; return the best of these."""
-        drawn = []
-        for start in starts:
-            state, _ = self._drawn_in(image, start, start, prior, _WIDE_ROUNDS)
-            drawn.append((self.check.support(image, state), state))
-        drawn.sort(key=lambda pair: -pair[0].length)
-        best = Support(), starts[0]
-        for _, start in drawn[:_RIVALS]:
-            state, _ = self._drawn_in(image, start, start, prior, _START_ROUNDS)
-            support = self.check.support(image, state)
-            if support.length > best[0].length:
-                best = support, state
-        return best[1], best[0]
 
     def _conclude(self, region, fit, matches, agree):
         """Count what confirms the state."""
@@ -356,6 +308,7 @@ class RobustTracker:
         if details is None:
             return
         region, matches = details.region, details.matches
+        self._arrival.forget()
         self._edges.learn(details.fit, measured.found[details.fit.at], details.edge_share,
                           details.scatter)
         if region is None:

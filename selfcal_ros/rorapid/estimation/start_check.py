@@ -34,6 +34,7 @@ from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
+from selfcal_ros.values.mesh import MeshModel
 
 #: Places on a line, on a conic and on the outline of a mesh.
 _ON_LINE, _ON_CONIC, _ON_OUTLINE = 16, 32, 180
@@ -49,8 +50,13 @@ _SURE = 0.8, 0.88
 _FAIR = 0.75, 0.8
 #: ... and of one that stays, image after image, and is better than all others by a margin.
 _LITTLE, _IMAGES, _MARGIN = (0.45, 0.55), 5, 0.15
+#: Length seen of a lost object that its texture recognises: with faces, and of a round part, whose
+#: pattern shows edges near any outline.
+_RECOGNISED = 0.35, 0.65
 #: Poses are alike that differ by less than this share of the length.
 _ALIKE = 0.05
+#: An outline that was lost is known again where no other pose comes as near as this.
+_CLEAR = 0.15
 #: Turns of the other poses, degrees.
 _TURNS = 14.0, 28.0
 
@@ -93,6 +99,7 @@ class StartCheck:
     def __init__(self, control: ControlModel, least_contrast: float):
         """Take the model; places are laid out when they are first needed."""
         self._control, self._least = control, least_contrast
+        self._outlined = isinstance(control.visible_model.model, MeshModel)
         self._dense: ControlModel | None = None
         self.forget()
 
@@ -166,9 +173,13 @@ class StartCheck:
         return (support.reaches(_PLAIN) or self._held >= _IMAGES
                 or support.reaches(_FAIR) and support.length >= rival.length - _ALIKE)
 
+    def rivals(self, support: Support, rival: Support) -> bool:
+        """Whether another pose of what was lost is seen so well that lines do not decide."""
+        return rival.length > support.length - (_CLEAR if self._outlined else _ALIKE)
+
     def found(self, support: Support, by_texture: bool) -> bool:
         """Whether an object that was lost is found; its texture may have recognised it."""
-        return support.reaches((0.0, 0.35) if by_texture else _FAIR)
+        return support.reaches((0.0, _RECOGNISED[self._outlined]) if by_texture else _FAIR)
 
 
 def turned(state: ObjectPose) -> list[ObjectPose]:

@@ -99,7 +99,8 @@ class StartSearch:
         fair = check.fair(support) and self._searches < len(_SEARCHES)
         if not check.plain(support) and (fair or self.tries in _SEARCHES):
             self._searches += 1
-            state, self._rival = method.rival(image, self.guess, measured.state, self._spread)
+            state, self._rival = method.search.rival(image, self.guess, measured.state,
+                                                     self._spread)
             # of nearly equal poses (a box turned by half a turn) that next to the guess is right
             if self._rival.length > support.length + _BETTER:
                 measured, self._rival = method.measure(image, state, wide), support
@@ -160,6 +161,9 @@ def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: 
     """
     for state in method.proposals(image, expected, lost, wide(expected)):
         other = method.measure(image, state, wide(state))
+        if lost and other.determined and not other.recognised and method.check.sure(
+                method.check.support(image, other.state)):
+            other = method.measured_anew(image, other.state, wide(other.state))
         if other.determined and (other.recognised, other.share) > (
                 measured.recognised, measured.share + 0.05):
             measured = other

@@ -97,6 +97,11 @@ class SurfaceViews:
         """Whether there is any view."""
         return bool(self._views)
 
+    @property
+    def patterned(self) -> bool:
+        """Whether there are corners by which the object is known: each view has some."""
+        return self.known
+
     def forget(self) -> None:
         """Drop all views."""
         self._views: list[_View] = []

@@ -115,6 +115,11 @@ class TextureMemory:
         """Whether any face has a picture."""
         return any(face.seen for face in self._faces)
 
+    @property
+    def patterned(self) -> bool:
+        """Whether any face has corners by which it is known."""
+        return any(len(face.score) for face in self._faces)
+
     def forget(self) -> None:
         """Drop all pictures."""
         for face in self._faces:

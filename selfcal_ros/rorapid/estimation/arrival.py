@@ -1,0 +1,132 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A lost object that comes back before a camera that stands still.
+
+What is new in the scene has a silhouette. Poses with such a silhouette are starts. That whose
+lines are seen best is proposed, with all that are seen nearly as well. A cube looks the same from
+six sides, and the outline of a round part nearly so.
+
+Texture tells them apart. Without any, poses that take the model onto itself are equally right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from selfcal_ros.rorapid.estimation.pose_search import PoseSearch, turned_by
+from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
+from selfcal_ros.rorapid.estimation.start_check import quartered
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.region.newcomer import Newcomer
+
+#: Poses with a like silhouette that are tried in one image; in so many images all are.
+_SILHOUETTES, _TURNS = 16, 4
+#: Poses turned by more than this are different ones.
+_OTHER_RAD = 0.2
+#: A model is taken onto itself if its vertices meet within this share of its diameter.
+_ITSELF = 0.02
+
+
+class Arrival:
+    """
+    Proposes poses of what comes in.
+
+    Parameters
+    ----------
+    search : PoseSearch
+    K : ndarray, shape (3, 3)
+        Of images without distortion.
+
+    """
+
+    def __init__(self, search: PoseSearch, K: np.ndarray):
+        """Begin without a scene; silhouettes are drawn when they are first needed."""
+        self._search, self._K = search, K
+        self._newcomer = Newcomer()
+        self._sampled: SampledViews | None = None
+        self._images = 0
+
+    def forget(self) -> None:
+        """Forget the scene."""
+        self._newcomer.forget()
+
+    def poses(self, image: np.ndarray, undistorted: np.ndarray,
+              spread: np.ndarray) -> Iterator[list[ObjectPose]]:
+        """
+        Propose poses of each thing that is new in the scene, if any is seen well.
+
+        Parameters
+        ----------
+        image, undistorted : ndarray, shape (H, W), uint8
+            As it is, and without distortion.
+        spread : ndarray, shape (m, m)
+            Covariance of a pose that is only proposed.
+
+        Yields
+        ------
+        list of ObjectPose
+            Of one thing: the pose that is seen best, and others that lines cannot tell from it.
+
+        """
+        search = self._search
+        self._images += 1
+        for piece in self._newcomer.look(undistorted):
+            if self._sampled is None:
+                control = search.control
+                self._sampled = SampledViews(control.visible_model, control.centre)
+            states = self._sampled.poses(piece, self._K, _TURNS * _SILHOUETTES)
+            if not search.outlined:
+                # the likest first, others in the next images
+                first = self._images % _TURNS * _SILHOUETTES
+                states = states[first:first + _SILHOUETTES]
+            ranked = search.ranked(image, states, spread, _OTHER_RAD)
+            if not ranked or not search.check.fair(ranked[0][1]):
+                continue
+            best, support = ranked[0]
+            if not search.outlined:
+                ranked += search.ranked(image, quartered(best), spread, _OTHER_RAD)
+            yield [best] + [
+                pose for pose, other in ranked[1:] if turned_by(best, pose) > _OTHER_RAD
+                and search.check.rivals(support, other)]
+
+    def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:
+        """
+        Choose of poses that nobody can tell apart.
+
+        Parameters
+        ----------
+        poses : list of ObjectPose
+        expected : ObjectPose
+
+        Returns
+        -------
+        list of ObjectPose
+            That turned least from what is expected; none unless the object looks the same in all.
+
+        """
+        vertices = self._search.control.visible_model.model.vertices - self._search.control.centre
+        if self._search.outlined or not len(vertices):
+            return []
+        first = poses[0]
+        tree = cKDTree(vertices)
+        for pose in poses[1:]:
+            shift = pose.translation - first.translation
+            moved = (vertices @ pose.rotation.T + shift) @ first.rotation
+            if tree.query(moved)[0].max() > _ITSELF * np.ptp(vertices, axis=0).max():
+                return []
+        return [min(poses, key=lambda pose: turned_by(pose, expected))]

@@ -1,0 +1,176 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""From starts to poses: edges draw starts to themselves; the pose that is seen best is kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
+from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
+from selfcal_ros.rorapid.estimation.start_check import quartered, StartCheck, Support, turned
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.values.mesh import MeshModel
+
+#: Rounds of the search from each start, the first of them wide; range of the others, pixels.
+_START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
+#: Of many starts so many are looked at more closely.
+_CLOSELY = 6
+
+
+class PoseSearch:
+    """
+    Searches a pose from many starts.
+
+    Parameters
+    ----------
+    control : ControlModel
+    basis : ndarray, shape (size, m)
+    options : TrackerOptions
+    edges : EdgeSearch
+    check : StartCheck
+
+    Attributes
+    ----------
+    outlined : bool
+        The object is known by the outline of its round parts.
+
+    """
+
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
+                 edges: EdgeSearch, check: StartCheck):
+        """Take what measures and what judges."""
+        self.basis, self._edges = basis, edges
+        self.outlined = isinstance(control.visible_model.model, MeshModel)
+        self.adopt(options, control, check)
+
+    def switch(self, basis: np.ndarray) -> None:
+        """Go on with another basis of corrections."""
+        self.basis = basis
+
+    def adopt(self, options: TrackerOptions, control: ControlModel, check: StartCheck) -> None:
+        """Go on by other settings."""
+        self.options, self.control, self.check = options, control, check
+
+    def nearby(self, image: np.ndarray, guess: ObjectPose, spread: np.ndarray) -> ObjectPose:
+        """
+        Try starts around a guess, one sigma away; return the pose with the strongest edges.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        guess : ObjectPose
+        spread : ndarray, shape (m, m)
+            Covariance of the guess.
+
+        Returns
+        -------
+        ObjectPose
+
+        """
+        values, vectors = np.linalg.eigh(spread)
+        shifts = vectors * np.sqrt(values)
+        starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
+        prior = np.linalg.inv(spread)
+        best, best_score = guess, -1.0
+        for start in starts:
+            state = self.control.projection.moved(guess, self.basis @ start)
+            state, view = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
+            score = self._edges.score(image, view)
+            if score > best_score:
+                best, best_score = state, score
+        return best
+
+    def rival(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
+              spread: np.ndarray) -> tuple[ObjectPose, Support]:
+        """
+        Find the best pose that is turned from a guess, or by quarters from what was found.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        guess, found : ObjectPose
+        spread : ndarray, shape (m, m)
+            Covariance of the guess.
+
+        Returns
+        -------
+        ObjectPose
+        Support
+
+        """
+        if self.outlined:
+            # the outline of a round part looks much the same from other sides: nearby ones only
+            starts = turned(guess)
+            return self.ranked(image, starts[:len(starts) // 2], spread)[0]
+        state, support = self.ranked(image, turned(guess) + quartered(found), spread)[0]
+        if not self.check.plain(support):
+            # what looks nearly right may be right but for a quarter of a turn
+            other, better = self.ranked(image, quartered(state), spread)[0]
+            if better.length > support.length:
+                return other, better
+        return state, support
+
+    def ranked(self, image: np.ndarray, starts: list[ObjectPose], spread: np.ndarray,
+               apart_rad: float = 0.0) -> list[tuple[ObjectPose, Support]]:
+        """
+        Draw all starts in a little and the best ones wholly.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        starts : list of ObjectPose
+        spread : ndarray, shape (m, m)
+            Covariance of each start.
+        apart_rad : float, optional
+            Of poses turned by less than this only the best is drawn in wholly.
+
+        Returns
+        -------
+        list of (ObjectPose, Support)
+            What was drawn in wholly, the best first.
+
+        """
+        prior = np.linalg.inv(spread)
+
+        def drawn(states, rounds):
+            poses = [self._drawn_in(image, state, state, prior, rounds)[0] for state in states]
+            found = [(pose, self.check.support(image, pose)) for pose in poses]
+            return sorted(found, key=lambda pair: -pair[1].length)
+
+        chosen: list[ObjectPose] = []
+        for pose, _ in drawn(starts, _WIDE_ROUNDS):
+            if all(turned_by(pose, other) >= apart_rad for other in chosen):
+                chosen.append(pose)
+        return drawn(chosen[:_CLOSELY], _START_ROUNDS)
+
+    def _drawn_in(self, image, state, guess, prior, rounds: int):
+        """Let the edges draw a start to themselves; returns state and view."""
+        reach = int(np.ceil(self.options.search_most_px))
+        view = self.control.view(state)
+        for turn in range(rounds):
+            wide = turn < _WIDE_ROUNDS
+            state = self._edges.fit(
+                image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
+                self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
+            view = self.control.view(state)
+        return state, view
+
+
+def turned_by(pose: ObjectPose, other: ObjectPose) -> float:
+    """Angle between two poses' rotations, radians."""
+    cosine = (np.trace(pose.rotation.T @ other.rotation) - 1) / 2
+    return float(np.arccos(np.clip(cosine, -1, 1)))

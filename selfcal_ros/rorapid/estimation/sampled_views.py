@@ -1,0 +1,186 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Silhouettes of the object from all around: which pose has a silhouette like a given one?
+
+A silhouette is shifted and scaled to one size, so that position and distance drop out. It is
+turned in the image, and compared with views from all directions by the share of their areas that
+overlaps.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
+from selfcal_ros.values.wireframe import across_axes, WireframeModel
+
+#: Directions, turns in the image, and the side of the grid that silhouettes are compared on.
+_DIRECTIONS, _TURNS, _GRID = 200, 36, 32
+#: Area of every silhouette on that grid, cells.
+_AREA = 280.0
+#: Silhouettes are drawn from so many diameters, so many pixels across.
+_AWAY, _ACROSS_PX = 5.0, 96.0
+_FOCAL, _CANVAS = _AWAY * _ACROSS_PX, np.array([2 * _ACROSS_PX, 2 * _ACROSS_PX])
+#: Points on the rim of a cylinder's end.
+_RIM = 16
+
+
+class SampledViews:
+    """
+    Silhouettes of one model.
+
+    Parameters
+    ----------
+    visible : VisibleModel or VisibleMesh
+    centre : ndarray, shape (3,)
+        Origin of the tracker's object frame.
+
+    """
+
+    def __init__(self, visible, centre: np.ndarray) -> None:
+        """Draw all silhouettes."""
+        self._rotations, self._areas, self._offsets, silhouettes = [], [], [], []
+        self._diameter = visible.model.diameter_m
+        draw = _drawing_of(visible, centre)
+        away = _AWAY * self._diameter
+        for direction in _around(_DIRECTIONS):
+            rotation = _looking_along(-direction)
+            mask = draw(rotation, np.array([0, 0, away]))
+            if not mask.any():
+                continue
+            area, middle = _area_and_middle(mask)
+            self._rotations.append(rotation)
+            self._areas.append(area)
+            self._offsets.append(middle - _CANVAS / 2)
+            silhouettes.append(_normalised(mask, area, middle, 0.0))
+        self._silhouettes = np.array(silhouettes, np.float32).reshape(-1, _GRID * _GRID)
+
+    def poses(self, mask: np.ndarray, K: np.ndarray, most: int) -> list[ObjectPose]:
+        """
+        Poses whose silhouettes are most like a mask, one for each direction at the most.
+
+        Parameters
+        ----------
+        mask : ndarray, shape (H, W), uint8
+            Of an image without distortion.
+        K : ndarray, shape (3, 3)
+        most : int
+
+        Returns
+        -------
+        list of ObjectPose
+            The most alike first.
+
+        """
+        if not len(self._silhouettes):
+            return []
+        area, middle = _area_and_middle(mask)
+        turns = np.arange(_TURNS) * 2 * np.pi / _TURNS
+        turned = np.array([_normalised(mask, area, middle, turn) for turn in turns],
+                          np.float32).reshape(_TURNS, -1)
+        both = self._silhouettes @ turned.T
+        either = self._silhouettes.sum(axis=1)[:, None] + turned.sum(axis=1) - both
+        alike = both / np.maximum(either, 1.0)
+        best = alike.argmax(axis=1)
+        order = np.argsort(-alike.max(axis=1))[:most]
+        focal = float(np.sqrt(K[0, 0] * K[1, 1]))
+        found = []
+        for k in order:
+            turn = turns[best[k]]
+            c, s = np.cos(turn), np.sin(turn)
+            size = np.sqrt(area / self._areas[k])
+            # the object's centre is not the middle of its silhouette
+            pixel = middle - size * (np.array([[c, -s], [s, c]]) @ self._offsets[k])
+            ray = np.linalg.solve(K, [*pixel, 1.0])
+            ray /= np.linalg.norm(ray)
+            away = _AWAY * self._diameter * focal / (_FOCAL * size)
+            about = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+            found.append(ObjectPose(_turning_axis_to(ray) @ about @ self._rotations[k],
+                                    away * ray))
+        return found
+
+
+def _around(count: int) -> np.ndarray:
+    """Directions (count, 3) spread evenly (Fibonacci's spiral)."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    across = np.sqrt(1 - z * z)
+    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
+
+
+def _looking_along(axis: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) of a camera whose optical axis lies along a direction of the object."""
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    return np.array([side, np.cross(axis, side), axis])
+
+
+def _turning_axis_to(ray: np.ndarray) -> np.ndarray:
+    """Smallest rotation (3, 3) that takes the optical axis to a unit ray."""
+    x, y, z = ray
+    return np.eye(3) + np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]]) - np.array(
+        [[x * x, x * y, 0], [x * y, y * y, 0], [0, 0, x * x + y * y]]) / (1 + z)
+
+
+def _area_and_middle(mask: np.ndarray) -> tuple[float, np.ndarray]:
+    """Area of a mask, and its centre of gravity, pixels."""
+    moments = cv2.moments(mask, binaryImage=True)
+    area = max(moments['m00'], 1.0)
+    return area, np.array([moments['m10'], moments['m01']]) / area
+
+
+def _normalised(mask: np.ndarray, area: float, middle: np.ndarray, turn: float) -> np.ndarray:
+    """Draw a mask on the grid, turned back by an angle, and of the one size."""
+    scale = np.sqrt(_AREA / area)
+    c, s = scale * np.cos(turn), scale * np.sin(turn)
+    carry = np.array([[c, s], [-s, c]])
+    shift = (_GRID - 1) / 2 - carry @ middle
+    return cv2.warpAffine(mask, np.column_stack([carry, shift]), (_GRID, _GRID),
+                          flags=cv2.INTER_LINEAR) > 127
+
+
+def _drawing_of(visible, centre: np.ndarray):
+    """Return what draws the silhouette (canvas, uint8) of a pose (rotation, translation)."""
+    shape = int(_CANVAS[1]), int(_CANVAS[0])
+
+    def place(points, rotation, translation):
+        seen = points @ rotation.T + translation
+        return _FOCAL * seen[..., :2] / seen[..., 2:] + _CANVAS / 2
+
+    if isinstance(visible, VisibleMesh):
+        return lambda rotation, translation: visible.mask(
+            rotation, translation - rotation @ centre, shape,
+            lambda points: place(points - centre, rotation, translation))
+    model: WireframeModel = visible.model
+    triangles = model.vertices[model.triangles] - centre
+    angle = np.arange(_RIM) * 2 * np.pi / _RIM
+    solids = []
+    for cylinder in model.cylinders:
+        u, v = across_axes(cylinder)
+        rim = cylinder.radius_m * (np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v))
+        solids.append(np.concatenate([cylinder.start + rim, cylinder.end + rim]) - centre)
+
+    def draw(rotation, translation):
+        mask = np.zeros(shape, np.uint8)
+        for corners in place(triangles, rotation, translation):
+            cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 255)
+        for points in solids:
+            hull = cv2.convexHull(np.rint(place(points, rotation, translation)).astype(np.int32))
+            cv2.fillConvexPoly(mask, hull, 255)
+        return mask
+
+    return draw
