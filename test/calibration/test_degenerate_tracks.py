@@ -16,6 +16,8 @@
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts, Tracks
+from selfcal_ros.calibration.bundle.centres import points_from_centres
+from selfcal_ros.geometry.optimise import PointBlocks
 
 VIEWS = 8
 MIDDLE = np.array([320.0, 240.0])
@@ -55,3 +57,18 @@ def test_what_tells_nothing_of_a_camera_is_refused(move, noise_px):
                     xy.reshape(-1, 2), (640, 480))
     result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
     assert not result and ('line' in move) == (result.kind == 'points_on_a_line')
+
+
+def test_points_that_only_copies_of_one_frame_see_are_far_along_their_ray():
+    points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 5], (100, 3))
+    centres = np.array([[0.0, 0, 0]] * 3 + [[0.5, 0, 0]] * 2)
+    copies = np.arange(len(points)) % 2 == 1
+    point, view = np.nonzero((np.arange(5) < 3) | ~copies[:, None])
+    rays = points[point] - centres[view]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    found = points_from_centres(PointBlocks(point, view), rays, centres)
+    away = found[:, :3] / found[:, 3:]
+    assert np.allclose(away[~copies], points[~copies], atol=1e-8)
+    distance, far = (np.linalg.norm(one[copies], axis=1) for one in (points, away))
+    assert np.allclose(away[copies] / far[:, None], points[copies] / distance[:, None])
+    assert (far > 10 * distance).all()

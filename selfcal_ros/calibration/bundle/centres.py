@@ -69,7 +69,9 @@ def points_from_centres(blocks: PointBlocks, directions: np.ndarray,
         b = blocks.sum_over_points(np.einsum('nij,nj->ni', Qw, origin))
         points = np.linalg.solve(H, b[..., None])[..., 0]
         span = np.linalg.norm(points[blocks.point] - origin, axis=1)
-        weight = 1 / np.maximum(span, 1e-3 * np.median(span))**2
+        span = np.maximum(span, max(1e-3 * np.median(span), np.finfo(float).tiny))
+        # of one for the nearest: else what keeps the equations of parallel rays regular is lost
+        weight = (np.minimum.reduceat(span, blocks.first)[blocks.point] / span)**2
     return _homogeneous_points(blocks, directions, centres, points)
 
 
