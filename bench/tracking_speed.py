@@ -20,6 +20,7 @@ One core: run with OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1, as `make bench`
 from __future__ import annotations
 
 import cProfile
+import os
 import pstats
 import resource
 import time
@@ -29,8 +30,11 @@ from bench.tables import Report
 from bench.tracking_runs import cube_sequence, follow
 import cv2
 import numpy as np
+from selfcal_ros.pipeline.several_objects import beside_each_other
+from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions
 from selfcal_ros.synthetic.objects import tracked_object
+from selfcal_ros.synthetic.several_objects import objects_beside
 
 #: Required, milliseconds.
 MEDIAN_MS, LATE_MS = 2.0, 3.0
@@ -40,6 +44,8 @@ LOOP = 120
 #: The last tenth of a long run may take so much longer than the second.
 MAX_GROWTH = 1.1
 MAX_MEMORY_MB = 5.0
+#: Images of the scene of several objects; three may take so many times what one takes.
+SEVERAL_IMAGES, MAX_THREE = 60, 2.2
 #: What a room or module of the tracker is for, in the table of parts.
 PARTS = {'edgels': 'edges along the normals', 'visibility': 'visible primitives',
          'projection': 'projection and derivatives',
@@ -51,6 +57,7 @@ PARTS = {'edgels': 'edges along the normals', 'visibility': 'visible primitives'
 def run(report: Report, options) -> None:
     """Print the tables."""
     speed(report)
+    several(report)
     long_run(report, options.runs or LONG)
 
 
@@ -93,6 +100,42 @@ def speed(report: Report) -> None:
     report.verdict('95th percentile', verdicts[1], LATE_MS, 'ms')
     report.say('')
     parts(report, sequence)
+
+
+def several(report: Report) -> None:
+    """Time of an image with three objects, over that with one of them."""
+    report.section(f'Several objects, 640x480, on {os.cpu_count()} cores')
+    made = objects_beside(('cube', 'l_block', 'step_block'), SEVERAL_IMAGES, supersampling=2)
+    images = made.frames()
+
+    def seconds(chosen) -> tuple[float, float]:
+        sessions = [TrackingSession(one.model, camera=one.camera) for one in chosen]
+        for session, one in zip(sessions, chosen):
+            session.start(one.rotations[0], one.translations[0])
+        walls = []
+        with beside_each_other(len(sessions)) as together:
+            worked = time.process_time()
+            for image in images:
+                began = time.perf_counter()
+                frames = list(together(lambda session: session.add(image, None), sessions))
+                walls.append(time.perf_counter() - began)
+            worked = time.process_time() - worked
+        if not all(frames):
+            report.say('an object was lost')
+        return float(np.median(walls)), worked / len(images)
+
+    # each alone, and all together, by turns: the machine is shared
+    turns = [([seconds([one]) for one in made.objects], seconds(made.objects)) for _ in range(3)]
+    alone = np.median([[one for one in each] for each, _ in turns], axis=0)
+    all_three = np.median([three for _, three in turns], axis=0)
+    rows = [(one.model.name, f'{1000 * wall:.2f}', f'{1000 * worked:.2f}')
+            for one, (wall, worked) in zip(made.objects, alone)]
+    rows.append(('all three', *(f'{1000 * value:.2f}' for value in all_three)))
+    report.table(('objects', 'median ms', 'processor, ms an image'), rows)
+    report.say('')
+    wall, worked = all_three / alone.mean(axis=0)
+    report.verdict('three objects over one, time of an image', float(wall), MAX_THREE, 'times')
+    report.say(f'Over one they take {worked:.2f} times its processor time.')
 
 
 def parts(report: Report, sequence) -> None:

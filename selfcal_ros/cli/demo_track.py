@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.cli.track import track_recording
-    from selfcal_ros.pipeline.tracking_run import read_start
+    from selfcal_ros.pipeline.tracking_run import read_start, Target
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)
@@ -60,15 +60,15 @@ def run(args: argparse.Namespace) -> int:
             print('Tracking straight in the bag instead.')
     poses = []
 
-    def gather(frame, tracked):
+    def gather(frame, objects):
+        tracked, = objects
         if tracked:
             poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
 
     with Progress() as progress:
-        run, table = track_recording(bag, read_model(model), camera,
-                                     read_start(str(start_file), None, camera),
-                                     overlay=outputs[1], progress=progress,
-                                     listeners=[gather])
+        target = Target(read_model(model), read_start(str(start_file), None, camera))
+        (run,), (table,) = track_recording(bag, [target], camera, overlay=outputs[1],
+                                           progress=progress, listeners=[gather])
     if poses:
         rows.append(('straight from the bag', *_errors(poses, truth)))
     written = [table.write(outputs[0]), outputs[1]]

@@ -63,7 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seed_argument(group)
     output = parser.add_argument_group('output')
     output.add_argument('--output', type=Path, default=Path('poses.csv'), metavar='POSES.CSV',
-                        help='pose of the object in every image (default poses.csv)')
+                        help='pose of the object in every image (default poses.csv); of several '
+                             'objects a table each, poses_NAME.csv')
     output.add_argument('--overlay', type=Path, metavar='VIDEO.MP4',
                         help='the images with the object drawn over them')
     add_quiet_argument(output)
@@ -74,12 +75,12 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
     group = parser.add_argument_group('the object')
     group.add_argument('--model', type=Path, required=required, metavar='MODEL.CAO',
                        help="shape of the object: ViSP's .cao, our .yaml, or a mesh: .obj, .ply "
-                            'or .stl')
+                            'or .stl; `selfcal track` takes several, parted by commas')
     group.add_argument('--init', metavar='POSE',
                        help='where the object is in the first image: six numbers '
                             '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
                             "camera's optical frame), or a .pos file; or a .init file of object "
-                            'points, with --clicks')
+                            'points, with --clicks; of several objects parted by semicolons')
     group.add_argument('--clicks', type=float, nargs='+', metavar='U V',
                        help='where the points of the .init file are in the first image, in '
                             'pixels and in its order')
@@ -88,7 +89,8 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
 def run(args: argparse.Namespace) -> int:
     """Track; returns the exit status."""
     from selfcal_ros.cli.progress import Progress
-    from selfcal_ros.pipeline.tracking_run import read_start
+    from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
+    from selfcal_ros.pipeline.tracking_run import read_start, Target
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
@@ -99,55 +101,73 @@ def run(args: argparse.Namespace) -> int:
     if args.init_sigma is not None and not 0 < args.init_sigma < 1e6:
         raise ArgumentError(f'--init-sigma takes some metres, not {args.init_sigma:g}.')
     excerpt = excerpt_from(args)
-    check_outputs((), (args.input, args.model, args.camera, args.init), False,
-                  (args.output, args.overlay))
+    paths = several(str(args.model))
+    if len(paths) > 1 and args.clicks:
+        raise ArgumentError('--clicks are of one object; give the poses of several by --init '
+                            '"tx ty tz rx ry rz; ...".')
+    names = object_names(paths)
+    outputs = [args.output] if len(paths) == 1 else [
+        args.output.with_name(f'{args.output.stem}_{name}{args.output.suffix}') for name in names]
+    check_outputs((), (args.input, *map(Path, paths), args.camera, args.init), False,
+                  (*outputs, args.overlay))
     if args.overlay:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)
-    model = read_model(args.model, args.model_scale)
-    start = read_start(args.init, args.clicks, camera)
+    models = [read_model(path, args.model_scale) for path in paths]
+    starts = [read_start(word, args.clicks, camera)
+              for word in parted_starts(args.init or '', len(paths))]
+    targets = [Target(model, start, args.init_sigma) for model, start in zip(models, starts)]
     with Progress.of(args) as progress:
-        run, table = track_recording(args.input, model, camera, start, options,
-                                     topic=args.topic, overlay=args.overlay, seed=args.seed,
-                                     progress=progress, excerpt=excerpt,
-                                     distance_sigma_m=args.init_sigma)
+        runs, tables = track_recording(args.input, targets, camera, options, topic=args.topic,
+                                       overlay=args.overlay, seed=args.seed, progress=progress,
+                                       excerpt=excerpt)
     # not earlier: an input error stands alone
-    for remark in getattr(model, 'remarks', ()):
-        print(f'{args.model}: {remark}', file=sys.stderr)
-    written = [table.write(args.output)] + ([args.overlay] if args.overlay else [])
+    for path, model in zip(paths, models):
+        for remark in getattr(model, 'remarks', ()):
+            print(f'{path}: {remark}', file=sys.stderr)
+    written = [table.write(output) for table, output in zip(tables, outputs)]
+    written += [args.overlay] if args.overlay else []
+    for name, run in zip(names, runs):
+        text = run.text() if len(runs) == 1 else f'{name}: {run.text()}'
+        if not args.quiet:
+            print(text)
+        elif not run.followed:
+            print(text, file=sys.stderr)
     if not args.quiet:
-        print(run.text())
         print(f'Written: {", ".join(map(str, written))}.')
-    elif not run.followed:
-        print(run.text(), file=sys.stderr)
-    return EXIT_DONE if run.followed else EXIT_NOT_CALIBRATED
+    return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 
 
-def track_recording(path, model, camera, start, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=(), excerpt=None, distance_sigma_m=None):
+def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,
+                    progress=None, listeners=(), excerpt=None):
     """
     Track through a recording, and write the overlay where one is wished for.
 
     Returns
     -------
-    TrackingRun
-    PosesTable
+    list of TrackingRun
+        Of each target.
+    list of PosesTable
         Not written yet.
 
     """
     from selfcal_ros.pipeline.sources import Excerpt, open_source
-    from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_sequence
+    from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_objects
     from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
     from selfcal_ros.report.poses_csv import PosesTable
-    table = PosesTable()
+    tables = [PosesTable() for _ in targets]
+
+    def add(frame, tracked):
+        for table, one in zip(tables, tracked):
+            table.add(frame, one)
+
     with ExitStack() as stack:
         source = stack.enter_context(open_source(
             path, topic, colour=overlay is not None, excerpt=excerpt or Excerpt()))
-        listeners = [table.add, *listeners]
+        listeners = [add, *listeners]
         if overlay:
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))
-            listeners.append(drawing_into(video, model, camera))
-        run = track_sequence(source, model, camera, start, options, seed=seed,
-                             distance_sigma_m=distance_sigma_m, progress=progress,
+            listeners.append(drawing_into(video, [target.model for target in targets], camera))
+        runs = track_objects(source, targets, camera, options, seed=seed, progress=progress,
                              listeners=listeners)
-    return run, table
+    return runs, tables

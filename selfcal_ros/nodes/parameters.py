@@ -183,14 +183,15 @@ class RorapidTrackerParameters:
     """Parameters of rorapid_tracker."""
 
     model: str = parameter('', "shape of the object: ViSP's .cao, our .yaml, or a mesh: .obj, "
-                           '.ply or .stl')
+                           '.ply or .stl; several parted by commas')
     model_scale: float = parameter(1.0, 'metres per unit of a mesh: 0.001 where it is in '
                                    'millimetres', 1e-6, 1e6)
     camera_file: str = parameter('', 'calibration file to use until a camera_info comes; empty: '
                                  'wait for one')
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
                                 'angle-axis radians, in the optical frame of the camera), or a '
-                                '.pos file; empty: wait for initialpose')
+                                '.pos file; of several objects parted by semicolons; empty: wait '
+                                'for initialpose')
     image_transport: str = _image_transport()
     reliability: str = _reliability()
     method: str = parameter('modern', "RAPiD and RoRAPiD are the thesis's; modern adds what has "

@@ -18,21 +18,21 @@ from __future__ import annotations
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 import numpy as np
 
-from selfcal_ros.nodes.tracking_worker import TrackedImage
+from selfcal_ros.nodes.tracking_worker import ObjectInImage
 from selfcal_ros.rorapid.tracked_frame import TrackerState
 
 _LEVELS = {TrackerState.INITIALISING: WARN, TrackerState.TRACKING: OK,
            TrackerState.DEGRADED: WARN, TrackerState.LOST: ERROR}
 
 
-def tracking_status(newest: TrackedImage | None, camera_problem: str, dropped: int,
+def tracking_status(newest: ObjectInImage | None, camera_problem: str, dropped: int,
                     silent_s: float) -> tuple[int, str, dict]:
     """
     Describe how the tracking goes.
 
     Parameters
     ----------
-    newest : TrackedImage or None
+    newest : ObjectInImage or None
     camera_problem : str
         Why the last camera_info could not be used.
     dropped : int
@@ -59,7 +59,7 @@ def tracking_status(newest: TrackedImage | None, camera_problem: str, dropped: i
     return level, text, values
 
 
-def _describe(newest: TrackedImage, values: dict) -> tuple[int, str]:
+def _describe(newest: ObjectInImage, values: dict) -> tuple[int, str]:
     """Put what the newest image gave into values; returns level and text."""
     snapshot, tracked = newest.snapshot, newest.tracked
     values.update({'images': snapshot.images, 'losses': snapshot.losses,

@@ -11,13 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The thread that follows the object, so that a long search does not stop the node's ears."""
+"""The thread that follows objects, so that a long search does not stop the node's ears."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
 import threading
 import time
 import traceback
@@ -26,12 +28,38 @@ from typing import Any
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import stamp_ns
+import numpy as np
 
 from selfcal_ros.errors import SelfcalError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.tracking_session import TrackingSession, TrackingSnapshot
 from selfcal_ros.report.overlay import draw_overlay
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
+
+
+@dataclass(frozen=True)
+class ObjectInImage:
+    """
+    What an image gave of one object.
+
+    Attributes
+    ----------
+    tracked : TrackedFrame or None
+        None where the image could not be used.
+    camera : Camera or None
+    problem : str
+        Why the image could not be used.
+    seconds : float
+        From taking up the image to the pose.
+    snapshot : TrackingSnapshot
+
+    """
+
+    tracked: TrackedFrame | None
+    camera: Camera | None
+    problem: str
+    seconds: float
+    snapshot: TrackingSnapshot
 
 
 @dataclass(frozen=True)
@@ -43,87 +71,98 @@ class TrackedImage:
     ----------
     header : std_msgs/Header
         That of the image.
-    tracked : TrackedFrame or None
-        None where the image could not be used.
-    camera : Camera or None
-    problem : str
-        Why the image could not be used.
+    objects : tuple of ObjectInImage or None
+        None where an object began anew since.
     overlay : sensor_msgs/Image or None
-    seconds : float
-        From taking up the image to the pose.
-    snapshot : TrackingSnapshot
 
     """
 
     header: object
-    tracked: TrackedFrame | None
-    camera: Camera | None
-    problem: str
+    objects: tuple[ObjectInImage | None, ...]
     overlay: object
-    seconds: float
-    snapshot: TrackingSnapshot
 
 
 class TrackingWorker:
     """
-    Runs a session in a thread of its own: commands in order, and always the newest image.
+    Runs sessions in a thread of its own: commands in order, and always the newest image.
 
-    The thread is a daemon: a process that is told to stop does not wait for it.
+    The thread is a daemon: a process that is told to stop does not wait for it. Several objects
+    are followed beside each other, in the same image.
 
     Parameters
     ----------
-    session : TrackingSession
-        Belongs to the thread from now on.
+    sessions : sequence of TrackingSession
+        One an object; they belong to the thread from now on.
     ready : callable
         Called in the thread when `poll` has something to fetch.
 
     """
 
-    def __init__(self, session: TrackingSession, ready: Callable):
-        self._session, self._ready = session, ready
+    def __init__(self, sessions: Sequence[TrackingSession], ready: Callable):
+        self._sessions, self._ready = tuple(sessions), ready
+        self._map: Callable = map if len(self._sessions) == 1 else ThreadPoolExecutor(
+            len(self._sessions)).map
         self._decoder = ImageDecoder()
         self._types = rclpy_types()
         self._wake = threading.Condition()
         self._commands: deque[Callable] = deque()
-        self._image: tuple[Any, bool] | None = None
-        self._results: deque[TrackedImage | str] = deque()
-        self._begun = 0
+        self._image: tuple[Any, bool, tuple[int, ...]] | None = None
+        self._results: deque[tuple[TrackedImage, tuple[int, ...]] | str] = deque()
+        #: How often each object began anew.
+        self._begun = (0,) * len(self._sessions)
         self._stopped = False
         self.dropped = 0
         self._thread = threading.Thread(target=self._work, daemon=True, name='tracking')
         self._thread.start()
 
-    def command(self, action: Callable, anew: bool = False) -> None:
+    def command(self, action: Callable, which: int | None = None, anew: bool = False) -> None:
         """
         Queue action(session), to be done before the next image.
 
         Parameters
         ----------
         action : callable
+        which : int, optional
+            Number of the object; all without it.
         anew : bool
-            It is a reset or another start: of images from before it nothing comes out any more.
+            It is a reset or another start: of images from before it nothing of the object comes
+            out any more.
 
         """
+        chosen = range(len(self._sessions)) if which is None else (which,)
         with self._wake:
-            self._commands.append(action)
+            self._commands.extend(partial(action, self._sessions[k]) for k in chosen)
             if anew:
-                self._begun += 1
-                self.dropped += self._image is not None
-                self._image = None
-                self._results = deque(one for one in self._results if isinstance(one, str))
+                self._begun = tuple(count + (k in chosen) for k, count in enumerate(self._begun))
+                if self._image is not None and not self._current(self._image[2]).any():
+                    self.dropped += 1
+                    self._image = None
             self._wake.notify()
 
     def submit(self, msg, with_overlay: bool) -> None:
         """Hand over an image; one that still waits is dropped for it."""
         with self._wake:
             self.dropped += self._image is not None
-            self._image = msg, with_overlay
+            self._image = msg, with_overlay, self._begun
             self._wake.notify()
+
+    def _current(self, begun: tuple[int, ...]) -> np.ndarray:
+        """Which objects did not begin anew since, (N,) bool."""
+        return np.array(begun) == self._begun
 
     def poll(self) -> TrackedImage | str | None:
         """Return what is done: an image, or the sentence of a command that failed."""
         with self._wake:
-            return self._results.popleft() if self._results else None
+            while self._results:
+                result = self._results.popleft()
+                if isinstance(result, str):
+                    return result
+                image, begun = result
+                kept = tuple(one if current else None
+                             for one, current in zip(image.objects, self._current(begun)))
+                if any(kept):
+                    return replace(image, objects=kept)
+        return None
 
     def stop(self) -> None:
         """End the thread; waits for the image at hand, but not for long."""
@@ -141,51 +180,71 @@ class TrackingWorker:
                 commands = list(self._commands)
                 self._commands.clear()
                 job, self._image = self._image, None
-                begun = self._begun
             for action in commands:
                 self._do(action)
             if job is not None:
-                self._tell(self._track(*job), begun)
+                msg, with_overlay, begun = job
+                done = self._track(msg, with_overlay, self._current(begun))
+                self._tell((done, begun))
             if not self._stopped:
                 self._ready()
 
-    def _tell(self, result, begun: int | None = None):
-        """Hand a result over, unless it is of an image from before a new beginning."""
+    def _tell(self, result):
+        """Hand a result over."""
         with self._wake:
-            if begun in (None, self._begun):
-                self._results.append(result)
+            self._results.append(result)
 
     def _do(self, action):
         try:
-            action(self._session)
+            action()
         except SelfcalError as error:
             self._tell(str(error))
         except Exception as error:  # the thread must live, and the fault must be seen
             traceback.print_exc()
             self._tell(_fault(error))
 
-    def _track(self, msg, with_overlay: bool) -> TrackedImage:
-        began, tracked, problem, picture = time.perf_counter(), None, '', None
-        session = self._session
+    def _track(self, msg, with_overlay: bool, current: np.ndarray) -> TrackedImage:
+        began, problem, picture, stamp = time.perf_counter(), '', None, 0
         try:
-            picture = self._decoder.grey(msg)
-            tracked = session.add(picture, stamp_ns(msg.header.stamp))
+            stamp, picture = stamp_ns(msg.header.stamp), self._decoder.grey(msg)
         except SelfcalError as error:
             problem = str(error)
         except Exception as error:  # as above
             traceback.print_exc()
             problem = _fault(error)
-        seconds = time.perf_counter() - began
-        overlay = None
-        if with_overlay and picture is not None:
-            try:
-                overlay = image_message(
-                    draw_overlay(picture, tracked, session.model, session.camera, problem),
-                    msg.header, self._types)
-            except Exception:  # a pose must not be lost to its picture
-                traceback.print_exc()
-        return TrackedImage(msg.header, tracked, session.camera, problem, overlay, seconds,
-                            session.snapshot())
+
+        def track(session: TrackingSession, is_current: bool) -> ObjectInImage | None:
+            if not is_current:
+                return None
+            tracked, wrong = None, problem
+            if picture is not None:
+                try:
+                    tracked = session.add(picture, stamp)
+                except SelfcalError as error:
+                    wrong = str(error)
+                except Exception as error:  # as above
+                    traceback.print_exc()
+                    wrong = _fault(error)
+            return ObjectInImage(tracked, session.camera, wrong, time.perf_counter() - began,
+                                 session.snapshot())
+
+        objects = tuple(self._map(track, self._sessions, current))
+        return TrackedImage(msg.header, objects,
+                            self._drawn(picture, objects, msg.header) if with_overlay else None)
+
+    def _drawn(self, picture, objects, header):
+        """Draw all objects over the image."""
+        if picture is None:
+            return None
+        try:
+            for line, (session, one) in enumerate(zip(self._sessions, objects)):
+                if one is not None:
+                    picture = draw_overlay(picture, one.tracked, session.model, session.camera,
+                                           one.problem, line)
+            return image_message(picture, header, self._types)
+        except Exception:  # a pose must not be lost to its picture
+            traceback.print_exc()
+            return None
 
 
 def _fault(error: Exception) -> str:

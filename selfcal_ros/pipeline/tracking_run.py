@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 import logging
 import math
@@ -28,6 +28,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.pipeline.several_objects import beside_each_other
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -58,8 +59,8 @@ class TrackingRun:
         What seemed wrong with the model, the camera or the start, and from which image on.
     remarks : list of str
         Images that were passed over, and why.
-    rms_px : float
-        Of the edgels that support the poses, over all images.
+    squares, edgels : float, int
+        Squared distances (px²) of the edgels that support the poses, over all images.
     seconds : float
         Time of the tracker alone.
     last_state : str
@@ -72,11 +73,17 @@ class TrackingRun:
     stretches: list = field(default_factory=list)
     doubts: list = field(default_factory=list)
     remarks: list = field(default_factory=list)
-    rms_px: float = math.nan
+    squares: float = 0.0
+    edgels: int = 0
     seconds: float = 0.0
     last_state: str = ''
     description: str = ''
     distance_stated: bool = False
+
+    @property
+    def rms_px(self) -> float:
+        """Of the edgels that support the poses, pixels."""
+        return math.sqrt(self.squares / self.edgels) if self.edgels else math.nan
 
     @property
     def followed(self) -> bool:
@@ -164,6 +171,26 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
     return rotation, translation
 
 
+@dataclass(frozen=True)
+class Target:
+    """
+    One object that is to be followed.
+
+    Attributes
+    ----------
+    model : WireframeModel
+    start : (ndarray (3, 3), ndarray (3,))
+        Pose of the object in the first image, roughly.
+    distance_sigma_m : float or None
+        Of the start, where its distance was measured.
+
+    """
+
+    model: WireframeModel
+    start: tuple[np.ndarray, np.ndarray]
+    distance_sigma_m: float | None = None
+
+
 def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, start,
                    options: TrackerOptions | None = None, *, seed: int = 0,
                    distance_sigma_m: float | None = None,
@@ -171,22 +198,14 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
                    listeners: Iterable[Callable[[Frame, TrackedFrame], object]] = (),
                    ) -> TrackingRun:
     """
-    Follow an object through a recording.
+    Follow an object through a recording: `track_objects` for one.
 
     Parameters
     ----------
-    source : FrameSource
-        As `open_source` opens it.
-    model : WireframeModel
-    camera : Camera
-    start : (ndarray (3, 3), ndarray (3,))
-        Pose of the object in the first image, roughly.
-    options : TrackerOptions, optional
-    seed : int
-    distance_sigma_m : float, optional
-        Of the start, where its distance was measured.
-    progress : callable, optional
-        Called as progress(text, done, total).
+    source, camera, options, seed, progress
+        See there.
+    model, start, distance_sigma_m
+        See `Target`.
     listeners : iterable of callable
         Each is called as listener(frame, tracked) after every image that was tracked.
 
@@ -194,43 +213,83 @@ def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, s
     -------
     TrackingRun
 
+    """
+    def of_one(listener):
+        return lambda frame, tracked: listener(frame, tracked[0])
+
+    run, = track_objects(source, [Target(model, start, distance_sigma_m)], camera, options,
+                         seed=seed, progress=progress, listeners=map(of_one, listeners))
+    return run
+
+
+def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera,
+                  options: TrackerOptions | None = None, *, seed: int = 0,
+                  progress: Callable | None = None,
+                  listeners: Iterable[Callable[[Frame, tuple[TrackedFrame, ...]], object]] = (),
+                  ) -> list[TrackingRun]:
+    """
+    Follow objects through a recording, several of them beside each other.
+
+    Parameters
+    ----------
+    source : FrameSource
+        As `open_source` opens it.
+    targets : sequence of Target
+    camera : Camera
+    options : TrackerOptions, optional
+    seed : int
+    progress : callable, optional
+        Called as progress(text, done, total).
+    listeners : iterable of callable
+        Each is called as listener(frame, tracked) after every image that was tracked, with one
+        TrackedFrame an object.
+
+    Returns
+    -------
+    list of TrackingRun
+        Of each object.
+
     Raises
     ------
     InputError
-        If the input, the start pose or the size of the images is wrong.
+        If the input, a start pose or the size of the images is wrong.
 
     """
-    run = TrackingRun(description=source.description, distance_stated=bool(distance_sigma_m))
-    squares, edgels = 0.0, 0
-    session = TrackingSession(model, options, camera, seed)
-    rotation, translation = start
-    session.start(rotation, translation, distance_sigma_m)
+    runs = [TrackingRun(description=source.description, distance_stated=bool(
+        target.distance_sigma_m)) for target in targets]
+    sessions = [TrackingSession(target.model, options, camera, seed) for target in targets]
+    for session, target in zip(sessions, targets):
+        session.start(*target.start, target.distance_sigma_m)
     if source.kind == 'tracks':
         raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
     _check_size(source, camera)
     listeners = tuple(listeners)
     # images of a folder have no clock of their own
     timed = source.clock != 'nominal'
-    for frame in source:
-        began = time.perf_counter()
-        try:
-            tracked = session.add(frame.image, frame.stamp_ns if timed else None)
-        except InputError as error:
-            run.remarks.append(f'{frame.name or f"Image {frame.index}"} was passed over: {error}')
-            _LOGGER.info(run.remarks[-1])
-            continue
-        run.seconds += time.perf_counter() - began
-        _count(run, frame.index, tracked)
-        _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
-        if tracked.found.any():
-            squares += float(np.sum(tracked.edge_px[tracked.found]**2))
-            edgels += int(np.count_nonzero(tracked.found))
-        for listener in listeners:
-            listener(frame, tracked)
-        if progress:
-            progress('Tracking', frame.index + 1, source.count)
-    run.rms_px = math.sqrt(squares / edgels) if edgels else math.nan
-    return run
+    with beside_each_other(len(sessions)) as together:
+        for frame in source:
+            def add(session: TrackingSession) -> tuple[TrackedFrame, float]:
+                began = time.perf_counter()
+                tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+                return tracked, time.perf_counter() - began
+
+            try:
+                found = list(together(add, sessions))
+            except InputError as error:
+                remark = f'{frame.name or f"Image {frame.index}"} was passed over: {error}'
+                for run in runs:
+                    run.remarks.append(remark)
+                _LOGGER.info(remark)
+                continue
+            for run, (tracked, seconds) in zip(runs, found):
+                run.seconds += seconds
+                _count(run, frame.index, tracked)
+                _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
+            for listener in listeners:
+                listener(frame, tuple(tracked for tracked, _ in found))
+            if progress:
+                progress('Tracking', frame.index + 1, source.count)
+    return runs
 
 
 def _check_size(source, camera: Camera) -> None:
@@ -257,6 +316,8 @@ def playing_rate_hz(source: FrameSource) -> float:
 def _count(run: TrackingRun, index: int, tracked) -> None:
     """Note how an image went."""
     run.images += 1
+    run.squares += float(np.sum(tracked.edge_px[tracked.found]**2))
+    run.edgels += int(np.count_nonzero(tracked.found))
     run.last_state = tracked.state.value
     run.by_state[run.last_state] = run.by_state.get(run.last_state, 0) + 1
     if tracked.doubt:

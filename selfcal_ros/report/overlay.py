@@ -39,7 +39,7 @@ _PIECES = 12
 
 
 def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
-                 camera: Camera | None = None, text: str = '') -> np.ndarray:
+                 camera: Camera | None = None, text: str = '', line: int = 0) -> np.ndarray:
     """
     Draw the tracked object over its image.
 
@@ -57,6 +57,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
     camera : Camera, optional
     text : str
         In place of the state and its reason.
+    line : int
+        That the text stands on, from above: one for each object.
 
     Returns
     -------
@@ -71,7 +73,7 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
         if model is not None and camera is not None and tracked.state is not TrackerState.LOST \
                 and tracked.camera_model in ('perspective', 'zoom'):
             _draw_axes(drawn, tracked, model, camera, thick)
-    _draw_text(drawn, text or _state_text(tracked), thick)
+    _draw_text(drawn, text or _state_text(tracked), thick, line)
     return drawn
 
 
@@ -191,7 +193,7 @@ def _state_text(tracked: TrackedFrame | None) -> str:
     return f'{text}  {tracked.reason}' if tracked.reason else text
 
 
-def _draw_text(drawn, text: str, thick: int) -> None:
+def _draw_text(drawn, text: str, thick: int, line: int) -> None:
     """Write a line into the upper left corner, as small as it must be to fit."""
     text = text.encode('ascii', 'replace').decode()
     if not text:
@@ -201,8 +203,10 @@ def _draw_text(drawn, text: str, thick: int) -> None:
     room = drawn.shape[1] - 12
     if width > room:
         scale *= max(room / width, 0.55)
-    where = (6, height + 6)
-    cv2.rectangle(drawn, (0, 0), (min(width, room) + 12, height + base + 8), _BLACK, cv2.FILLED)
+    top = line * (height + base + 8)
+    where = (6, top + height + 6)
+    cv2.rectangle(drawn, (0, top), (min(width, room) + 12, top + height + base + 8), _BLACK,
+                  cv2.FILLED)
     cv2.putText(drawn, text, where, cv2.FONT_HERSHEY_SIMPLEX, scale, _WHITE, thick, cv2.LINE_AA)
 
 

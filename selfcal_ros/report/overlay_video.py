@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import os
 from pathlib import Path
 import tempfile
@@ -121,10 +121,12 @@ def check_video_path(path) -> Path:
     return check_writable(path)
 
 
-def drawing_into(video: OverlayVideo, model: WireframeModel, camera: Camera,
-                 ) -> Callable[[Frame, TrackedFrame], None]:
-    """Return a listener of `track_sequence` that appends each image with its overlay."""
-    def add(frame: Frame, tracked: TrackedFrame) -> None:
+def drawing_into(video: OverlayVideo, models: Sequence[WireframeModel], camera: Camera,
+                 ) -> Callable[[Frame, Sequence[TrackedFrame]], None]:
+    """Return a listener of `track_objects` that appends each image with its overlay."""
+    def add(frame: Frame, tracked: Sequence[TrackedFrame]) -> None:
         picture = frame.image if frame.bgr is None else frame.bgr
-        video.add(draw_overlay(picture, tracked, model, camera))
+        for line, (model, one) in enumerate(zip(models, tracked)):
+            picture = draw_overlay(picture, one, model, camera, line=line)
+        video.add(picture)
     return add

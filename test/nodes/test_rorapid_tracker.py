@@ -32,6 +32,7 @@ from selfcal_ros.nodes.rorapid_node import RorapidNode
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
+from selfcal_ros.synthetic.several_objects import objects_beside
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -313,3 +314,51 @@ def test_a_refused_setting_changes_nothing_and_the_next_camera_info_counts(stati
     true = station.recording.translations[index]
     shift = 5 * true[2] / K[0, 0]
     assert abs(pose[0, 3] - (true[0] - shift)) < 0.3 * shift
+
+
+def test_two_objects_have_topics_of_their_own(graph, tmp_path):
+    made = objects_beside(('cube', 'l_block'), 4, size=(320, 240), supersampling=2)
+    paths = [write_model(one.model, tmp_path / f'{name}.yaml')
+             for one, name in zip(made.objects, ('cube', 'bracket'))]
+    camera_file = write_camera_yaml(tmp_path / 'camera.yaml', made.objects[0].camera, 'camera')
+    start = ' '.join(f'{x:.6f}' for x in (*made.objects[0].translations[0],
+                                          *rotation_vector(made.objects[0].rotations[0])))
+    graph = graph('-p', f'model:={paths[0]},{paths[1]}', '-p', f'start_pose:="{start};"',
+                  '-p', f'camera_file:={camera_file}')
+    probe, types = graph.probe, rclpy_types()
+    poses = {name: graph.listen(PoseWithCovarianceStamped, f'{name}/pose')
+             for name in ('cube', 'bracket')}
+    states = graph.listen(String, 'rorapid_tracker/bracket/state', LATCHED)
+    diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
+    images = probe.create_publisher(Image, 'image', 10)
+    begin = probe.create_publisher(PoseWithCovarianceStamped, 'bracket/initialpose', 10)
+    graph.add(RorapidNode())
+    graph.wait_for(lambda: images.get_subscription_count() and begin.get_subscription_count())
+
+    def send(index, frame):
+        header = header_message(int(made.objects[0].stamps_ns[index]), FRAME, types)
+        images.publish(image_message(frame, header, types))
+
+    frames = made.frames()
+    send(0, frames[0])
+    graph.wait_for(lambda: poses['cube'], what='pose of the cube')
+    assert not poses['bracket']
+    pose = np.column_stack([made.objects[1].rotations[1], made.objects[1].translations[1]])
+    begin.publish(pose_with_covariance_message(
+        pose, np.eye(6), header_message(0, FRAME, types), types))
+    graph.spin_for(0.3)
+    for index in (1, 2, 3):
+        known = [len(poses[name]) for name in poses]
+        send(index, frames[index])
+        graph.wait_for(lambda: [len(poses[name]) for name in poses] > known and all(
+            len(heard) > k for heard, k in zip(poses.values(), known)), what='both poses')
+    for one, heard in zip(made.objects, poses.values()):
+        pose = pose_matrix(heard[-1])
+        angle, share = pose_errors(pose[:3, :3], pose[:3, 3], one.rotations[3],
+                                   one.translations[3])
+        assert np.rad2deg(angle) < 1.5 and share < 0.02
+        assert stamp_ns(heard[-1].header.stamp) == one.stamps_ns[3]
+    assert states[-1].data.startswith('tracking')
+    graph.wait_for(lambda: diagnostics, what='diagnostics')
+    assert {status.name for status in diagnostics[-1].status} == {
+        'rorapid_tracker: tracking cube', 'rorapid_tracker: tracking bracket'}

@@ -42,7 +42,7 @@ class SlowSession:
 @pytest.fixture
 def worker():
     session, ready = SlowSession(), threading.Semaphore(0)
-    made = TrackingWorker(session, ready.release)
+    made = TrackingWorker([session], ready.release)
     made.session, made.ready = session, ready
     yield made
     session.may_go.release(100)
@@ -74,6 +74,42 @@ def test_of_images_from_before_a_reset_nothing_comes_out(worker):
     session.may_go.release()
     assert worker.ready.acquire(timeout=20)
     assert worker.poll().header.stamp.sec == 103 and worker.poll() is None
+
+
+@pytest.fixture
+def pair():
+    sessions, ready = [SlowSession(), SlowSession()], threading.Semaphore(0)
+    made = TrackingWorker(sessions, ready.release)
+    made.sessions, made.ready = sessions, ready
+    yield made
+    for session in sessions:
+        session.may_go.release(100)
+    made.stop()
+
+
+def test_a_reset_of_one_object_does_not_concern_the_other(pair):
+    first, second = pair.sessions
+    submit(pair, 0)
+    for session in pair.sessions:
+        assert session.taken.acquire(timeout=20)
+    submit(pair, 1)
+    pair.command(lambda session: None, which=0, anew=True)
+    assert pair.dropped == 0
+    for session in pair.sessions:
+        session.may_go.release(2)
+    # of the first object neither image counts: both are from before its reset
+    for second_stamp in (100, 101):
+        assert pair.ready.acquire(timeout=20)
+        done = pair.poll()
+        assert done.header.stamp.sec == second_stamp
+        assert done.objects[0] is None and done.objects[1].tracked is not None
+    assert not first.taken.acquire(blocking=False)
+    # both begin anew: the image that waits is dropped
+    submit(pair, 2)
+    assert second.taken.acquire(timeout=20)
+    submit(pair, 3)
+    pair.command(lambda session: None, anew=True)
+    assert pair.dropped == 1
 
 
 def test_other_commands_and_sentences_cost_no_image(worker):

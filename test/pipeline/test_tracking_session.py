@@ -182,8 +182,9 @@ def test_a_folder_gives_poses_and_a_video(recording, folder, tmp_path):
     table = PosesTable()
     with open_source(folder) as source, \
             OverlayVideo(tmp_path / 'overlay.avi', playing_rate_hz(source)) as video:
+        draw = drawing_into(video, [made.model], made.camera)
         run = track_sequence(source, made.model, made.camera, guess(made), listeners=(
-            table.add, drawing_into(video, made.model, made.camera),
+            table.add, lambda frame, tracked: draw(frame, (tracked,)),
             lambda frame, _: seen.append(frame.index)))
     assert run.followed and run.images == VIEWS and seen == list(range(VIEWS))
     assert run.rms_px < 1.0 and f'Tracked in {VIEWS} of {VIEWS} images' in run.text()
