@@ -21,7 +21,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from selfcal_ros.features.likeness import (alike_among, Described, look_of, perhaps_alike,
+from selfcal_ros.features.likeness import (alike_among, alike_in_part, Described, look_of,
                                            USUAL_SIMILARITY)
 from selfcal_ros.features.mask import ImageMask
 
@@ -87,7 +87,11 @@ class Features:
     def twin_similarity(self) -> np.ndarray:
         """Similarity to the most alike other place of the same image, shape (N,)."""
         most = np.full(len(self.xy), USUAL_SIMILARITY, np.float32)
-        np.maximum.at(most, self.twins[0], self.twins[2])
+        a, _, alike = self.twins
+        if len(a):
+            # in order of a
+            first = np.flatnonzero(np.r_[True, a[1:] != a[:-1]])
+            most[a[first]] = np.maximum(np.maximum.reduceat(alike, first), USUAL_SIMILARITY)
         return most
 
 
@@ -174,17 +178,18 @@ def _twins(features: Features) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     whole, parts = features.described(), []
     # of a place and a later one: once
     order = np.argsort(whole.place, kind='stable')
-    sketch = whole.sketch[order]
+    # the larger of two comes first
+    (x, y), reach = features.xy.T.copy(), 1.5 * features.size_px
     for begin in range(0, len(order), _BLOCK):
-        row, column = perhaps_alike(sketch[begin:begin + _BLOCK], sketch[begin:])
-        row, column = order[begin + row], order[begin + column]
-        later = whole.place[column] > whole.place[row]
-        parts.append((row[later], column[later]))
+        row, column = alike_in_part(whole, order, begin, begin + _BLOCK)
+        a, b = whole.place[row], whole.place[column]
+        # the same corner found at two scales is no twin
+        near = reach[np.minimum(a, b)]
+        apart = (np.abs(x[a] - x[b]) > near) | (np.abs(y[a] - y[b]) > near)
+        apart &= b > a
+        parts.append((row[apart], column[apart]))
     a, b, alike = alike_among(whole, whole, *(np.concatenate(part) for part in zip(*parts)))
-    # the same corner found at two scales is no twin
-    apart = (np.abs(features.xy[a] - features.xy[b]).max(axis=1)
-             > 1.5 * np.maximum(features.size_px[a], features.size_px[b]))
-    a, b = a[apart].astype(np.int32), b[apart].astype(np.int32)
-    a, b, alike = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(alike[apart], 2)
+    a, b = a.astype(np.int32), b.astype(np.int32)
+    a, b, alike = np.concatenate([a, b]), np.concatenate([b, a]), np.tile(alike, 2)
     order = np.argsort(a, kind='stable')
     return a[order], b[order], alike[order]

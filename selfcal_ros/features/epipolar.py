@@ -119,13 +119,17 @@ class EpipolarImages:
             return unit
         return self.model.lifted(xy_a) @ F.T
 
-    def off_curve(self, curve: np.ndarray, xy: np.ndarray) -> np.ndarray:
-        """Distance (...) of pixels (..., 2) to curves (..., 3); NaN where a curve is NaN."""
+    def raised(self, xy: np.ndarray) -> np.ndarray:
+        """Return what `off_curve` asks of pixels (m, 2), once for many curves: (k, m)."""
+        return xy.T.copy() if self.model.straight else self.model.raised(xy)
+
+    def off_curve(self, curve: np.ndarray, raised: np.ndarray) -> np.ndarray:
+        """Distance (...) of `raised` pixels to curves (..., 3); NaN where a curve is NaN."""
         if self.model.straight:
-            near: np.ndarray = (curve[..., 0] * xy[..., 0] + curve[..., 1] * xy[..., 1]
+            near: np.ndarray = (curve[..., 0] * raised[0] + curve[..., 1] * raised[1]
                                 + curve[..., 2])
             return near
-        return self.model.curve_distance(curve, xy)
+        return self.model.curve_distance(curve, raised)
 
 
 def estimate_fundamental(xy_a: np.ndarray, xy_b: np.ndarray, threshold_px: float = 1.0,

@@ -38,6 +38,8 @@ _SKETCH = 56
 _ROUNDING = 1e-5
 #: Pairs of vectors compared at a time: what stays in the cache of a processor costs a tenth.
 _AT_ONCE = 512
+#: Where sketches leave a larger share of two sets, the vectors are compared as a whole.
+_CROWDED = 0.05
 #: Places compared with all of another image at a time, for the same reason.
 _ROWS = 256
 
@@ -196,6 +198,33 @@ def perhaps_alike(sketch: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np
     return np.divmod(np.flatnonzero(product > MIN_SIMILARITY - _ROUNDING), product.shape[1])
 
 
+def alike_in_part(whole: Described, order: np.ndarray, begin: int, end: int,
+                  ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find which vectors of one image may be alike to some of them.
+
+    Parameters
+    ----------
+    whole : Described
+    order : ndarray of int, shape (n,)
+        All its vectors; each is compared with those from `begin` on.
+    begin, end : int
+        Compare order[begin:end].
+
+    Returns
+    -------
+    rows, columns : ndarray of int, shape (m,)
+        Vectors.
+
+    """
+    some, others = order[begin:end], order[begin:]
+    row, column = perhaps_alike(whole.sketch[some], whole.sketch[others])
+    if len(row) > _CROWDED * len(some) * len(others):
+        # the squares of a chessboard: one product costs less than so many single ones
+        row, column = perhaps_alike(whole.vectors[some], whole.vectors[others])
+    return some[row], others[column]
+
+
 def alike_among(first: Described, second: Described, rows: np.ndarray, columns: np.ndarray,
                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
@@ -223,12 +252,14 @@ def alike_among(first: Described, second: Described, rows: np.ndarray, columns: 
     rows, columns, alike = rows[good], columns[good], alike[good]
     # a place that has two orientations is as alike as the better of them
     pair = first.place[rows] * second.count + second.place[columns]
-    order = np.lexsort((-alike, pair))
+    # pairs come nearly in order, which a stable sort makes use of
+    order = np.argsort(pair, kind='stable')
     pair, alike = pair[order], alike[order]
-    once = np.ones(len(pair), bool)
-    once[1:] = pair[1:] != pair[:-1]
-    a, b = np.divmod(pair[once], max(second.count, 1))
-    return a, b, alike[once]
+    once = np.flatnonzero(np.diff(pair, prepend=-1))
+    if len(once) < len(pair):
+        pair, alike = pair[once], np.maximum.reduceat(alike, once)
+    a, b = np.divmod(pair, max(second.count, 1))
+    return a, b, alike
 
 
 def best_and_second(key: np.ndarray, score: np.ndarray, count: int,

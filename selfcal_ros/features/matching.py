@@ -31,8 +31,7 @@ from scipy.spatial import cKDTree
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
 from selfcal_ros.features.likeness import (alike_among, best_and_second, Described, GUIDED_RATIO,
-                                           look_of, mutual_nearest, perhaps_alike,
-                                           USUAL_SIMILARITY)
+                                           look_of, mutual_nearest, perhaps_alike)
 from selfcal_ros.features.neighbours import agrees_with_neighbours
 from selfcal_ros.geometry.division import DivisionModel
 
@@ -82,7 +81,8 @@ class _Gallery:
         self.features = features
         self.whole = lru_cache(_READY)(lambda k: features[k].described())
         self.coarse = lru_cache(len(_COARSEST) * _READY)(
-            lambda k, most: (part := features[k].coarsest(most), part.described()))
+            lambda k, most: ((part := features[k].coarsest(most)).twin_similarity,
+                             part.described()))
         self.twin_similarity = lru_cache(None)(lambda k: features[k].twin_similarity)
 
     def distinctive(self, i: int, j: int):
@@ -91,8 +91,8 @@ class _Gallery:
         for most in _COARSEST:
             if most >= max(sizes):
                 break
-            (first, look), (second, other) = self.coarse(i, most), self.coarse(j, most)
-            a, b = _distinctive(first.twin_similarity, second.twin_similarity, look, other)
+            (twins, look), (other_twins, other) = self.coarse(i, most), self.coarse(j, most)
+            a, b = _distinctive(twins, other_twins, look, other)
             if len(a) >= _ENOUGH:
                 return a, b
         else:
@@ -111,10 +111,10 @@ class _Gallery:
         rank = np.empty(len(order), int)
         rank[order] = np.arange(len(order))
         vectors = np.argsort(rank[look.place], kind='stable')
-        sketch, parts = look.sketch[vectors], []
+        sketch, parts, raised = look.sketch[vectors], [], epipolar.raised(second.xy)
         for begin in range(0, len(vectors), _BLOCK):
             rows = vectors[begin:begin + _BLOCK]
-            ends = epipolar.off_curve(curves[look.place[rows[[0, -1]]], None], second.xy)
+            ends = epipolar.off_curve(curves[look.place[rows[[0, -1]]], None], raised)
             # curves of a block turn about the epipole: what they sweep lies between the ends
             near = (ends[0] * ends[1] <= 0) | (np.abs(ends).min(axis=0) < 2 * band_px)
             columns = np.flatnonzero(near[other.place])
@@ -163,27 +163,34 @@ def _guided(gallery: _Gallery, pair, epipolar: EpipolarImages, F, band_px: float
     chosen = chosen[top_b[b[chosen]] == chosen]
     runner_up = np.maximum(second_a[a[chosen]], second_b[b[chosen]])
     a, b, score = a[chosen], b[chosen], score[chosen]
-    twin = np.maximum(
-        _twin_on_curve(first, epipolar, epipolar.curves(F.T, second.xy[b]), a, band_px),
-        _twin_on_curve(second, epipolar, epipolar.curves(F, first.xy[a]), b, band_px))
-    clear = (1 - score) < GUIDED_RATIO ** 2 * (1 - np.maximum(runner_up, twin))
-    clear &= twin < _SAME_SIMILARITY
-    return a[clear], b[clear]
+    clear = _is_clear(score, runner_up)
+    a, b, score = a[clear], b[clear], score[clear]
+    confused = _has_twin(first, epipolar, epipolar.curves(F.T, second.xy[b]), a, score, band_px)
+    confused |= _has_twin(second, epipolar, epipolar.curves(F, first.xy[a]), b, score, band_px)
+    return a[~confused], b[~confused]
 
 
-def _twin_on_curve(features: Features, epipolar: EpipolarImages, curves, chosen,
-                   band_px: float):
-    """Similarity of the closest twin on the epipolar curve of each chosen place's partner."""
+def _is_clear(score: np.ndarray, rival: np.ndarray) -> np.ndarray:
+    """Tell whether matches of a score (n,) stand out from rivals as alike as this, (n,)."""
+    clear: np.ndarray = (1 - score) < GUIDED_RATIO ** 2 * (1 - rival.astype(float))
+    return clear
+
+
+def _has_twin(features: Features, epipolar: EpipolarImages, curves: np.ndarray,
+              chosen: np.ndarray, score: np.ndarray, band_px: float) -> np.ndarray:
+    """Tell which chosen places (n,) have a rival twin on the curve of their partner, (n,)."""
     a, b, alike = features.twins
     # twins are in order of their first place
     begin, end = np.searchsorted(a, [chosen, chosen + 1])
     row = np.repeat(np.arange(len(chosen)), end - begin)
     pick = np.arange(len(row)) + np.repeat(begin - np.cumsum(end - begin) + end - begin,
                                            end - begin)
-    near = np.abs(epipolar.off_curve(curves[row], features.xy[b[pick]])) < 2 * band_px
-    most = np.full(len(chosen), USUAL_SIMILARITY, np.float32)
-    np.maximum.at(most, row[near], alike[pick[near]])
-    return most
+    rival = (alike[pick] >= _SAME_SIMILARITY) | ~_is_clear(score[row], alike[pick])
+    row, pick = row[rival], pick[rival]
+    near = np.abs(epipolar.off_curve(curves[row], epipolar.raised(features.xy)[:, b[pick]]))
+    found = np.zeros(len(chosen), bool)
+    found[row[near < 2 * band_px]] = True
+    return found
 
 
 def moving_part(xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:

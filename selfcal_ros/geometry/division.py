@@ -108,22 +108,28 @@ class DivisionModel:
         in_pixels: np.ndarray = distance[0] * self.half_diagonal_px
         return in_pixels
 
-    def curve_distance(self, line: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    def raised(self, xy: np.ndarray) -> np.ndarray:
+        """Return lifted pixels (..., 2) and the slopes of their last coordinate, (5, ...)."""
+        place, coefficients = self.units(xy), np.array(self.coefficients)
+        both = np.concatenate([lifted(place, coefficients), bend(place, coefficients)], axis=-1)
+        return np.ascontiguousarray(np.moveaxis(both, -1, 0))
+
+    def curve_distance(self, line: np.ndarray, raised: np.ndarray) -> np.ndarray:
         """
-        Signed first-order distance of pixels (m, 2) to epipolar curves, pixels (m,).
+        Signed first-order distance of pixels to epipolar curves, pixels (m,).
 
         Parameters
         ----------
         line : ndarray, shape (m, 3)
             Of lifted points: F x of the partners.
-        xy : ndarray, shape (m, 2)
+        raised : ndarray, shape (5, m)
+            The pixels, as `raised` returns them.
 
         """
-        place, coefficients = self.units(xy), np.array(self.coefficients)
-        product = _dot(line, lifted(place, coefficients))
-        slope = line[..., :2] + line[..., 2:] * bend(place, coefficients)
+        l0, l1, l2 = np.moveaxis(line, -1, 0)
+        product = l0 * raised[0] + l1 * raised[1] + l2 * raised[2]
         with np.errstate(divide='ignore', invalid='ignore'):
-            distance = product / np.sqrt(_dot(slope, slope))
+            distance = product / np.sqrt((l0 + l2 * raised[3])**2 + (l1 + l2 * raised[4])**2)
         in_pixels: np.ndarray = distance * self.half_diagonal_px
         return in_pixels
 
