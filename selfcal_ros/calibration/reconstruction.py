@@ -16,11 +16,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import Elimination
+
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.optimise import Elimination
 
 
 @dataclass(frozen=True)

@@ -186,25 +186,25 @@ def _check_options(args: argparse.Namespace) -> None:
 
 def _run_one(args: argparse.Namespace, path: str, settings) -> int:
     """Calibrate one recording; returns the exit status."""
-    from selfcal_ros.cli.motion_text import motion_text
-    from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.progress import Progress
     from selfcal_ros.cli.time_left import CALIBRATION
-    from selfcal_ros.cli.result_text import result_text
-    from selfcal_ros.pipeline.calibrate_input import calibrate_input
-    from selfcal_ros.pipeline.sources import open_source
-    outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
-                      report=args.report, scene=SceneOutputs.of(args),
-                      camera_name=args.camera_name, seed=args.seed,
-                      mount=args.mount_output, camera_frame=args.camera_frame,
-                      command=getattr(args, 'command_line', ()), inputs=(path,))
-    # before the long work, so that a mistyped folder costs a second and not the result
-    outputs.check(path, args.mask, args.model, args.camera, args.object,
-                  settings.robot and settings.robot.table, force=args.force)
-    check_outputs((), (path,), args.force, (args.view,))
     with Progress.of(args, CALIBRATION) as progress:
         # libraries load and the first image is searched before there is more to say
         progress('starting')
+        from selfcal_ros.cli.motion_text import motion_text
+        from selfcal_ros.cli.outputs import Outputs
+        from selfcal_ros.cli.result_text import result_text
+        from selfcal_ros.pipeline.calibrate_input import calibrate_input
+        from selfcal_ros.pipeline.sources import open_source
+        outputs = Outputs(camera_yaml=args.output or Path('camera.yaml'), result_json=args.json,
+                          report=args.report, scene=SceneOutputs.of(args),
+                          camera_name=args.camera_name, seed=args.seed,
+                          mount=args.mount_output, camera_frame=args.camera_frame,
+                          command=getattr(args, 'command_line', ()), inputs=(path,))
+        # before the long work, so that a mistyped folder costs a second and not the result
+        outputs.check(path, args.mask, args.model, args.camera, args.object,
+                      settings.robot and settings.robot.table, force=args.force)
+        check_outputs((), (path,), args.force, (args.view,))
         if args.track:
             result, reading = _from_edges(args, path, settings, progress)
         else:

@@ -27,18 +27,21 @@ import logging
 import os
 from pathlib import Path
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from selfcal_ros.calibration.estimators.joint import combine, JointCalibration
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.calibration.structure.camera_path import camera_path, CameraPath
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.engines import CRASHED, run_jobs
 from selfcal_ros.pipeline.file_sources import natural_key, VIDEO_SUFFIXES
+
+if TYPE_CHECKING:
+    from selfcal_ros.calibration.estimators.joint import JointCalibration
+    from selfcal_ros.calibration.structure.camera_path import CameraPath
 
 _LOGGER = logging.getLogger(__name__)
 #: Files that are recordings when they lie in a folder of recordings.
@@ -229,6 +232,8 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
         # a fault of this program in one recording must not cost the others theirs
         return Outcome(path, topic, error=f'{path}: fault of selfcal_ros, please report: '
                        f'{type(error).__name__}: {error}', seconds=time.monotonic() - began)
+    # it takes long to load
+    from selfcal_ros.calibration.structure.camera_path import camera_path
     where = camera_path(result) if result and result.reconstruction is not None else None
     if result:
         # large, and of no use beyond its own process
@@ -332,5 +337,6 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
         findings = (Finding('recordings_asked_again', again=len(again), recordings=len(good),
                             model=usual),)
     members = tuple(sorted(results))
+    from selfcal_ros.calibration.estimators.joint import combine
     joint = combine([results[number] for number in members])
     return replace(empty, joint=joint, members=members, findings=findings)
