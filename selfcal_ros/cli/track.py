@@ -80,7 +80,9 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
                        help='where the object is in the first image: six numbers '
                             '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
                             "camera's optical frame), or a .pos file; or a .init file of object "
-                            'points, with --clicks; of several objects parted by semicolons')
+                            'points, with --clicks; of several objects parted by semicolons; '
+                            '`selfcal track` takes auto, too: the object is sought where it '
+                            'stands out or comes in')
     group.add_argument('--clicks', type=float, nargs='+', metavar='U V',
                        help='where the points of the .init file are in the first image, in '
                             'pixels and in its order')
@@ -91,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
     from selfcal_ros.cli.progress import Progress
     from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
     from selfcal_ros.pipeline.tracking_run import read_start, Target
+    from selfcal_ros.pipeline.tracking_session import AUTO
     from selfcal_ros.report.camera_files.known_camera import read_known_camera
     from selfcal_ros.report.overlay_video import check_video_path
     from selfcal_ros.rorapid.model import read_model
@@ -114,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
         check_video_path(args.overlay)
     camera = read_known_camera(args.camera)
     models = [read_model(path, args.model_scale) for path in paths]
-    starts = [read_start(word, args.clicks, camera)
+    starts = [None if word == AUTO else read_start(word, args.clicks, camera)
               for word in parted_starts(args.init or '', len(paths))]
     targets = [Target(model, start, args.init_sigma) for model, start in zip(models, starts)]
     with Progress.of(args) as progress:

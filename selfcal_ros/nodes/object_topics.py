@@ -29,7 +29,7 @@ from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.tracking_worker import ObjectInImage
-from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.report.overlay import wireframe_segments, zoomed_camera
 from selfcal_ros.rorapid.tracked_frame import TrackerState
 from sensor_msgs.msg import CameraInfo
@@ -56,8 +56,8 @@ class ObjectTopics:
     model : WireframeModel
     name : str
         Before the names of its topics; empty for an only object.
-    start : (ndarray (3, 3), ndarray (3,)) or None
-        From the parameters.
+    start : (ndarray (3, 3), ndarray (3,)), AUTO or None
+        From the parameters; None: wait for initialpose.
     command : callable
         Queues command(action, anew) for the object's session.
 
@@ -106,11 +106,11 @@ class ObjectTopics:
         return f'{self.name}/{topic}' if self.name else topic
 
     def _begin(self, rotation, translation, distance_sigma_m=None):
-        def begin(session: TrackingSession):
+        def begin_there(session: TrackingSession):
             session.start(rotation, translation, distance_sigma_m)
             self._start = rotation, translation, distance_sigma_m
 
-        self._command(begin, anew=True)
+        self._command(begin_there, anew=True)
 
     def _on_start(self, _, response):
         if self._start is None:
@@ -118,8 +118,9 @@ class ObjectTopics:
             response.message = ('there is no start pose; publish one on '
                                 f'{self._named("initialpose")}, or set the parameter start_pose')
             return response
-        self._begin(*self._start)
-        response.success, response.message = True, 'tracking from the start pose'
+        self._command(lambda session: begin(session, self._start), anew=True)
+        response.success, response.message = True, (
+            'the object is sought' if self._start == AUTO else 'tracking from the start pose')
         return response
 
     def _on_reset(self, _, response):
@@ -180,6 +181,14 @@ class ObjectTopics:
         header = header_message(self._node.get_clock().now().nanoseconds, self._node.image_frame,
                                 self._types)
         self._markers.publish(delete_markers(header, self._types))
+
+
+def begin(session: TrackingSession, start) -> None:
+    """Begin from a start, or seek the object; wait where there is none."""
+    if start == AUTO:
+        session.seek()
+    elif start is not None:
+        session.start(*start)
 
 
 def distance_sigma(translation: np.ndarray, covariance) -> float | None:

@@ -190,8 +190,9 @@ class RorapidTrackerParameters:
                                  'wait for one')
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
                                 'angle-axis radians, in the optical frame of the camera), or a '
-                                '.pos file; of several objects parted by semicolons; empty: wait '
-                                'for initialpose')
+                                '.pos file; of several objects parted by semicolons; auto: it '
+                                'is sought where it stands out or comes in; empty: wait for '
+                                'initialpose')
     image_transport: str = _image_transport()
     reliability: str = _reliability()
     method: str = parameter('modern', "RAPiD and RoRAPiD are the thesis's; modern adds what has "

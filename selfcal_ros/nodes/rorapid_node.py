@@ -27,7 +27,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
-from selfcal_ros.nodes.object_topics import ObjectTopics
+from selfcal_ros.nodes.object_topics import begin, ObjectTopics
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
@@ -38,7 +38,7 @@ from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackingWorker
 from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
 from selfcal_ros.pipeline.tracking_run import read_start
-from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.report.camera_files.known_camera import check_unfolded, read_known_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
@@ -67,8 +67,7 @@ class RorapidNode(Node):
         for session, start in zip(sessions, starts):
             if camera is not None:
                 session.set_camera(camera)
-            if start is not None:
-                session.start(*start)
+            begin(session, start)
         #: Frame of the images.
         self.image_frame = ''
         self._info_key = None
@@ -193,10 +192,10 @@ class RorapidNode(Node):
 
 
 def starts_of(text: str, count: int, camera) -> list:
-    """Read the parameter start_pose, one pose an object; None where one is empty: it waits."""
+    """Read the parameter start_pose, one an object: a pose, AUTO, or None where it waits."""
     if not text.strip():
         return [None] * count
-    return [read_start(word, None, camera) if word else None
+    return [word if word == AUTO else read_start(word, None, camera) if word else None
             for word in parted_starts(text, count)]
 
 

@@ -29,7 +29,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.several_objects import beside_each_other
-from selfcal_ros.pipeline.tracking_session import TrackingSession
+from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.tracker import TrackerOptions
@@ -142,7 +142,8 @@ def read_start(init: str | None, clicks, camera: Camera) -> tuple[np.ndarray, np
     """
     if not init:
         raise ArgumentError('Say where the object is in the first image: --init '
-                            '"tx ty tz rx ry rz", or --init FILE.init with --clicks.')
+                            '"tx ty tz rx ry rz", or --init FILE.init with --clicks; or have it '
+                            f'sought: --init {AUTO}.')
     try:
         numbers = [float(word) for word in init.replace(',', ' ').split()]
     except ValueError:
@@ -179,15 +180,15 @@ class Target:
     Attributes
     ----------
     model : WireframeModel
-    start : (ndarray (3, 3), ndarray (3,))
-        Pose of the object in the first image, roughly.
+    start : (ndarray (3, 3), ndarray (3,)) or None
+        Pose of the object in the first image, roughly. None: it is sought.
     distance_sigma_m : float or None
         Of the start, where its distance was measured.
 
     """
 
     model: WireframeModel
-    start: tuple[np.ndarray, np.ndarray]
+    start: tuple[np.ndarray, np.ndarray] | None
     distance_sigma_m: float | None = None
 
 
@@ -259,7 +260,10 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
         target.distance_sigma_m)) for target in targets]
     sessions = [TrackingSession(target.model, options, camera, seed) for target in targets]
     for session, target in zip(sessions, targets):
-        session.start(*target.start, target.distance_sigma_m)
+        if target.start is None:
+            session.seek()
+        else:
+            session.start(*target.start, target.distance_sigma_m)
     if source.kind == 'tracks':
         raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
     _check_size(source, camera)

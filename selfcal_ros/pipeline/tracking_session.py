@@ -24,13 +24,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
 
+#: In place of a start pose: the object is sought.
+AUTO = 'auto'
 #: Smaller images than this hold no object that could be followed.
 MINIMUM_SIDE_PX = 16
 #: A rotation may miss orthogonality by so much, as numbers in a file do.
@@ -95,6 +97,7 @@ class TrackingSession:
         self._camera: Camera | None = None
         self._tracker: RorapidTracker | None = None
         self._start: tuple[np.ndarray, np.ndarray] | None = None
+        self._seeking = False
         self._distance_sigma_m: float | None = None
         self._resets = -1
         self.reset(forget_pose=True)
@@ -120,7 +123,7 @@ class TrackingSession:
         self._by_state: dict[str, int] = {}
         self._resets += 1
         if forget_pose:
-            self._start = None
+            self._start, self._seeking = None, False
         if self._tracker is not None:
             self._tracker.reset()
             self._begin(self._tracker)
@@ -129,6 +132,8 @@ class TrackingSession:
         """Give a tracker the start pose."""
         if self._start is not None:
             tracker.start(*self._start, distance_sigma_m=self._distance_sigma_m)
+        elif self._seeking:
+            tracker.seek()
 
     def set_camera(self, camera: Camera) -> bool:
         """
@@ -201,6 +206,23 @@ class TrackingSession:
         if camera is not None and camera.width and camera.height:
             _check_in_image(camera, points)
         self._start, self._distance_sigma_m = (rotation, translation), distance_sigma_m
+        self._seeking = False
+        self.reset()
+
+    def seek(self) -> None:
+        """
+        Begin without a pose; see `RorapidTracker.seek`.
+
+        Raises
+        ------
+        ArgumentError
+            If the method cannot.
+
+        """
+        if self.options.method != 'modern' or self.options.camera_model != 'perspective':
+            raise ArgumentError(f'--init {AUTO} needs --method modern and --camera-model '
+                                'perspective.')
+        self._start, self._seeking = None, True
         self.reset()
 
     def add(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
@@ -227,7 +249,7 @@ class TrackingSession:
         """
         if self._tracker is None or self._camera is None:
             raise InputError('There is no calibration of the camera yet; the tracker needs one.')
-        if self._start is None:
+        if self._start is None and not self._seeking:
             raise InputError('There is no start pose yet; say roughly where the object is.')
         _check_image(image, self._camera)
         stamp_ns = self._checked_stamp(stamp_ns)
@@ -243,7 +265,7 @@ class TrackingSession:
     def snapshot(self) -> TrackingSnapshot:
         """Return the state for diagnostics."""
         waiting = ('camera' if self._tracker is None else
-                   'pose' if self._start is None else '')
+                   'pose' if self._start is None and not self._seeking else '')
         return TrackingSnapshot(self._images, dict(self._by_state), self._losses, self._resets,
                                 self._newest, waiting)
 

@@ -53,6 +53,11 @@ _PLANE_RAD, _PLANE_POSES = 0.005, 30
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
 #: A pose whose rotation is known worse than this is hardly one, radians.
 _OPEN_RAD = 0.1
+#: An object that was never seen is thought to be so many diameters of the image away; what is
+#: said while it is sought.
+_SOUGHT = 3.0
+_SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
+            'comes in before a still camera, has its silhouette.')
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -207,6 +212,27 @@ class RorapidTracker:
                                      isinstance(self.model, MeshModel))
         if lost:
             self._filter.restart(state, self._wide(state))
+
+    def seek(self) -> None:
+        """
+        Begin without a pose; the state becomes LOST until the object is recognised.
+
+        It is found by its silhouette, before a plain background, or where it comes in before a
+        camera that stands still.
+
+        Raises
+        ------
+        ArgumentError
+            If the method is one of the thesis's: they do not search.
+
+        """
+        method = self._method
+        if not isinstance(method, RobustTracker):
+            raise ArgumentError('A start without a pose needs the method modern.')
+        away = _SOUGHT * self.model.diameter_m * self.camera.K[0, 0] / min(
+            self._control.image_size)
+        self.start(np.eye(3), [0, 0, away] - self._control.centre, lost=True)
+        method.placed = False
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
@@ -372,9 +398,10 @@ class RorapidTracker:
                 self._filter.restart(place, self._wide(place))
             elif not lost and self._state is not TrackerState.INITIALISING:
                 self._state = TrackerState.DEGRADED
-            reason = measured.reason or (
+            seeking = isinstance(self._method, RobustTracker) and not self._method.placed
+            reason = measured.reason or (_SEEKING if seeking else (
                 f'Only {100 * measured.share:.0f} % of what should be visible is found where '
-                'the object was expected.')
+                'the object was expected.'))
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _open_turn(self, measured: PoseMeasurement) -> bool:

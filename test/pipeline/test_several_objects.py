@@ -134,3 +134,22 @@ def test_an_error_of_one_of_several_is_raised():
     for count in (1, 3):
         with beside_each_other(count) as together, pytest.raises(ArgumentError, match='two'):
             list(together(fail, [2] if count == 1 else [1, 2, 3]))
+
+
+def test_objects_are_sought_where_no_start_is_known(folder, tmp_path, capsys):
+    made, _ = scene()
+    write_camera_yaml(tmp_path / 'camera.yaml', made[0].camera, 'camera')
+    model = write_model(made[1].model, tmp_path / 'bracket.yaml')
+    command = ['track', str(folder), '--model', str(model), '--camera',
+               str(tmp_path / 'camera.yaml'), '--output', str(tmp_path / 'poses.csv'),
+               '--init', 'auto']
+    main(command)
+    poses = read_poses(tmp_path / 'poses.csv')
+    angle, _ = pose_errors(poses['rotation'], poses['translation'], made[1].rotations,
+                           made[1].translations)
+    assert not (np.rad2deg(angle[np.isfinite(poses['focal_px'])]) > 2).any()
+    capsys.readouterr()
+    assert main([*command, '--method', 'rapid']) == 2
+    assert '--method modern' in capsys.readouterr().err
+    assert main(command[:-2]) == 2
+    assert '--init auto' in capsys.readouterr().err

@@ -18,13 +18,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.region.newcomer import Newcomer
-from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
+from selfcal_ros.rorapid.region.standing_out import what_stands_out
+from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
 from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer, ring
 from selfcal_ros.synthetic.objects import object_poses, tracked_object
@@ -208,3 +210,59 @@ def test_a_round_part_that_looks_alike_from_two_sides_stays_lost():
 def test_a_pattern_does_not_pass_for_the_outline():
     errors = come_back(ring, 'patterned', 6)
     assert not errors or max(errors) < 5
+
+
+def test_what_stands_out_from_a_shaded_background_is_one_piece_without_holes():
+    scene = SCENE.copy()
+    scene[80:140, 100:170] = 30
+    # a side as grey as the background behind it
+    scene[95:125, 120:150] = SCENE[95:125, 120:150]
+    piece, = what_stands_out(noisy(scene, 1))
+    inside = np.zeros(SCENE.shape, bool)
+    inside[80:140, 100:170] = True
+    assert np.mean((piece > 0) != inside) < 0.003
+
+
+def test_nothing_stands_out_from_a_background_full_of_things():
+    made, scene, images = sequence('l_block', 60)
+    assert not what_stands_out(images[0]) and not what_stands_out(noisy(SCENE, 2))
+
+
+def sought(model, camera, images):
+    tracker = RorapidTracker(model, camera, rng=np.random.default_rng(0))
+    tracker.seek()
+    return [tracker.track(image) for image in images]
+
+
+def test_an_object_before_a_plain_background_is_found_without_a_start():
+    vertices, faces = handle()
+    model = MeshModel.build(vertices, faces, 'knob')
+    drawn = MeshRenderer(vertices, faces, CAMERA)
+    poses = object_poses('general', 6, model.diameter_m, speed=1.1)
+    frames = sought(model, CAMERA, [drawn.render(pose, np.random.default_rng(k), 1.0)
+                                    for k, pose in enumerate(poses)])
+    assert frames[-1].state is TrackerState.TRACKING
+    for frame, pose in zip(frames, poses):
+        assert not frame or turned_by_deg(frame.rotation, pose[:, :3]) < 3
+
+
+def test_an_object_that_moves_before_a_wall_is_found_without_a_start():
+    made, _, images = sequence('l_block', 60, seed=502)
+    frames = sought(made.model, made.camera, images[:10])
+    found = [k for k, frame in enumerate(frames) if frame]
+    assert found and found[0] > 0
+    assert all(turned_by_deg(frames[k].rotation, made.rotations[k]) < 1.5 for k in found)
+
+
+def test_another_object_is_not_found_and_it_is_said_what_is_missing():
+    made, _, images = sequence('l_block', 60)
+    other = tracked_object(2, shape='cube')
+    frames = sought(other.model, made.camera, images)
+    assert not any(frames) and 'not seen yet' in frames[-1].reason
+
+
+def test_the_methods_of_the_thesis_do_not_search():
+    made, _, _ = sequence('l_block', 60)
+    tracker = RorapidTracker(made.model, made.camera, TrackerOptions(method='rorapid'))
+    with pytest.raises(ArgumentError, match='modern'):
+        tracker.seek()

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A lost object that comes back before a camera that stands still.
+An object that comes into a scene, or stands out from it, and was not followed before.
 
-What is new in the scene has a silhouette. Poses with such a silhouette are starts. That whose
+What is new before a camera that stands still has a silhouette. So has what stands out from a plain
+background. Poses with such a silhouette are starts. That whose
 lines are seen best is proposed, with all that are seen nearly as well. A cube looks the same from
 six sides, and the outline of a round part nearly so.
 
@@ -33,9 +34,12 @@ from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.estimation.start_check import quartered
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.region.newcomer import Newcomer
+from selfcal_ros.rorapid.region.standing_out import what_stands_out
 
 #: Poses with a like silhouette that are tried in one image; in so many images all are.
 _SILHOUETTES, _TURNS = 16, 4
+#: What stands out is tried in every so many images.
+_STANDING_EVERY = 3
 #: Poses turned by more than this are different ones.
 _OTHER_RAD = 0.2
 #: A model is taken onto itself if its vertices meet within this share of its diameter.
@@ -66,9 +70,9 @@ class Arrival:
         self._newcomer.forget()
 
     def poses(self, image: np.ndarray, undistorted: np.ndarray,
-              spread: np.ndarray) -> Iterator[list[ObjectPose]]:
+              spread: np.ndarray, was_seen: bool) -> Iterator[list[ObjectPose]]:
         """
-        Propose poses of each thing that is new in the scene, if any is seen well.
+        Propose poses of each thing that is new or stands out, if any is seen well.
 
         Parameters
         ----------
@@ -76,6 +80,8 @@ class Arrival:
             As it is, and without distortion.
         spread : ndarray, shape (m, m)
             Covariance of a pose that is only proposed.
+        was_seen : bool
+            The object was followed before.
 
         Yields
         ------
@@ -85,7 +91,10 @@ class Arrival:
         """
         search = self._search
         self._images += 1
-        for piece in self._newcomer.look(undistorted):
+        pieces = self._newcomer.look(undistorted)
+        if not pieces and self._images % _STANDING_EVERY == 1:
+            pieces = what_stands_out(undistorted)
+        for piece in pieces:
             if self._sampled is None:
                 control = search.control
                 self._sampled = SampledViews(control.visible_model, control.centre)
@@ -102,7 +111,7 @@ class Arrival:
                 ranked += search.ranked(image, quartered(best), spread, _OTHER_RAD)
             yield [best] + [
                 pose for pose, other in ranked[1:] if turned_by(best, pose) > _OTHER_RAD
-                and search.check.rivals(support, other)]
+                and search.check.rivals(support, other, was_seen)]
 
     def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:
         """

@@ -81,6 +81,8 @@ class RobustTracker:
         self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._lost_images = 0
+        #: Whether there ever was a place to search around.
+        self.placed = True
         #: Whether much of the object is hidden by other things: then more corners are followed.
         self._much_hidden = False
         self._outline = np.asarray(model.extent, float) - control.centre
@@ -152,12 +154,12 @@ class RobustTracker:
             yield from self._views.recognised(whole)
             if not (self.search.outlined and self.texture.patterned):
                 # what is patterned shows edges where a wrong outline would have them
-                for poses in self._arrival.poses(image, whole, spread):
+                for poses in self._arrival.poses(image, whole, spread, self.placed):
                     yield from poses if len(poses) == 1 else self._told_apart(
                         image, poses, spread, state)
             # without texture there are the edges alone; a slow search, and not in every image
             self._lost_images += 1
-            if self._lost_images % _EDGE_SEARCH_EVERY == 0:
+            if self.placed and self._lost_images % _EDGE_SEARCH_EVERY == 0:
                 yield self.search.nearby(image, state, spread)
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
@@ -309,6 +311,7 @@ class RobustTracker:
             return
         region, matches = details.region, details.matches
         self._arrival.forget()
+        self.placed = True
         self._edges.learn(details.fit, measured.found[details.fit.at], details.edge_share,
                           details.scatter)
         if region is None:

@@ -55,8 +55,8 @@ _LITTLE, _IMAGES, _MARGIN = (0.45, 0.55), 5, 0.15
 _RECOGNISED = 0.35, 0.65
 #: Poses are alike that differ by less than this share of the length.
 _ALIKE = 0.05
-#: An outline that was lost is known again where no other pose comes as near as this.
-_CLEAR = 0.15
+#: An outline is known where no other pose comes as near as this: what was lost, what is new.
+_CLEAR = 0.15, 0.25
 #: Turns of the other poses, degrees.
 _TURNS = 14.0, 28.0
 
@@ -173,9 +173,10 @@ class StartCheck:
         return (support.reaches(_PLAIN) or self._held >= _IMAGES
                 or support.reaches(_FAIR) and support.length >= rival.length - _ALIKE)
 
-    def rivals(self, support: Support, rival: Support) -> bool:
-        """Whether another pose of what was lost is seen so well that lines do not decide."""
-        return rival.length > support.length - (_CLEAR if self._outlined else _ALIKE)
+    def rivals(self, support: Support, rival: Support, was_seen: bool) -> bool:
+        """Whether another pose is seen so well that lines do not decide."""
+        return rival.length > support.length - (
+            _CLEAR[not was_seen] if self._outlined else _ALIKE)
 
     def found(self, support: Support, by_texture: bool) -> bool:
         """Whether an object that was lost is found; its texture may have recognised it."""

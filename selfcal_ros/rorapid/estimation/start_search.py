@@ -176,6 +176,8 @@ def confirmed_again(method: RobustTracker, image: np.ndarray,
                     measured: PoseMeasurement) -> PoseMeasurement:
     """Return what was found of a lost object, recognised only if its lines are seen."""
     check = method.check
-    if check.found(check.support(image, measured.state), measured.by_texture):
+    support = check.support(image, measured.state)
+    # one that was never seen may be another
+    if check.found(support, measured.by_texture) and (method.placed or check.sure(support)):
         return measured
     return replace(measured, recognised=False)

@@ -71,15 +71,36 @@ class Newcomer:
         new: np.ndarray = (change > max(_LEAST, _SIGMAS * noise)).astype(np.uint8)
         weight = max(_WEIGHT, 1 / (self._images + 1))
         self._images += 1
-        new = cv2.morphologyEx(new, cv2.MORPH_OPEN, np.ones((_SPECK, _SPECK), np.uint8))
-        new = cv2.morphologyEx(new, cv2.MORPH_CLOSE, np.ones((_GAP, _GAP), np.uint8))
+        new = closed(new)
         cv2.accumulateWeighted(image, self._scene, weight, mask=1 - new)
-        if self._images <= _IMAGES:
-            return []
-        count, label, stats, _ = cv2.connectedComponentsWithStats(new)
-        left, top, width, height, area = stats[1:count].T
-        good = (area > _SMALLEST_PX) & (area < _LARGEST * image.size) & (left > 0) & (top > 0) & (
-            left + width < image.shape[1]) & (top + height < image.shape[0])
-        pieces = np.flatnonzero(good)
-        pieces = pieces[np.argsort(-area[pieces])][:_PIECES]
-        return [(label == piece + 1).astype(np.uint8) * 255 for piece in pieces]
+        return [] if self._images <= _IMAGES else pieces_of(new)
+
+
+def closed(mask: np.ndarray) -> np.ndarray:
+    """Take specks away and close gaps, in a mask (H, W) of 0 and 1, uint8."""
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((_SPECK, _SPECK), np.uint8))
+    return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_GAP, _GAP), np.uint8))
+
+
+def pieces_of(mask: np.ndarray) -> list[np.ndarray]:
+    """
+    Part a mask into its largest pieces.
+
+    Parameters
+    ----------
+    mask : ndarray, shape (H, W), uint8
+        0 and 1.
+
+    Returns
+    -------
+    list of ndarray, shape (H, W), uint8
+        Masks (255), none of which touches the border.
+
+    """
+    count, label, stats, _ = cv2.connectedComponentsWithStats(mask)
+    left, top, width, height, area = stats[1:count].T
+    good = (area > _SMALLEST_PX) & (area < _LARGEST * mask.size) & (left > 0) & (top > 0) & (
+        left + width < mask.shape[1]) & (top + height < mask.shape[0])
+    pieces = np.flatnonzero(good)
+    pieces = pieces[np.argsort(-area[pieces])][:_PIECES]
+    return [(label == piece + 1).astype(np.uint8) * 255 for piece in pieces]
