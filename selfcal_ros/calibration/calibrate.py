@@ -24,10 +24,10 @@ import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
+from selfcal_ros.calibration.estimators.all_views import finish, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
-from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion, finish,
-                                                                   MOTION_MODELS, NOT_CONSTANT,
-                                                                   problem_of, settled,
+from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
+                                                                   MOTION_MODELS, problem_of,
                                                                    UNEXPLAINED)
 from selfcal_ros.calibration.estimators.pivot import decide_pivot
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,

@@ -43,9 +43,9 @@ FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
 NOISE_PX, VIEWS = 0.2, 10
 
 
-def poses(rng):
+def poses(rng, views=VIEWS):
     """Hand-held: turns about all axes, steps in all directions; cam_from_world (V, 3, 4)."""
-    time = np.linspace(0, 2 * np.pi, VIEWS)[:, None]
+    time = np.linspace(0, 2 * np.pi, views)[:, None]
     turns = 0.35 * np.sin(time * [1, 2, 1] + rng.uniform(0, 6, 3)) * [1, 1, 0.5]
     centres = 0.9 * np.sin(time * [1, 1, 2] + rng.uniform(0, 6, 3)) * [1, 0.6, 0.4]
     R = rotation_matrix(turns)
@@ -76,6 +76,22 @@ def world(rng, moving=0, jumping=0):
         points[:, -jumping:] += late[..., None] * [0.4, 0, 0]
     frame, point, xy = seen(points, path, rng)
     return Tracks(frame, point, xy, (640, 480)).with_at_least(3)
+
+
+def briefly_crossed(rng, views=16, body=10000):
+    """Tracks of up to four views, and of three views on a thing that crosses slowly."""
+    path, still = poses(rng, views), rng.uniform([-3, -2.2, 4], [3, 2.2, 9], (160, 3))
+    frame, point, xy = seen(np.tile(still, (views, 1, 1)), path, rng)
+    tracks = Tracks(frame, 10 * point + (frame + rng.integers(0, 4, 160)[point]) // 4, xy,
+                    (640, 480)).with_at_least(3)
+    thing, first = rng.uniform(-0.5, 0.5, (30, 3)), rng.integers(2, views - 5)
+    step, turn = rng.normal(size=3), path[first + 1, :, :3]
+    place = turn.T @ ([rng.uniform(-1, 1), rng.uniform(-0.7, 0.7), 4] - path[first + 1, :, 3])
+    way = place + np.outer(np.arange(views) - first - 1, 0.03 * step / np.linalg.norm(step))
+    frame, point, xy = seen(thing + way[:, None], path, rng)
+    there = (frame >= first) & (frame < first + 3)
+    return Tracks(np.r_[tracks.frame, frame[there]], np.r_[tracks.track, body + point[there]],
+                  np.r_[tracks.xy, xy[there]], (640, 480)).with_at_least(3)
 
 
 def off_by(result):
@@ -115,6 +131,18 @@ def test_what_passes_by_within_a_few_views_is_found_though_no_track_is_rejected(
     labels = result.labels
     own = np.concatenate([labels.of(f'moving {k + 1}') for k in range(labels.bodies)])
     assert np.mean(own < 90) < 0.05
+
+
+@pytest.mark.parametrize('seed', [31, 109])
+def test_few_brief_tracks_that_bend_the_estimate_are_found_from_without_them(seed):
+    tracks = briefly_crossed(np.random.default_rng(seed))
+    result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+    assert result and np.abs(off_by(result)).max() < 3
+    assert 'tracks_moving' in [one.kind for one in result.findings]
+    labels = result.labels
+    own = np.concatenate([labels.of(f'moving {k + 1}') for k in range(labels.bodies)])
+    assert np.isin(np.unique(tracks.track[tracks.track >= 10000]), own).mean() > 0.5
+    assert np.mean(own < 10000) < 0.05
 
 
 def test_tracks_that_jump_are_used_in_two_parts():

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Carry what was found on some of the views and tracks over to all of them."""
+"""Carry what was found on some of the views and tracks over to all of them, and judge that."""
 
 from __future__ import annotations
 
@@ -19,14 +19,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.priors import with_fixed
-from selfcal_ros.calibration.bundle.robust_fit import bundle_of, with_all_points
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.acceptance import assess
 from selfcal_ros.calibration.estimators.lens_selection import gentle_lens, with_lens
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
+from selfcal_ros.calibration.estimators.zoom_selection import contradicted, over_all, settle_zoom
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
+
+#: Refusal of a focal length that varies.
+NOT_CONSTANT = 'focal_not_constant'
 
 
 def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState | NoEstimate:
@@ -53,3 +63,47 @@ def extend(problem: SelfCalibrationProblem, model: ModelDecision) -> SceneState 
     if whole is None:
         return folded
     return with_lens(whole, problem.observations.xy, problem.facts.distortion)
+
+
+def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibrationProblem:
+    """Return the problem under the models that were chosen on some of its views."""
+    # what the window's motion was found to be, and of all views which are parallel
+    motion = model.fit.motion
+    if motion.parallel:
+        motion = replace(problem.motion, zoom=motion.zoom)
+    motion = replace(motion, zoom=over_all(motion.zoom, problem))
+    problem = replace(problem, facts=model.facts, motion=motion)
+    if model.fit.observations.shutter is not None:
+        observations = problem.observations.surely_timed().read_in_rows()
+        problem = replace(problem, observations=observations)
+    return problem
+
+
+def fit_all(problem: SelfCalibrationProblem, model: ModelDecision) -> RobustFit | NoEstimate:
+    """
+    Estimate from all views and tracks under the models that were chosen.
+
+    Parameters
+    ----------
+    problem : SelfCalibrationProblem
+        As `settled` returns it.
+    model : ModelDecision
+
+    """
+    extended = extend(problem, model)
+    if isinstance(extended, NoEstimate):
+        return extended.saying(facts=problem.facts)
+    fit = fit_robustly(problem.observations, extended, problem.motion, model.fit.bundle.priors,
+                       model.fit.bundle.sigma_px)
+    if contradicted(fit, problem):
+        return NoEstimate(NOT_CONSTANT)
+    if fit.motion.zoom is not None:
+        fit = settle_zoom(fit, problem.facts, problem.size)
+    return seen_ahead(fit) if problem.is_weak else fit
+
+
+def finish(problem: SelfCalibrationProblem, model: ModelDecision, graph: ViewGraph,
+           stated: CameraFacts) -> Calibration | NoEstimate:
+    """Estimate as `fit_all` does, and judge by the facts as the user stated them."""
+    fit = fit_all(problem, model)
+    return fit if isinstance(fit, NoEstimate) else assess(fit, model, problem, graph, stated)

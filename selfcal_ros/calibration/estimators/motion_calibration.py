@@ -26,18 +26,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.depths import seen_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, NEARLY_PLANAR, PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
-                                                       RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
-from selfcal_ros.calibration.estimators.all_views import extend
+from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
+from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
 from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
-                                                                ModelDecision,
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad,
@@ -45,15 +44,15 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
-                                                               nearer, over_all, settle_zoom,
-                                                               zoomed_fit, zooming)
+                                                               nearer, settle_zoom, zoomed_fit,
+                                                               zooming)
 from selfcal_ros.calibration.initialisation.multi_start import best_start, FOCAL_SWEEP
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
                                                                   supposed_camera)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
-from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all,
+from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
                                                     moving_findings, sort_tracks, SortedTracks,
                                                     stands_out)
 from selfcal_ros.calibration.observability import held_facts
@@ -78,8 +77,7 @@ MAX_TURN_RAD = np.radians(1.0)
 #: A plane that nobody stated is tried against free motion where the camera turns by less than
 #: this; from a new start, too, where it rejects more than this share of what pairs agree on.
 LITTLE_TURN_RAD, MANY_REJECTED = np.radians(35.0), 0.05
-#: Refusal of a focal length that varies, and those that it may be the reason of.
-NOT_CONSTANT = 'focal_not_constant'
+#: Refusals that a focal length that varies may be the reason of.
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Refusals that things that move may be the reason of, and focal lengths from which to part them.
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
@@ -179,11 +177,12 @@ def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat
 
 
 def _attempt_any_focal(problem: SelfCalibrationProblem, graph: ViewGraph,
-                       proposals: list[Camera]) -> Calibration | NoEstimate:
+                       proposals: list[Camera], near: RobustFit | None = None,
+                       ) -> Calibration | NoEstimate:
     """Calibrate with a focal length that is constant if that is possible, else with any."""
     if problem.facts.focal == 'varying' and problem.instants:
         return _attempt(zooming(problem), graph, proposals)
-    result = _attempt(problem, graph, proposals)
+    result = _attempt(problem, graph, proposals, near)
     if may_zoom(problem) and not result and result.kind in UNEXPLAINED:
         zoomed = _attempt(zooming(problem), graph, proposals)
         result = zoomed if zoomed or zoomed.kind == 'two_cameras' else result
@@ -261,10 +260,23 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
             and leaves_plane(model, medium, problem.size)):
         return not_planar(out_of_plane_rad(model.fit.state.path))
     known = settled(problem, model)
-    result = finish(known, model, graph, problem.facts)
+    whole = fit_all(known, model)
+    result = (whole if isinstance(whole, NoEstimate)
+              else assess(whole, model, known, graph, problem.facts))
     if not result and result.kind == NOT_CONSTANT and may_zoom(known):
         return _parted_or_zooming(known, graph, proposals, first, model.fit)
-    return replace(result, findings=(*findings, *result.findings)) if result else result
+    if not result or isinstance(whole, NoEstimate):
+        return result
+    return _unbent(whole, replace(result, findings=(*findings, *result.findings)), known, graph)
+
+
+def _unbent(fit: RobustFit, result: Calibration, problem: SelfCalibrationProblem,
+            graph: ViewGraph) -> Calibration:
+    """Calibrate without few tracks that bend the estimate, if there are such; else as it is."""
+    if graph.given is None or not problem.instants or not may_be_bent(result):
+        return result
+    rest = unbent_fit(fit, problem, result.sigma, MODEL_TRACKS_PER_VIEW)
+    return (rest and _of_sorted(rest, problem, graph, least=0.0)) or result
 
 
 def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
@@ -274,49 +286,6 @@ def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
     rival = zoomed_fit(first, problem.window().instants)
     parted = _of_coherent_tracks(problem, graph, [first.state.camera(*problem.size)], rival)
     return parted or _attempt(zooming(problem), graph, proposals, near)
-
-
-def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibrationProblem:
-    """Return the problem under the models that were chosen on some of its views."""
-    # what the window's motion was found to be, and of all views which are parallel
-    motion = model.fit.motion
-    if motion.parallel:
-        motion = replace(problem.motion, zoom=motion.zoom)
-    motion = replace(motion, zoom=over_all(motion.zoom, problem))
-    problem = replace(problem, facts=model.facts, motion=motion)
-    if model.fit.observations.shutter is not None:
-        observations = problem.observations.surely_timed().read_in_rows()
-        problem = replace(problem, observations=observations)
-    return problem
-
-
-def finish(problem: SelfCalibrationProblem, model: ModelDecision, graph: ViewGraph,
-           stated: CameraFacts) -> Calibration | NoEstimate:
-    """
-    Estimate from all views and tracks under the models that were chosen, and judge.
-
-    Parameters
-    ----------
-    problem : SelfCalibrationProblem
-        As `settled` returns it.
-    model : ModelDecision
-    graph : ViewGraph
-    stated : CameraFacts
-        As the user stated them.
-
-    """
-    extended = extend(problem, model)
-    if isinstance(extended, NoEstimate):
-        return extended.saying(facts=problem.facts)
-    fit = fit_robustly(problem.observations, extended, problem.motion, model.fit.bundle.priors,
-                       model.fit.bundle.sigma_px)
-    if contradicted(fit, problem):
-        return NoEstimate(NOT_CONSTANT)
-    if fit.motion.zoom is not None:
-        fit = settle_zoom(fit, problem.facts, problem.size)
-    if problem.is_weak:
-        fit = seen_ahead(fit)
-    return assess(fit, model, problem, graph, stated)
 
 
 def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGraph,
@@ -347,14 +316,14 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
 
 
 def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph,
-               rival: RobustFit | None = None) -> Calibration | None:
+               rival: RobustFit | None = None, least: float = FEW) -> Calibration | None:
     """Calibrate from what stands still by a fit, unless its rival explains that as well."""
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
     if graph.given is None:
         return None
     given = graph.given.in_frames(frames)
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
-    findings = moving_findings(found[0].labels) if found else ()
+    findings = moving_findings(found[0].labels, least) if found else ()
     if not found or not findings:
         return None
     sorted_tracks, still = found
@@ -372,7 +341,7 @@ def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph
                            clock=problem.observations.clock)
     # a zoom moves tracks, too: where the still ones ask for it, all of them are to tell
     result = _attempt_any_focal(replace(problem, observations=observations, of_still=True), rest,
-                                [still.state.camera(*problem.size)])
+                                [still.state.camera(*problem.size)], still)
     if not result or result.focal is not None:
         return None
     return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))

@@ -115,7 +115,7 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     test = _tested(fit, given)
     if test is None:
         return bool(share > FEW)
-    if _drift(test):
+    if drifts(test):
         return False
     return bool(share > FEW or np.mean(~test.explained[test.tested]) > UNEXPLAINED_SHARE)
 
@@ -155,7 +155,7 @@ def _tested(fit: RobustFit, given: Tracks) -> TrackTest | None:
     return test if test is not None and test.tested.any() else None
 
 
-def _drift(test: TrackTest) -> bool:
+def drifts(test: TrackTest) -> bool:
     """Tell whether patches drift, so that still points fail as wholes, too."""
     left = test.length - test.lost
     judged = test.tested & (left >= VERIFYING_VIEWS)
@@ -244,18 +244,23 @@ def _still_share(observations: Observations, label: np.ndarray) -> float:
     return float(share.min())
 
 
-def moving_findings(labels: TrackLabels) -> tuple[Finding, ...]:
-    """Tell what moves by itself and what jumps; empty where that is little."""
+def moving_findings(labels: TrackLabels, least: float = FEW) -> tuple[Finding, ...]:
+    """
+    Tell what moves by itself and what jumps, on more than the least share of the tracks.
+
+    What nothing explains is told where it is much; with a smaller least share, where it is all
+    that there is, too.
+    """
     found = []
     shares = [labels.share(f'moving {k + 1}') for k in range(labels.bodies)]
-    if sum(shares) > FEW:
+    if sum(shares) > least:
         found.append(Finding('tracks_moving', share=float(sum(shares)), bodies=len(shares),
                              shares=[float(share) for share in shares]))
     jumped = labels.share('jumped')
-    if jumped > FEW:
+    if jumped > least:
         found.append(Finding('tracks_jump', share=float(jumped)))
     unexplained = labels.share('unexplained')
-    if unexplained > MANY:
+    if unexplained > (least if least < FEW and not found else MANY):
         found.append(Finding('tracks_unexplained_whole', share=float(unexplained)))
     return tuple(found)
 
