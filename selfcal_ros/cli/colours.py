@@ -24,7 +24,7 @@ _AMBER = '\033[33m'
 #: What is said of parameters and recordings, and in which colour.
 _WORDS = ((re.compile(r'\b(estimated|calibrated)$'), _GREEN),
           (re.compile(r'\bheld( by .*)?$'), _GREY),
-          (re.compile(r'\bhint: .*$'), _AMBER),
+          (re.compile(r'\b(hint: .*|estimated, if .* is exact)$'), _AMBER),
           (re.compile(r'\b(unobservable|contradicts the others|not calibrated.*)$'), _RED))
 
 

@@ -72,6 +72,8 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         header += f' {"truth":>12} {"error":>10} {"sigmas":>7}'
     lines.append(header + '   status')
     values = dict(zip(result.sigma, result.camera.parameters.tolist()))
+    rests_on = {name: one.values['fact'] for one in result.findings
+                if one.kind == 'fact_unchecked' for name in one.values.get('moves', ())}
     for name, value in values.items():
         status = result.status.get(name, 'estimated')
         held = result.held_by.get(name)
@@ -84,7 +86,11 @@ def result_text(result: Calibration | NotCalibrated, truth: dict | None = None,
         if truth:
             row += _beside(value, sigma if status == 'estimated' else 0.0, truth.get(name),
                            decimals)
-        lines.append(f'{row}   {status}' + (f' by {held}' if held and status == 'held' else ''))
+        if status == 'held' and held:
+            status += f' by {held}'
+        elif status == 'estimated' and name in rests_on:
+            status += f', if the {rests_on[name]} is exact'
+        lines.append(f'{row}   {status}')
     lines += ['', facts_text(result.facts)]
     lines += list(result.notes) + list(notes)
     if result.identifiability is not None:

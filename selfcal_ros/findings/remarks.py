@@ -231,7 +231,8 @@ REMARKS: dict[str, Phrase] = {
     'fact_unchecked': Phrase(
         'The camera rests on the stated {fact}, and the images cannot check it. An error of '
         '{error:.2g} in {unknown} would not show, and move {name} by {change:.2g} px, '
-        '{sigmas:.0f} of its sigmas. They hold only if the fact is exact.',
+        '{sigmas:.0f} of its sigmas. The sigmas hold only if the fact is exact; stated with a '
+        'sigma, it goes into them.',
         'The motion leaves the fact open. Most sensors have square pixels within 0.001, but '
         'images that were resized or rectified need not.',
         'State the fact with a sigma, or move so that the images tell.'),

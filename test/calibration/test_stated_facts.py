@@ -31,6 +31,7 @@ from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
+from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.synthetic.few_view_scenes import general_views
 from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
 
@@ -110,6 +111,14 @@ def test_an_exact_plane_leaves_the_aspect_ratio_open_and_that_is_said_first():
     told = {one.values['fact']: one.values for one in result.findings
             if one.kind == 'fact_unchecked'}
     assert told['aspect ratio']['error'] == pytest.approx(0.02)
+    assert {'fy', 'cy'} <= set(told['aspect ratio']['moves'])
+    rows = {row.split()[0]: row for row in result_text(result).splitlines() if '±' in row}
+    assert rows['fy'].endswith('estimated, if the aspect ratio is exact')
+    # a sigma of the fact is in those of the result
+    unsure = replace(SQUARE, distortion='none', aspect_ratio_sigma=0.02)
+    held = calibrate(scene.tracks, motion='planar', facts=unsure)
+    assert abs(held.camera.K[1, 1] - 540.8) < 3 * held.sigma['fy']
+    assert abs(held.camera.K[1, 2] - 235) < 3 * held.sigma['cy']
 
 
 @pytest.mark.parametrize('whole', [False, True], ids=['observations', 'tracks'])

@@ -132,7 +132,7 @@ class FactsVerdict:
             return None
         shift = np.sum([one.shift for one in self.contradicted], axis=0)
         moved = np.abs(shift[:len(MATRIX_PARAMETERS)]).max() / focal_px
-        if ((_in_sigmas(shift, covariance)[0] <= SILENT_SIGMAS or moved < HELD_SHARE)
+        if ((_in_sigmas(shift, covariance).max() <= SILENT_SIGMAS or moved < HELD_SHARE)
                 and not any(one.is_large for one in self.contradicted)):
             return None
         return self.cause
@@ -187,23 +187,26 @@ class FactsVerdict:
             found.append(Finding(kind, **one.values))
         told: dict[str, Finding] = {}
         for fact, unknown, error, shift in self.unchecked:
-            beyond, place = _in_sigmas(shift, wider)
+            ratio = _in_sigmas(shift, wider)
+            place = int(np.argmax(ratio))
+            beyond = float(ratio[place])
             if beyond > max(SILENT_SIGMAS, told[fact].values['sigmas'] if fact in told else 0):
                 told[fact] = Finding('fact_unchecked', fact=fact, unknown=unknown, error=error,
                                      name=names[place], change=float(abs(shift[place])),
-                                     sigmas=beyond)
+                                     sigmas=beyond, moves=[names[one] for one in np.flatnonzero(
+                                         ratio > SILENT_SIGMAS)])
         if not self.trusted:
             found += told.values()
         return wider, tuple(found)
 
 
-def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
-    """Largest shift of a parameter of K over its sigma, and which; held ones do not count."""
+def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Shifts (5,) of the parameters of K over their sigmas; held ones do not count."""
     count = len(MATRIX_PARAMETERS)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))[:count]
-    ratio = np.where(sigma > 0, np.abs(shift[:count]) / np.maximum(sigma, 1e-300), 0.0)
-    place = int(np.argmax(ratio))
-    return float(ratio[place]), place
+    ratio: np.ndarray = np.where(
+        sigma > 0, np.abs(shift[:count]) / np.maximum(sigma, 1e-300), 0.0)
+    return ratio
 
 
 def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], known: float,
