@@ -50,8 +50,9 @@ class _Words(Formatter):
     Specifications of its own: `percent` (a fraction, without decimals), `plural` (an s unless the
     number is one), `number` (a small one as a word), `and`, `axes`, `or_state` (facts that would
     help), `frames`, `names` (of files, say), `motion` (a key of `MOTIONS`), `sigmas` (what would
-    be reached), `measured` (a value with its sigma), `changes` (several, by name), `preferred`
-    (values in place of those stated), `clause` (another finding, without its full stop).
+    be reached), `measured` (a value with its sigma), `later` (a time, or a share of one),
+    `changes` (several, by name), `preferred` (values in place of those stated), `clause` (another
+    finding, without its full stop).
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -87,6 +88,14 @@ def _measured(measured: Mapping[str, Any]) -> str:
     """Write a value and its sigma with the digits that the sigma leaves."""
     digits = _digits(measured['sigma'])
     return f'{measured["value"]:.{digits}f} ± {measured["sigma"]:.{digits}f}'
+
+
+def _later(apart: Mapping[str, Any]) -> str:
+    """Write how much later something was: a share of an interval, whose seconds may be known."""
+    size, seconds = abs(apart['share']), apart['interval_s']
+    return ((f'{100 * size:.2g} % of the time between two instants' if seconds is None
+             else f'{1e3 * size * seconds:.2g} ms')
+            + (' later' if apart['share'] > 0 else ' earlier'))
 
 
 def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
@@ -129,6 +138,7 @@ _ENDINGS: dict[str, Callable[[Any], str]] = {
     'sigmas': lambda sigma: ', '.join(f'{name} to ± {value:.2g}'
                                       for name, value in sigma.items()),
     'measured': _measured,
+    'later': _later,
     'changes': _changes,
     'preferred': _preferred,
     'clause': lambda finding: finding.clause,

@@ -352,6 +352,16 @@ REFUSALS: dict[str, Phrase] = {
         'each alone leaves {noise_px:.2g} px, and {rejected:percent} % contradict.',
         'A pose between two cameras changed, or their images are not of the same instants.',
         'Check the mounts, and that equal frames are of one instant.'),
+    'rig_clocks_apart': Phrase(
+        'The images of {camera} were taken {apart:later} than those of {first}. Together the '
+        'cameras leave {left_px:.2g} px where each alone leaves {noise_px:.2g} px.',
+        'A camera that is late sees the rig where it is later, and no rigid rig does that.',
+        'Trigger the cameras together, or correct their stamps.'),
+    'rig_knocked': Phrase(
+        'The pose of {camera} to {first} changed before frame {frame}. Together the cameras '
+        'leave {left_px:.2g} px where each alone leaves {noise_px:.2g} px.',
+        'One pose up to some instant and another from then on explains the images.',
+        'Check the mounts, and calibrate from the images before or after it.'),
     'rig_lens_open': Phrase(
         'The motion leaves {missing:and} of the camera {camera} open.',
         'Cameras side by side that move along one line, or turn about one axis, do not show '

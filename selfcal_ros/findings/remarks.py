@@ -428,6 +428,16 @@ REMARKS: dict[str, Phrase] = {
         'different axes, with ways between them, would show it.',
         'Where the rig hardly turns, a camera may sit anywhere on it.',
         'Turn the rig about two axes while it moves, or let two cameras see the same things.'),
+    'rig_clocks_differ': Phrase(
+        'The images of {camera} were taken {apart:later} than those of {first}; the sigmas allow '
+        'for it.',
+        'A camera that is late sees the rig where it is later.',
+        'Trigger the cameras together, or correct their stamps.'),
+    'rig_pose_changed': Phrase(
+        'The pose of {camera} to {first} changed before frame {frame}. What is given lies between '
+        'both poses, and the sigmas allow for either.',
+        'A mount was knocked or bends; errors that the images share may look alike.',
+        'Check the mounts, and calibrate from the images before or after it.'),
     'rig_baseline_of_no_use': Phrase(
         'The stated baseline gives no scale: the motion leaves open how far {camera} is from the '
         'first camera.',

@@ -19,6 +19,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -81,9 +83,27 @@ def driven_path(views: int = 20, pitch_deg: float = 20.0) -> np.ndarray:
     return planar_poses(pitched_mount(np.radians(pitch_deg)), heading, places)
 
 
+def late_path(path: np.ndarray, share: float) -> np.ndarray:
+    """Return poses (V, 3, 4) on a smooth path, a share of the time between two later."""
+    count, centres = np.arange(len(path)), np.einsum('vji,vj->vi', path[:, :, :3],
+                                                     -path[:, :, 3])
+    turned = RotationSpline(count, Rotation.from_matrix(path[:, :, :3]))(
+        count + share).as_matrix()
+    moved = CubicSpline(count, centres)(count + share)
+    return np.concatenate([turned, -turned @ moved[:, :, None]], axis=2)
+
+
+def knocked_path(path: np.ndarray, turn: np.ndarray, view: int) -> np.ndarray:
+    """Return poses (V, 3, 4), turned in the rig by a rotation vector from some view on."""
+    knocked = path.copy()
+    knocked[view:] = rotation_matrix(turn) @ path[view:]
+    return knocked
+
+
 def rig_scene(rng: np.random.Generator, path: np.ndarray, overlap: bool,
               cameras: Mapping[str, Camera] | None = None, noise_px: float = 0.3,
-              points: int = 400, track_length: int = 8) -> RigScene:
+              points: int = 400, track_length: int = 8,
+              of_second: np.ndarray | None = None) -> RigScene:
     """
     Move two cameras along a path.
 
@@ -100,6 +120,8 @@ def rig_scene(rng: np.random.Generator, path: np.ndarray, overlap: bool,
     noise_px : float
     points, track_length : int
         See `placed_points`.
+    of_second : ndarray, shape (V, 3, 4), optional
+        Poses of the rig as the second camera has them, where it is late or was knocked.
 
     Returns
     -------
@@ -112,7 +134,7 @@ def rig_scene(rng: np.random.Generator, path: np.ndarray, overlap: bool,
                       else ([0.0, 1.5, 0.0], [0.3, 0.1, -0.4]))
     T[:3, :3] = rotation_matrix(np.array(turn))
     back = np.linalg.inv(T)
-    second = back[:3, :3] @ path
+    second = back[:3, :3] @ (path if of_second is None else of_second)
     second[:, :, 3] += back[:3, 3]
     tracks, seen = {}, None
     for (name, camera), poses in zip(cameras.items(), (path, second)):

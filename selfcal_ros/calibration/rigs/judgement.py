@@ -31,6 +31,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.overlap import Overlap, unseen_heights
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
 from selfcal_ros.calibration.rigs.start import RigObservations
+from selfcal_ros.calibration.rigs.steadiness import steadiness, Unsteady
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     ClusterCovariance,
                                                                     images_alike,
@@ -155,7 +156,14 @@ class RigOptimum:
         prism = possible_prism(fit, covariance, known)
         if prism is not None:
             covariance, findings = covariance + prism.covariance, findings + prism.findings()
-        return better, covariance, findings
+        added, cause = self.steadiness()
+        if cause is not None:
+            findings += (cause.finding(),)
+        return better, covariance + added, findings
+
+    def steadiness(self) -> tuple[np.ndarray, Unsteady | None]:
+        """Ask the images whether the rig was rigid all the time."""
+        return steadiness(self.fit, self.found, self.dependence().inflation**2)
 
 
 def refused(optimum: RigOptimum) -> NoEstimate | None:
@@ -163,7 +171,11 @@ def refused(optimum: RigOptimum) -> NoEstimate | None:
     fit = optimum.fit
     rejected = fit.outliers / max(fit.outliers + len(fit.observations.view), 1)
     if fit.bundle.sigma_px > RIGID * optimum.noise_px or rejected > MAX_OUTLIERS:
-        return NoEstimate('rig_not_rigid', left_px=float(fit.bundle.sigma_px),
+        cause, left_px = optimum.steadiness()[1], float(fit.bundle.sigma_px)
+        if cause is not None and cause.explained > 0.5 * (1 - (optimum.noise_px / left_px)**2):
+            # more than half of what is beyond the noise of single cameras
+            return cause.refusal(left_px, optimum.noise_px, optimum.motion)
+        return NoEstimate('rig_not_rigid', left_px=left_px,
                           noise_px=optimum.noise_px, rejected=float(rejected),
                           motion=optimum.motion)
     return None

@@ -28,12 +28,14 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import GENERAL, NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.rig import RigPriors
+from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import choose_motion, fit_robustly
 from selfcal_ros.calibration.calibrate import calibrate
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.judgement import judge, RigOptimum
 from selfcal_ros.calibration.rigs.result import RigCalibration
-from selfcal_ros.calibration.rigs.start import best_start, observations_of, places, priors_of
+from selfcal_ros.calibration.rigs.start import (best_start, observations_of, places, priors_of,
+                                                seen_ahead, with_all_points)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -172,6 +174,12 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
         if start is None:
             return NoEstimate('start_distortion_not_invertible')
         fit = fit_robustly(everything.observations, start, kind, priors, noise_px)
+        assert isinstance(fit.state, RigState)
+        ahead = seen_ahead(fit.state, fit.observations)
+        if ahead is not fit.state:
+            again = with_all_points(ahead, everything.observations)
+            assert again is not None, 'the same lenses as before'
+            fit = fit_robustly(everything.observations, again, kind, priors, noise_px)
         sure = np.bincount(fit.observations.view, minlength=len(frames)) >= LEAST_OF_INSTANT
         if sure.all() or sure.sum() < MIN_INSTANTS:
             break

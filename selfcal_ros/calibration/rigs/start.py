@@ -58,12 +58,15 @@ class RigObservations:
     frames : ndarray of int, shape (V,)
         Frame of each view.
     cameras : tuple of str
+    seconds : ndarray, shape (V,), optional
+        When each view was taken, by the stamps of the first camera that has them.
 
     """
 
     observations: Observations
     frames: np.ndarray
     cameras: tuple[str, ...]
+    seconds: np.ndarray | None = None
 
 
 def observations_of(tracks: Mapping[str, Tracks], used: Mapping[str, np.ndarray | None],
@@ -100,7 +103,19 @@ def observations_of(tracks: Mapping[str, Tracks], used: Mapping[str, np.ndarray 
     order = np.lexsort((camera, view, point))
     everything = Observations(view[order], point[order], xy[order], names, camera=camera[order])
     most = of_longest(everything.view, everything.point, TRACKS_PER_VIEW * len(tracks))
-    return RigObservations(everything.select(most)[0], frames, tuple(tracks))
+    return RigObservations(everything.select(most)[0], frames, tuple(tracks),
+                           _seconds(tracks, frames))
+
+
+def _seconds(tracks: Mapping[str, Tracks], frames: np.ndarray) -> np.ndarray | None:
+    """Return when frames (V,) were taken, from the first of them; None: no camera tells."""
+    for one in tracks.values():
+        if one.stamps_ns is not None and all(int(frame) in one.stamps_ns for frame in frames):
+            stamps = np.array([one.stamps_ns[int(frame)] for frame in frames])
+            if (np.diff(stamps) > 0).all():
+                seconds: np.ndarray = (stamps - stamps[0]) / 1e9
+                return seconds
+    return None
 
 
 def _shared_tracks(tracks: Mapping[str, Tracks]) -> np.ndarray:
@@ -259,13 +274,38 @@ def start_state(observations: RigObservations, reference: Calibration, placed: S
 
 def with_all_points(state: RigState, observations: Observations) -> RigState | None:
     """Intersect the points of all observations from the cameras of a state."""
+    rays = _rays(state, observations)
+    return None if rays is None else replace(state, points=points_from_centres(*rays))
+
+
+def seen_ahead(state: RigState, observations: Observations) -> RigState:
+    """
+    Return a state with its points before the cameras: else its mirror image.
+
+    That explains the same, with all translations the other way. Points pass through infinity
+    where a start is far off.
+    """
+    rays = _rays(state, observations)
+    if rays is None:
+        return state
+    stations, directions, centres = rays
+    X, weight = state.points[stations.point, :3], state.points[:, 3]
+    toward = np.einsum('ni,ni->n', directions, (
+        X - weight[stations.point, None] * centres[stations.view]))
+    # far points, whose side is noise, weigh little
+    side = np.sign(stations.sum_over_points(np.sign(toward))) @ weight
+    return state if side >= 0 else state.scaled(-1.0)
+
+
+def _rays(state: RigState, observations: Observations,
+          ) -> tuple[PointBlocks, np.ndarray, np.ndarray] | None:
+    """Return the cameras at all instants as views, the world directions (N, 3), and centres."""
     camera, view, rig, path = observations.camera, observations.view, state.lens, state.path
     assert camera is not None, 'observations of a rig'
-    rays, place = np.empty((len(view), 3)), np.empty((len(view), 3))
+    rays = np.empty((len(view), 3))
     for k in range(len(rig.cameras)):
         rows = camera == k
         rays[rows] = all_rays(rig.lens(k).camera(), observations.xy[rows]) @ rig.rotations[k].T
-        place[rows] = rig.place(k)
     if not np.isfinite(rays).all():
         return None
     # every camera at every instant is a station of its own
@@ -275,8 +315,7 @@ def with_all_points(state: RigState, observations: Observations) -> RigState | N
     directions = np.einsum('nji,nj->ni', turns[view], rays @ path.mount)
     places = np.stack([rig.place(k) for k in range(count)]) @ path.mount
     centres = np.einsum('vji,vcj->vci', turns, places[None] - path.translation[:, None])
-    return replace(state, points=points_from_centres(stations, directions,
-                                                     centres.reshape(-1, 3)))
+    return stations, directions, centres.reshape(-1, 3)
 
 
 def best_start(found: RigObservations, reference: Calibration,
@@ -315,5 +354,5 @@ def best_start(found: RigObservations, reference: Calibration,
         # wrong tracks may cost less where everything else is bent to them; they are few
         left = bundle.noise_sigma(state)
         if left < least:
-            best, least = state, left
+            best, least = seen_ahead(state, few), left
     return None if best is None else with_all_points(best, found.observations)

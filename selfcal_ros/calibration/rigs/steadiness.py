@@ -1,0 +1,187 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Whether a rig was rigid all the time: cameras that were late, and cameras that were knocked.
+
+A camera that is late by τ sees the rig where it is τ later. Its image moves by τ times the flow,
+
+    du/dτ = du/d(pose) · d(pose)/dt,
+
+where the path between the instants is taken to be smooth. A camera that was knocked has one pose
+up to some instant and another from then on. Either is tested by one step of the estimate that has
+it. What it would move is added to the covariance, and of two causes the better one is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from selfcal_ros.calibration.bundle.rig import POSE_NAMES, Rig
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.rigs.start import RigObservations
+from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
+                                                              Supposition, Tested)
+from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.estimate import NoEstimate
+
+#: Offsets over the usual time between instants: each is as likely beforehand.
+OFFSETS = np.geomspace(1e-4, 1e-1, 13)
+#: A cause is told of where without it the images would be an accident so rarely.
+ACCIDENT = 1e-6
+#: Fewer instants make no smooth path.
+MIN_INSTANTS = 5
+_OFFSET, _KNOCK = 'one clock', 'no knock'
+
+
+@dataclass(frozen=True)
+class Unsteady:
+    """
+    What made a rig other than rigid, beyond doubt.
+
+    Attributes
+    ----------
+    camera, first : str
+        The one moved to the other, or was triggered apart from it.
+    explained : float
+        Share of the sum of squared residuals that is gone without it.
+    frame : int, optional
+        The first after a knock.
+    offset : float
+        Otherwise: how much later the camera was than the first, over the usual time between
+        instants.
+    interval_s : float, optional
+        That time, where it is known.
+
+    """
+
+    camera: str
+    first: str
+    explained: float
+    frame: int | None = None
+    offset: float = 0.0
+    interval_s: float | None = None
+
+    def finding(self) -> Finding:
+        """Tell of it beside a result."""
+        if self.frame is not None:
+            return Finding('rig_pose_changed', camera=self.camera, first=self.first,
+                           frame=self.frame)
+        return Finding('rig_clocks_differ', camera=self.camera, first=self.first,
+                       apart=self._apart())
+
+    def refusal(self, left_px: float, noise_px: float, motion: str) -> NoEstimate:
+        """Refuse because of it: together the cameras leave more than each does alone."""
+        if self.frame is not None:
+            return NoEstimate('rig_knocked', camera=self.camera, first=self.first,
+                              frame=self.frame, left_px=left_px, noise_px=noise_px,
+                              motion=motion)
+        return NoEstimate('rig_clocks_apart', camera=self.camera, first=self.first,
+                          apart=self._apart(), left_px=left_px,
+                          noise_px=noise_px, motion=motion)
+
+    def _apart(self) -> dict[str, float | None]:
+        """How far apart the cameras were triggered, for the words."""
+        return {'share': self.offset, 'interval_s': self.interval_s}
+
+
+def steadiness(fit: RobustFit, seen: RigObservations, known: float,
+               ) -> tuple[np.ndarray, Unsteady | None]:
+    """
+    Ask the images of a rig whether it was rigid, and whether its images are of one instant.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        Of a rig, at its optimum.
+    seen : RigObservations
+        Its frames count time where its seconds are not known.
+    known : float
+        Variance of the estimate over that with independent errors.
+
+    Returns
+    -------
+    covariance : ndarray, shape (k, k)
+        To add to that of the unknowns of the lens block.
+    cause : Unsteady or None
+
+    """
+    rig, unknowns = fit.state.lens, fit.bundle.unknowns
+    assert isinstance(rig, Rig)
+    cameras = rig.cameras[1:]
+    size = unknowns.lens.stop - unknowns.lens.start
+    times = seen.frames if seen.seconds is None else seen.seconds
+    if len(times) < MIN_INSTANTS:
+        return np.zeros((size, size)), None
+    rows = np.array([np.arange(size)[rig.of_pose(k)] for k in range(1, len(rig.cameras))])
+    poses = fit.linearisation.shared[:, :, unknowns.lens][:, :, rows.ravel()]
+    joint = joint_information(fit, [
+        Supposition(_OFFSET, cameras, _flow(fit, times, len(cameras))),
+        Supposition(_KNOCK, POSE_NAMES * len(cameras), poses, of_views=True)], known)
+    offset = joint.test(_OFFSET)
+    found, after = offset.with_prior(likely_size(offset.value, offset.information, OFFSETS)**2)
+    response = offset.response * unknowns.free[unknowns.lens][:, None]
+    covariance = response @ (after + np.outer(found, found)) @ response.T
+
+    knocks = []
+    for k, view in np.ndindex(len(cameras), len(times) - 1):
+        where = joint.places[_KNOCK][view + 1:, len(POSE_NAMES) * k:len(POSE_NAMES) * (k + 1)]
+        basis = np.zeros((len(joint.score), len(POSE_NAMES)))
+        basis[where, np.arange(len(POSE_NAMES))] = 1
+        knocks.append((joint.test_along(basis, _KNOCK, POSE_NAMES), k, view + 1))
+    knock, k, view = min(knocks, key=lambda one: (one[0].p_value, -one[0].chi2))
+
+    def explained(one: Tested) -> float:
+        return one.chi2 * known / max(2 * len(fit.observations.view), 1)
+
+    if knock.p_value * len(knocks) < ACCIDENT and knock.chi2 > offset.chi2:
+        step = np.zeros(size)
+        step[rows[k]] = knock.value
+        # the poses before and after it are both within the sigmas
+        for moved in (knock.shift, knock.shift + step):
+            moved = moved * unknowns.free[unknowns.lens]
+            covariance += np.outer(moved, moved)
+        return covariance, Unsteady(cameras[k], rig.cameras[0], explained(knock),
+                                    int(seen.frames[view]))
+    variance = np.diag(offset.covariance)
+    certain = [np.isfinite(square) and square > 0
+               and chi2_chance(value**2 / square, 1) < ACCIDENT
+               for value, square in zip(offset.value, variance)]
+    if not any(certain):
+        return covariance, None
+    most = int(np.argmax(np.abs(found) * certain))
+    return covariance, Unsteady(
+        cameras[most], rig.cameras[0], explained(offset), offset=float(found[most]),
+        interval_s=None if seen.seconds is None else float(np.median(np.diff(seen.seconds))))
+
+
+def _flow(fit: RobustFit, times: np.ndarray, others: int) -> np.ndarray:
+    """Differentiate the residuals by how late each camera but the first is, (N, 2, others)."""
+    flow = np.einsum('nkj,nj->nk', fit.linearisation.view,
+                     _velocities(fit, times)[fit.observations.view])
+    camera = fit.observations.camera
+    assert camera is not None, 'observations of a rig'
+    return np.stack([flow * (camera == k)[:, None] for k in range(1, others + 1)], axis=2)
+
+
+def _velocities(fit: RobustFit, times: np.ndarray) -> np.ndarray:
+    """Differentiate the unknowns of the views by time, in usual intervals, (V, 6)."""
+    path, time = fit.state.path, times / np.median(np.diff(times))
+    values = np.column_stack([np.unwrap(path.angle), path.translation[:, :2], path.tilt,
+                              path.translation[:, 2]])
+    velocities: np.ndarray = CubicSpline(time, values)(time, 1)
+    return velocities
