@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 import os
@@ -135,7 +136,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     registered[reference] = True
     is_reference = registered.copy()
     sigma = np.zeros(len(xy))
-    smoothed = _Smoothed(images)
+    smoothed = _smoothed(images)
     turns = local_turns(image, xy, reference[track])
     slot = np.full(len(length), -1)
 
@@ -147,7 +148,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
         start = turns[rows] * ratio[:, None, None]
         begin = xy[rows] / scale - (start @ residue)[:, :, 0]
         found, affine, correlation, step = _REGISTRATION.register(
-            templates, smoothed.level(k, level), begin, start, rows=slot[track[rows]])
+            templates, smoothed[level](k), begin, start, rows=slot[track[rows]])
         found = found + (affine @ residue)[:, :, 0]
         shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
         good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
@@ -170,7 +171,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
                 slot[some] = np.arange(len(some))
                 base = reference[some]
                 # whole pixels: the template is taken without interpolation, its residue added back
-                templates = _gather(smoothed, level, image[base], np.round(xy[base] / scale))
+                templates = _gather(smoothed[level], image[base], np.round(xy[base] / scale))
                 rows = np.flatnonzero((slot[track] >= 0) & ~is_reference)
                 rows = rows[np.argsort(image[rows], kind='stable')]
                 here, at = np.unique(image[rows], return_index=True)
@@ -180,38 +181,23 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     return refined, registered, sigma
 
 
-class _Smoothed:
+def _smoothed(images) -> tuple[Callable[[int], np.ndarray], ...]:
     """
-    Slightly smoothed images, halved so often, as many as there is room for.
+    Slightly smoothed images, whole, halved and halved again; as many as there is room for.
 
-    Parameters
-    ----------
-    images : sequence of ndarray of uint8, shape (H, W)
-
+    Each is asked for by its position. cv2.pyrDown keeps the centre of pixel (0, 0) in place.
     """
-
-    def __init__(self, images):
-        """Take the images."""
-        self._images = images
-        held = max(4, _HELD_BYTES // (4 * images[0].size))
-        # the coarse ones of all images take a third of that of the fine ones
-        self._fine = lru_cache(held)(self._blurred)
-        self._coarse = lru_cache(max(8, 4 * held))(self._halved)
-
-    def level(self, k: int, level: int) -> np.ndarray:
-        """Return image k, halved `level` times."""
-        return self._coarse(k, level) if level else self._fine(k)
-
-    def _blurred(self, k: int) -> np.ndarray:
-        return cv2.GaussianBlur(self._images[k].astype(np.float32), (0, 0), 0.7)
-
-    def _halved(self, k: int, level: int) -> np.ndarray:
-        # cv2.pyrDown keeps the centre of pixel (0, 0) in place
-        return cv2.pyrDown(self.level(k, level - 1))
+    # the smaller ones take a third of what the whole ones do
+    held = max(4, _HELD_BYTES * 3 // 4 // (4 * images[0].size))
+    whole = lru_cache(held)(
+        lambda k: cv2.GaussianBlur(images[k].astype(np.float32), (0, 0), 0.7))
+    half = lru_cache(held)(lambda k: cv2.pyrDown(whole(k)))
+    quarter = lru_cache(held)(lambda k: cv2.pyrDown(half(k)))
+    return whole, half, quarter
 
 
-def _gather(smoothed: _Smoothed, level: int, image, xy):
+def _gather(smoothed: Callable[[int], np.ndarray], image, xy):
     """Templates of points that lie in different images, given image by image."""
     here, at = np.unique(image, return_index=True)
-    return Templates.joined([_REGISTRATION.templates(smoothed.level(int(k), level), part)
+    return Templates.joined([_REGISTRATION.templates(smoothed(int(k)), part)
                              for k, part in zip(here, np.split(xy, at[1:]))])

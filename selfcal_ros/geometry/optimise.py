@@ -141,9 +141,9 @@ class PointBlocks:
                 (self.point_count * p, len(self.point) * m))
         _, source, J = self._transposed
         J.data = jac_point.ravel()[source]
-        both = np.concatenate([jac_point, jac_shared], axis=2).reshape(len(self.point) * m, -1)
-        sums = (J @ both).reshape(self.point_count, p, -1)
-        return sums[..., :p], sums[..., p:]
+        H, cross = ((J @ jac.reshape(len(self.point) * m, -1)).reshape(self.point_count, p, -1)
+                    for jac in (jac_point, jac_shared))
+        return H, cross
 
     def reduce(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
                residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:

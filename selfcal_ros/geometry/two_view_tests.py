@@ -25,6 +25,8 @@ from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 FLOOR_PX = 1e-5
 #: A homography must leave so many times the noise, or the pair has no usable parallax.
 PARALLAX_RATIO = 3.0
+#: Pairs whose homographies are found together: what they take must not grow with a drive.
+_AT_ONCE = 32
 #: Least F statistic by which rotation must improve on pure translation.
 ROTATION_STATISTIC = 12.0
 
@@ -60,7 +62,15 @@ class PairVerdicts:
 
 def homography_cost(data: PairMatches) -> np.ndarray:
     """Sum of squared transfer distances in both images of the linear homography, px^2, (n,)."""
-    a, b, w = data.first, data.second, data.weight[..., None]
+    cost = [_transfer_cost(*(part[begin:begin + _AT_ONCE]
+                             for part in (data.first, data.second, data.weight[..., None])))
+            for begin in range(0, len(data.first), _AT_ONCE)]
+    in_pixels: np.ndarray = np.concatenate([np.zeros(0), *cost]) / data.transform[0, 0] ** 2
+    return in_pixels
+
+
+def _transfer_cost(a: np.ndarray, b: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """As `homography_cost`, of normalised points (n, m, 3) with weights (n, m, 1)."""
     zero = np.zeros_like(a)
     rows = np.concatenate([
         np.concatenate([a, zero, -b[..., :1] * a], axis=-1) * w,
@@ -75,8 +85,7 @@ def homography_cost(data: PairMatches) -> np.ndarray:
         with np.errstate(divide='ignore', invalid='ignore'):
             gap = moved[..., :2] / moved[..., 2:] - target[..., :2]
         cost += (np.where(np.isfinite(gap), gap, 1e3) ** 2 * w).sum(axis=(1, 2))
-    in_pixels: np.ndarray = cost / data.transform[0, 0] ** 2
-    return in_pixels
+    return cost
 
 
 def classify_pairs(data: PairMatches, F: np.ndarray, cost: np.ndarray, planar_cost: np.ndarray,

@@ -31,6 +31,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
+from selfcal_ros.pipeline.freed_memory import return_freed_memory
 from selfcal_ros.pipeline.long_policy import LongRecordings
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 
@@ -156,6 +157,7 @@ def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
         raise InputError(f'{path} is no table of tracks: for equal objects give tracks.csv, '
                          'where frame numbers the object, and track the point on it.')
     mask = shared.get('mask')
+    return_freed_memory()
     with open_source(path, settings.topic, settings.image_size, excerpt=settings.excerpt,
                      ) as source:
         source.leaves_out_damaged = True
@@ -175,6 +177,8 @@ def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
 
 def _tell(progress: Callable | None) -> None:
     """Tell that the estimate begins, which cannot know how far it is."""
+    # the images are gone
+    return_freed_memory()
     if progress:
         progress('estimating', 0, None)
 

@@ -158,7 +158,8 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     weight /= known * bundle.sigma_px**2
     root = np.sqrt(weight)[:, None]
     shared = np.concatenate([linearisation.shared, modes], axis=2)
-    system = bundle.blocks.reduce(shared * root[..., None], linearisation.view * root[..., None],
+    shared *= root[..., None]
+    system = bundle.blocks.reduce(shared, linearisation.view * root[..., None],
                                   linearisation.eliminated * root[..., None],
                                   linearisation.residual * root)
     # of the adjustment's unknowns, and of the field

@@ -291,8 +291,10 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
     weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
     root = np.sqrt(weight / known)[:, None] / bundle.sigma_px
-    wide = root[..., None]
-    system = bundle.blocks.reduce(shared * wide, of_view * wide, linearisation.eliminated * wide,
+    # both are copies
+    shared *= root[..., None]
+    of_view *= root[..., None]
+    system = bundle.blocks.reduce(shared, of_view, linearisation.eliminated * root[..., None],
                                   linearisation.residual * root)
 
     count, first = shared.shape[2], linearisation.shared.shape[2]
