@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Objects that nobody says a start of: found before a plain background, or before a wall."""
+"""Objects that nobody says a start of: found before a plain (black) background, or a wall."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ from selfcal_ros.values.mesh import MeshModel
 
 #: Sequences of each kind, and images of each.
 SEEDS, IMAGES = (501, 502, 503), 20
-#: Grey levels of the plain background.
-PLAIN = 60
 #: A pose is right within so many degrees; one that takes the model onto itself is right, too.
 _TURN_DEG, _ITSELF = 3.0, 0.02
 
@@ -77,12 +75,9 @@ def follow(model, camera, images, is_right) -> tuple[int | None, int]:
 def polyhedron(name: str, wall: bool, seed: int) -> tuple[int | None, int]:
     """Seek a rendered polyhedron."""
     made = tracked_object(IMAGES, NEW_OBJECTS[name](seed) if name in NEW_OBJECTS else name,
-                          seed=seed, supersampling=2, speed=0.8)
+                          seed=seed, supersampling=2, speed=0.8, background=wall)
     renderer = made.renderer()
     images = [made.frame(k, renderer) for k in range(IMAGES)]
-    if not wall:
-        scene = renderer._background(made.camera, made.poses(0))
-        images = [before_plain(image, scene, k) for k, image in enumerate(images)]
     vertices = made.model.vertices
     tree = cKDTree(vertices)
 
@@ -92,13 +87,6 @@ def polyhedron(name: str, wall: bool, seed: int) -> tuple[int | None, int]:
         return tree.query(vertices @ turn.T + shift)[0].max() < _ITSELF * made.model.diameter_m
 
     return follow(made.model, made.camera, images, is_right)
-
-
-def before_plain(image: np.ndarray, scene: np.ndarray, k: int) -> np.ndarray:
-    """Put a plain background in place of the wall."""
-    noise = np.random.default_rng(k).normal(size=image.shape)
-    plain = np.clip(np.rint(PLAIN + noise), 0, 255).astype(np.uint8)
-    return np.where(np.abs(image - scene) > 6, image, plain)
 
 
 def mesh(name: str, what: str, speed: float) -> tuple[int | None, int]:

@@ -154,6 +154,45 @@ class ImageDecoder:
         return shown
 
 
+def depth_metres(msg: Message) -> np.ndarray:
+    """
+    Decode a depth image.
+
+    Parameters
+    ----------
+    msg : sensor_msgs/Image
+        16UC1 (or mono16), millimetres, or 32FC1, metres: REP 118.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Metres; 0 or NaN where there is no depth.
+
+    Raises
+    ------
+    InputError
+        If it is of another encoding, or its size or data are wrong.
+
+    """
+    encoding = str(getattr(msg, 'encoding', 'compressed')).strip()
+    if encoding not in ('16UC1', '16UC', 'mono16', '32FC1', '32FC'):
+        raise InputError(f'A depth image must be 16UC1 (millimetres) or 32FC1 (metres), not '
+                         f'{encoding!r:.40}.')
+    if encoding.startswith('32'):
+        height, width, step = int(msg.height), int(msg.width), int(msg.step)
+        data = _bytes_of(msg.data)
+        if (height <= 0 or width <= 0 or height * width > MAX_PIXELS or step < 4 * width
+                or data.size < step * (height - 1) + 4 * width):
+            raise InputError(f'The depth image says {width} x {height} pixels with step {step}, '
+                             f'and holds {data.size} bytes; check what publishes it.')
+        rows = np.lib.stride_tricks.as_strided(data, (height, 4 * width), (
+            step * data.strides[0], data.strides[0]))
+        kind = '>f4' if msg.is_bigendian else '<f4'
+        return np.ascontiguousarray(rows).view(kind).astype(np.float32)
+    samples, _ = _pixels(msg, False)
+    return samples.astype(np.float32) * np.float32(1e-3)
+
+
 def image_to_grey(msg: Message) -> np.ndarray:
     """Return one Image or CompressedImage in grey; see `ImageDecoder.grey`."""
     return ImageDecoder().grey(msg)

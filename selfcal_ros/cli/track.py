@@ -25,7 +25,7 @@ from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
                              'or a video')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
+    parser.add_argument('--depth-topic', metavar='TOPIC',
+                        help='depth images of the bag (16UC1 in millimetres, 32FC1 in metres), '
+                             'registered to the images and with their stamps')
     add_excerpt_arguments(parser)
     add_object_arguments(parser)
     parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
@@ -123,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     with Progress.of(args) as progress:
         runs, tables = track_recording(args.input, targets, camera, options, topic=args.topic,
                                        overlay=args.overlay, seed=args.seed, progress=progress,
-                                       excerpt=excerpt)
+                                       excerpt=excerpt, depth_topic=args.depth_topic)
     # not earlier: an input error stands alone
     for path, model in zip(paths, models):
         for remark in getattr(model, 'remarks', ()):
@@ -142,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=(), excerpt=None):
+                    progress=None, listeners=(), excerpt=None, depth_topic=None):
     """
     Track through a recording, and write the overlay where one is wished for.
 
@@ -154,6 +157,7 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
         Not written yet.
 
     """
+    from selfcal_ros.pipeline.depth_topic import open_depths
     from selfcal_ros.pipeline.sources import Excerpt, open_source
     from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_objects
     from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
@@ -171,6 +175,10 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
         if overlay:
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))
             listeners.append(drawing_into(video, [target.model for target in targets], camera))
+        depths = stack.enter_context(open_depths(path, depth_topic)) if depth_topic else None
         runs = track_objects(source, targets, camera, options, seed=seed, progress=progress,
-                             listeners=listeners)
+                             listeners=listeners, depths=depths)
+    if depths is not None and not depths.found:
+        raise InputError(f'No image has a depth image of its time on {depth_topic}; stamps must '
+                         'agree within 10 ms.')
     return runs, tables

@@ -92,6 +92,9 @@ INTERFACES = {
         Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
         Endpoint('in', 'camera_info', 'sensor_msgs/CameraInfo',
                  'calibration of the camera, with distortion, binning and region of interest'),
+        Endpoint('in', 'depth', 'sensor_msgs/Image',
+                 'with the parameter depth: 16UC1 (millimetres) or 32FC1 (metres), registered to '
+                 'the images, with their stamps'),
         Endpoint('in', 'initialpose', 'geometry_msgs/PoseWithCovarianceStamped',
                  'where the object is, roughly, in the optical frame of the camera'),
         Endpoint('out', 'pose', 'geometry_msgs/PoseWithCovarianceStamped',

@@ -216,6 +216,11 @@ class RorapidTrackerParameters:
     texture: bool = parameter(True, "remember and use what the object's faces look like",
                               live=True)
     recovery: bool = parameter(True, 'search for the object again after a loss', live=True)
+    depth: bool = parameter(False, 'use the depth images of the topic depth, registered to the '
+                            'images')
+    depth_scale_sigma: float = parameter(
+        0.005, 'standard deviation of the one factor by which all depths err', 1e-5, 1.0,
+        live=True)
     object_frame: str = parameter('object', 'frame of the object')
     publish_tf: bool = parameter(False, 'publish the transform from the camera to object_frame; '
                                  'a frame may have one parent only', live=True)

@@ -20,8 +20,9 @@ from functools import partial
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.camera_info import image_camera_from_info
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
+from msg_adapters.image import depth_metres
 from msg_adapters.message_types import rclpy_types
-from msg_adapters.stamps import header_message
+from msg_adapters.stamps import header_message, stamp_ns
 from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
@@ -36,6 +37,7 @@ from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackingWorker
+from selfcal_ros.pipeline.depth_pairing import DepthPairing
 from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
@@ -84,6 +86,9 @@ class RorapidNode(Node):
             for k, (model, name, start) in enumerate(zip(self._models, names, starts))]
         self._inputs = ImageInputs(self, self._on_image, transport=p.image_transport,
                                    reliability=p.reliability)
+        self._pairing = DepthPairing() if p.depth else None
+        if p.depth:
+            self.create_subscription(Image, 'depth', self._on_depth, IMAGES_IN)
         # a publisher of CameraInfo may be of either reliability, too
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, IMAGES_IN)
         self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
@@ -125,7 +130,25 @@ class RorapidNode(Node):
     def _on_image(self, msg):
         self._watchdog.heard()
         self.image_frame = msg.header.frame_id
-        self._worker.submit(msg, self._overlay.get_subscription_count() > 0)
+        if self._pairing is None:
+            self._submit([(msg, None)])
+            return
+        try:
+            self._submit(self._pairing.image(stamp_ns(msg.header.stamp), msg))
+        except InputError:
+            # the worker says what is wrong with the stamp
+            self._submit([(msg, None)])
+
+    def _on_depth(self, msg: Image):
+        try:
+            self._submit(self._pairing.depth(stamp_ns(msg.header.stamp), depth_metres(msg)))
+        except InputError as error:
+            self.get_logger().warning(f'depth image dropped: {error}', throttle_duration_sec=5.0)
+
+    def _submit(self, pairs):
+        """Hand over images, each with its depth or None."""
+        for msg, depth in pairs:
+            self._worker.submit(msg, self._overlay.get_subscription_count() > 0, depth)
 
     def _on_camera_info(self, msg: CameraInfo):
         # drivers send the same calibration with every image
@@ -219,7 +242,7 @@ def tracker_options(parameters: RorapidTrackerParameters) -> TrackerOptions:
         axis = x, y, z
     names = ('method', 'camera_model', 'motion', 'control_points_per_line',
              'control_points_per_conic', 'search_least_px', 'search_most_px', 'least_contrast',
-             'texture', 'recovery')
+             'texture', 'recovery', 'depth_scale_sigma')
     values = {name: getattr(parameters, name) for name in names}
     # rapid and rorapid keep to the least numbers of the thesis, which fewer points cannot reach
     default = TrackerOptions()

@@ -106,7 +106,7 @@ class TrackingWorker:
         self._types = rclpy_types()
         self._wake = threading.Condition()
         self._commands: deque[Callable] = deque()
-        self._image: tuple[Any, bool, tuple[int, ...]] | None = None
+        self._image: tuple[Any, bool, Any, tuple[int, ...]] | None = None
         self._results: deque[tuple[TrackedImage, tuple[int, ...]] | str] = deque()
         #: How often each object began anew.
         self._begun = (0,) * len(self._sessions)
@@ -134,16 +134,16 @@ class TrackingWorker:
             self._commands.extend(partial(action, self._sessions[k]) for k in chosen)
             if anew:
                 self._begun = tuple(count + (k in chosen) for k, count in enumerate(self._begun))
-                if self._image is not None and not self._current(self._image[2]).any():
+                if self._image is not None and not self._current(self._image[3]).any():
                     self.dropped += 1
                     self._image = None
             self._wake.notify()
 
-    def submit(self, msg, with_overlay: bool) -> None:
-        """Hand over an image; one that still waits is dropped for it."""
+    def submit(self, msg, with_overlay: bool, depth: np.ndarray | None = None) -> None:
+        """Hand over an image, and its depths (H, W) in metres; one that waits is dropped."""
         with self._wake:
             self.dropped += self._image is not None
-            self._image = msg, with_overlay, self._begun
+            self._image = msg, with_overlay, depth, self._begun
             self._wake.notify()
 
     def _current(self, begun: tuple[int, ...]) -> np.ndarray:
@@ -183,8 +183,8 @@ class TrackingWorker:
             for action in commands:
                 self._do(action)
             if job is not None:
-                msg, with_overlay, begun = job
-                done = self._track(msg, with_overlay, self._current(begun))
+                msg, with_overlay, depth, begun = job
+                done = self._track(msg, with_overlay, depth, self._current(begun))
                 self._tell((done, begun))
             if not self._stopped:
                 self._ready()
@@ -203,7 +203,7 @@ class TrackingWorker:
             traceback.print_exc()
             self._tell(_fault(error))
 
-    def _track(self, msg, with_overlay: bool, current: np.ndarray) -> TrackedImage:
+    def _track(self, msg, with_overlay: bool, depth, current: np.ndarray) -> TrackedImage:
         began, problem, picture, stamp = time.perf_counter(), '', None, 0
         try:
             stamp, picture = stamp_ns(msg.header.stamp), self._decoder.grey(msg)
@@ -219,7 +219,7 @@ class TrackingWorker:
             tracked, wrong = None, problem
             if picture is not None:
                 try:
-                    tracked = session.add(picture, stamp)
+                    tracked = session.add(picture, stamp, depth)
                 except SelfcalError as error:
                     wrong = str(error)
                 except Exception as error:  # as above

@@ -27,6 +27,7 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.pipeline.depth_topic import DepthTopic
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.several_objects import beside_each_other
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
@@ -227,7 +228,7 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
                   options: TrackerOptions | None = None, *, seed: int = 0,
                   progress: Callable | None = None,
                   listeners: Iterable[Callable[[Frame, tuple[TrackedFrame, ...]], object]] = (),
-                  ) -> list[TrackingRun]:
+                  depths: DepthTopic | None = None) -> list[TrackingRun]:
     """
     Follow objects through a recording, several of them beside each other.
 
@@ -244,6 +245,8 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
     listeners : iterable of callable
         Each is called as listener(frame, tracked) after every image that was tracked, with one
         TrackedFrame an object.
+    depths : DepthTopic, optional
+        Of a bag.
 
     Returns
     -------
@@ -272,9 +275,11 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
     timed = source.clock != 'nominal'
     with beside_each_other(len(sessions)) as together:
         for frame in source:
+            depth = None if depths is None else depths.at(frame.stamp_ns)
+
             def add(session: TrackingSession) -> tuple[TrackedFrame, float]:
                 began = time.perf_counter()
-                tracked = session.add(frame.image, frame.stamp_ns if timed else None)
+                tracked = session.add(frame.image, frame.stamp_ns if timed else None, depth)
                 return tracked, time.perf_counter() - began
 
             try:

@@ -225,7 +225,8 @@ class TrackingSession:
         self._start, self._seeking = None, True
         self.reset()
 
-    def add(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
+    def add(self, image: np.ndarray, stamp_ns: int | None = None,
+            depth: np.ndarray | None = None) -> TrackedFrame:
         """
         Find the object in the next image.
 
@@ -235,6 +236,8 @@ class TrackingSession:
         stamp_ns : int, optional
             Acquisition time. When time jumps back (a bag that is played again), the session
             begins again from the start pose.
+        depth : ndarray, shape (H, W), optional
+            Metres along the optical axis, registered to the image; 0 or NaN where there is none.
 
         Returns
         -------
@@ -253,7 +256,11 @@ class TrackingSession:
             raise InputError('There is no start pose yet; say roughly where the object is.')
         _check_image(image, self._camera)
         stamp_ns = self._checked_stamp(stamp_ns)
-        frame = self._tracker.track(image, stamp_ns)
+        if depth is not None and depth.shape != image.shape[:2]:
+            raise InputError(f'The depth image is {depth.shape[1]}x{depth.shape[0]}, the image '
+                             f'{image.shape[1]}x{image.shape[0]} pixels; give depths that are '
+                             'registered to it.')
+        frame = self._tracker.track(image, stamp_ns, depth)
         self._images += 1
         self._by_state[frame.state.value] = self._by_state.get(frame.state.value, 0) + 1
         before = self._newest.state if self._newest is not None else None

@@ -35,6 +35,7 @@ _RANGES = {
     'least_contrast': (0.5, 255), 'candidates': (1, 8), 'rounds': (1, 10), 'steps': (1, 20),
     'texture_points': (0, 1000), 'tracking_share': (0, 1), 'lost_share': (0, 1),
     'frames_to_lost': (1, 1000), 'frame_rate_hz': (0.01, 1e5),
+    'depth_scale_sigma': (1e-5, 1.0),
     'acceleration_m_s2': (0, 1e6), 'acceleration_rad_s2': (0, 1e6), 'zoom_rate_s': (0, 100),
 }
 
@@ -82,6 +83,8 @@ class TrackerOptions:
     tracking_share, lost_share : float
         Two thresholds on the share of what should be visible and is confirmed: above the first
         the state is TRACKING, below the second the frame counts as a miss.
+    depth_scale_sigma : float
+        Standard deviation of the one factor by which the depths of a depth camera err.
     frames_to_lost : int
         Misses in a row until the state is LOST.
     frame_rate_hz : float
@@ -119,6 +122,7 @@ class TrackerOptions:
     doubt: bool = True
     tracking_share: float = 0.5
     lost_share: float = 0.25
+    depth_scale_sigma: float = 0.005
     frames_to_lost: int = 3
     frame_rate_hz: float = 25.0
     acceleration_m_s2: float = 2.0

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.estimation.depth_images import DepthImages
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, start_spread, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
@@ -95,6 +96,7 @@ class RorapidTracker:
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
         self._doubt: ModelDoubt | None = None
+        self._depths = DepthImages(self._control, options.depth_scale_sigma)
         self._watch_for_doubt()
         self._state, self._stamp_ns = TrackerState.LOST, None
 
@@ -162,6 +164,7 @@ class RorapidTracker:
             self._visible = visible_of(self.model, *options.control_points)
             self._control = ControlModel(self._visible, self._projection, self._control.image_size)
         self.options = options
+        self._depths = DepthImages(self._control, options.depth_scale_sigma)
         self._watch_for_doubt()
         self._method.adopt(options, self._control)
         return True
@@ -205,6 +208,7 @@ class RorapidTracker:
         self._misses, self._open, self._stamp_ns = 0.0, 0, None
         self._good: ObjectPose | None = None
         self._size = SizeCheck(centred[2], distance_sigma_m)
+        self._depths.forget()
         self._sure = lost or not self.options.doubts
         if self._doubt is not None:
             self._doubt.forget()
@@ -239,7 +243,8 @@ class RorapidTracker:
         self._kalman = started_filter(self._projection, self._basis, self._free, self.options,
                                       self.model.diameter_m, state, spread)
 
-    def track(self, image: np.ndarray, stamp_ns: int | None = None) -> TrackedFrame:
+    def track(self, image: np.ndarray, stamp_ns: int | None = None,
+              depth: np.ndarray | None = None) -> TrackedFrame:
         """
         Find the object in the next image.
 
@@ -249,6 +254,8 @@ class RorapidTracker:
             Grey or BGR.
         stamp_ns : int, optional
             Time of the image; without it images come at `frame_rate_hz`.
+        depth : ndarray, shape (H, W), optional
+            Metres along the optical axis, of the same pixels; 0 or NaN where there is none.
 
         Returns
         -------
@@ -286,6 +293,9 @@ class RorapidTracker:
         if lost and measured.recognised and self.options.doubts and isinstance(
                 self._method, RobustTracker):
             measured = confirmed_again(self._method, image, measured)
+        if depth is not None and self._camera_model == 'perspective' and (
+                measured.share >= self.options.lost_share):
+            measured = self._depths.improved(measured, depth, self._basis)
         return self._judge(measured, image, stamp_ns)
 
     def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
@@ -426,7 +436,7 @@ class RorapidTracker:
         if not self._sure:
             return ('Some lines of the model are not seen: something hides them, or it is another '
                     'object.')
-        return self._size.text()
+        return self._depths.text() or self._size.text()
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Put the result into the object's own frame."""

@@ -31,6 +31,7 @@ from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.rorapid_node import RorapidNode
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.rorapid.model import write_model
+from selfcal_ros.synthetic.depth_scenes import depth_of
 from selfcal_ros.synthetic.objects import perturbed, pose_errors, tracked_object
 from selfcal_ros.synthetic.several_objects import objects_beside
 from sensor_msgs.msg import CameraInfo, Image
@@ -284,7 +285,8 @@ def test_a_node_that_cannot_work_says_why(graph, model, tmp_path, parameters, er
 
 def test_interface_is_what_is_written(graph, model):
     from test_support.node_interfaces import has, written
-    node = graph('-p', f'model:={model}', '-p', 'camera_model:=zoom').add(RorapidNode())
+    node = graph('-p', f'model:={model}', '-p', 'camera_model:=zoom', '-p',
+                 'depth:=true').add(RorapidNode())
     expected = {end for end in written('rorapid_tracker') if end[1] != '/tf'}
     assert has(node) == expected
     assert any(end.name == '/tf' for end in INTERFACES['rorapid_tracker'])
@@ -362,3 +364,27 @@ def test_two_objects_have_topics_of_their_own(graph, tmp_path):
     graph.wait_for(lambda: diagnostics, what='diagnostics')
     assert {status.name for status in diagnostics[-1].status} == {
         'rorapid_tracker: tracking cube', 'rorapid_tracker: tracking bracket'}
+
+
+def test_depth_images_tell_the_size_of_the_object(station):
+    station = station('depth:=true')
+    depth = station.graph.probe.create_publisher(Image, 'depth', 10)
+    station.add_node()
+    station.graph.wait_for(depth.get_subscription_count)
+    station.send_info()
+    station.send_start()
+    station.graph.spin_for(0.3)
+    made = station.recording
+    corners = made.model.vertices[made.model.triangles] / 1.04
+    station.send(0)
+    station.graph.wait_for(lambda: station.poses, what='a pose without any depth')
+    for index in range(1, VIEWS):
+        pose = made.cam_from_world[index].copy()
+        pose[:, 3] /= 1.04
+        seen = depth_of(corners, pose, made.camera, np.random.default_rng(index), 1.5)
+        depth.publish(image_message(np.rint(1000 * seen).astype(np.uint16), station.header(index),
+                                    station.types, '16UC1'))
+        station.graph.spin_for(0.05)
+        station.track([index])
+    station.graph.wait_for(lambda: 'too large' in station.states[-1].data, what='the finding')
+    assert 'The depth images say that the model is 4.' in station.states[-1].data

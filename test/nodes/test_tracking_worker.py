@@ -30,7 +30,7 @@ class SlowSession:
     def __init__(self):
         self.taken, self.may_go = threading.Semaphore(0), threading.Semaphore(0)
 
-    def add(self, image, stamp_ns):
+    def add(self, image, stamp_ns, depth):
         self.taken.release()
         assert self.may_go.acquire(timeout=20)
         return stamp_ns
