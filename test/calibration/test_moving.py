@@ -31,12 +31,12 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
 from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies
-from selfcal_ros.calibration.moving.sorting import explained_share, explains_all
+from selfcal_ros.calibration.moving.sorting import explained_share, explains_all, moving_findings
 from selfcal_ros.calibration.moving.track_test import judged
 from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_to_json
-from selfcal_ros.values.track_labels import STATIC, TrackLabels
+from selfcal_ros.values.track_labels import JUMPED, STATIC, TrackLabels, UNEXPLAINED
 
 CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), width=640, height=480)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
@@ -152,6 +152,16 @@ def test_tracks_that_jump_are_used_in_two_parts():
     jumped = result.labels.of('jumped')
     assert len(jumped) > 20 and (jumped >= 120).all()
     assert len(result.reconstructed.tracks) > len(np.unique(tracks.track))
+
+
+def test_few_tracks_that_jump_are_told_beside_few_that_nothing_explains():
+    def told(jumped, unexplained, still=500):
+        label = np.repeat([JUMPED, UNEXPLAINED, STATIC], [jumped, unexplained, still])
+        return [one.kind for one in moving_findings(TrackLabels(np.arange(len(label)), label))]
+
+    assert told(10, 20) == ['tracks_jump'] and told(6, 20) == []
+    # gross errors on a quarter of the observations
+    assert told(12, 170) == ['tracks_unexplained_whole']
 
 
 def test_a_still_scene_is_not_sorted():
