@@ -140,7 +140,8 @@ class DampedFactor:
         scale = np.maximum(scale, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
         self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
-        H = H / np.outer(self._root, self._root)
+        H /= self._root[:, None]
+        H /= self._root
         H[np.diag_indices_from(H)] += damping
         # of a symmetric matrix rows are columns, which saves a copy
         self._factor, failed = dpotrf(H.T, lower=1, overwrite_a=1, clean=0)

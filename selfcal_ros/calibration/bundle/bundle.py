@@ -26,6 +26,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg.blas import dger
 
 from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
                                                         inverse_information, winsorised_square)
@@ -217,7 +218,8 @@ class Bundle:
         if gauge is not None:
             path = self.unknowns.path
             weight = float(np.mean(system.diagonal[path][self.unknowns.free[path]]))
-            system.matrix += weight * np.outer(gauge, gauge)
+            # in place, for the rows of a symmetric matrix are its columns
+            system.matrix = dger(weight, gauge, gauge, a=system.matrix.T, overwrite_a=1).T
         return system, root
 
     def optimise(self, state: Any, iterations: int = 50, tolerance: float = 1e-3) -> Any:

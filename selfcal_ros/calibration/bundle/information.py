@@ -100,7 +100,8 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
         scale = np.maximum(scale, RANK_TOLERANCE * (
             abs(E).T @ diagonal if places is None else diagonal[places]))
     root = np.sqrt(scale)
-    H = H / np.outer(root, root)
+    scales = np.outer(root, root)
+    H /= scales
     factor, failed = dpotrf(H)
     # the reciprocal condition in the 1-norm bounds that of the eigenvalues from below
     if not failed and dpocon(factor, np.abs(H).sum(axis=0).max())[0] > 10 * RANK_TOLERANCE:
@@ -109,7 +110,7 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
     else:
         values, vectors = np.linalg.eigh(H)
         inverse = (vectors / np.maximum(values, RANK_TOLERANCE * values[-1])) @ vectors.T
-    inverse = inverse / np.outer(root, root)
+    inverse /= scales
     if places is None:
         spread: np.ndarray = E @ (E @ inverse).T
     else:
