@@ -164,6 +164,21 @@ def test_few_tracks_that_jump_are_told_beside_few_that_nothing_explains():
     assert told(12, 170) == ['tracks_unexplained_whole']
 
 
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize('noise_px', [0.0, 0.05])
+def test_gross_errors_that_repeated_frames_share_are_no_jumps(seed, noise_px):
+    rng = np.random.default_rng(seed)
+    tracks = world(rng)
+    bad = rng.random(len(tracks)) < 0.03
+    xy = tracks.xy + bad[:, None] * rng.uniform(-40, 40, (len(tracks), 2))
+    xy = np.tile(xy, (3, 1)) + noise_px * rng.standard_normal((3 * len(xy), 2))
+    copies = np.concatenate([3 * tracks.frame + k for k in range(3)])
+    result = calibrate(Tracks(copies, np.tile(tracks.track, 3), xy, (640, 480)),
+                       motion='general', facts=FACTS)
+    assert result and np.abs(off_by(result)).max() < 4
+    assert not [one.kind for one in result.findings if one.kind.startswith('tracks_')]
+
+
 def test_a_still_scene_is_not_sorted():
     result = calibrate(world(np.random.default_rng(6)), motion='general', facts=FACTS)
     assert result and result.labels is None

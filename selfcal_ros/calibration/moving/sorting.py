@@ -31,7 +31,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observation
                                                        with_all_points)
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
-from selfcal_ros.calibration.moving.track_test import CHANCE, freedom_of, test_tracks, TrackTest
+from selfcal_ros.calibration.moving.track_test import (CHANCE, freedom_of, instants, test_tracks,
+                                                       TrackTest)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
@@ -312,6 +313,8 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
     """
     Find tracks that are one still point, then another, each in at least so many views.
 
+    Frames that repeat one another count once: an error that they share is no second point.
+
     Returns
     -------
     dict
@@ -320,13 +323,15 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
     """
     first = np.searchsorted(observations.point, places)
     end = np.searchsorted(observations.point, places, side='right')
-    length = end - first
+    length, instant = end - first, instants(fit.bundle)
     rows: list[np.ndarray] = []
     part: list[np.ndarray] = []
     which: list[int] = []
     for place, begin, count in zip(places, first, length):
+        seen = np.unique(instant[observations.view[begin:begin + count]], return_inverse=True)[1]
         for cut in range(least, count - least + 1):
-            if max(cut, count - cut) < VERIFYING_VIEWS:
+            early, late = seen[cut - 1] + 1, seen[-1] - seen[cut] + 1
+            if min(early, late) < least or max(early, late) < VERIFYING_VIEWS:
                 continue
             rows.append(np.arange(begin, begin + count))
             part.append(2 * len(which) + (np.arange(count) >= cut))

@@ -36,6 +36,9 @@ from selfcal_ros.geometry.chances import chi2_chance, chi2_limit
 CHANCE = 1e-4
 #: Observations lost by chance are judged by tracks that kept more than this share.
 MOSTLY = 0.5
+#: Half of the tracks of a frame that repeats another move by less, in sigma; independent noise
+#: alone would move half of them by 1.7.
+COPIED = 1.0
 #: Fewer tracks do not tell the noise.
 LEAST_FOR_SCALE = 20
 
@@ -106,10 +109,24 @@ def test_tracks(bundle: Bundle, state: SceneState, observations: Observations,
     state = own.refine_points(state)
     distance = np.linalg.norm(own.residuals(state), axis=1) / bundle.sigma_px
     distance = np.nan_to_num(distance, nan=np.inf)
-    return judged(observations.point, distance, spread)
+    copies = int(np.bincount(instants(bundle)).max())
+    return judged(observations.point, distance, spread * copies, copies)
 
 
-def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0) -> TrackTest:
+def instants(bundle: Bundle) -> np.ndarray:
+    """Number the views (V,); a frame that repeats the one before has its number."""
+    rows = np.lexsort((bundle.view, bundle.part))
+    view, point, xy = bundle.view[rows], bundle.part[rows], bundle.xy[rows]
+    after = (np.diff(point) == 0) & (np.diff(view) == 1)
+    moved = np.linalg.norm(np.diff(xy, axis=0), axis=1)[after] > COPIED * bundle.sigma_px
+    to, count = view[1:][after], int(view.max()) + 1
+    number: np.ndarray = np.cumsum(
+        2 * np.bincount(to, moved, count) >= np.bincount(to, minlength=count)) - 1
+    return number
+
+
+def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0, copies: int = 1,
+           ) -> TrackTest:
     """
     Judge tracks by the residuals of their observations.
 
@@ -121,6 +138,8 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0) -> Trac
         Length of its residual, sigmas.
     spread : float
         See `test_tracks`.
+    copies : int
+        Observations of a track that are lost together.
 
     Returns
     -------
@@ -142,8 +161,8 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0) -> Trac
         usual = explained & (lost <= MOSTLY * length)
         share = (lost[usual].sum() + 1) / (length[usual].sum() + 1)
         # so many are lost of a track of this length by chance
-        most = np.ceil(bdtrik(1 - 1e-3, length, min(share, 0.9)))
-        explained &= lost <= np.maximum(most, 1)
+        most = copies * np.ceil(bdtrik(1 - 1e-3, length / copies, min(share, 0.9)))
+        explained &= lost <= np.maximum(most, copies)
     return TrackTest(length, lost, square, explained, tested, agrees)
 
 
