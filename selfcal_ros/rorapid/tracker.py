@@ -23,15 +23,13 @@ from numpy.typing import ArrayLike
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.estimation.depth_images import DepthImages
+from selfcal_ros.rorapid.estimation.doubts import Doubts
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, start_spread, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
-from selfcal_ros.rorapid.estimation.model_doubt import ModelDoubt
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
-from selfcal_ros.rorapid.estimation.size_check import SizeCheck
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, proposed_spread, relocalised, StartSearch)
 from selfcal_ros.rorapid.options import TrackerOptions
@@ -95,17 +93,8 @@ class RorapidTracker:
         method = RobustTracker if options.method == 'modern' else RapidTracker
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
-        self._doubt: ModelDoubt | None = None
-        self._depths = DepthImages(self._control, options.depth_scale_sigma)
-        self._watch_for_doubt()
+        self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
         self._state, self._stamp_ns = TrackerState.LOST, None
-
-    def _watch_for_doubt(self) -> None:
-        """Watch what the model gets wrong, where the camera model lets it be seen."""
-        self._doubt = None
-        if self.options.doubts and self._camera_model == 'perspective' and not isinstance(
-                self.model, MeshModel):
-            self._doubt = ModelDoubt(self._control, self._basis, self.options.least_contrast)
 
     def _lay_basis(self) -> None:
         """Lay out the corrections that motion and camera model allow."""
@@ -124,6 +113,10 @@ class RorapidTracker:
         if self._kalman is None:
             raise ArgumentError('The tracker needs a start pose before the first image.')
         return self._kalman
+
+    @property
+    def _is_perspective(self) -> bool:
+        return self._camera_model == 'perspective'
 
     @property
     def state(self) -> TrackerState:
@@ -164,8 +157,7 @@ class RorapidTracker:
             self._visible = visible_of(self.model, *options.control_points)
             self._control = ControlModel(self._visible, self._projection, self._control.image_size)
         self.options = options
-        self._depths = DepthImages(self._control, options.depth_scale_sigma)
-        self._watch_for_doubt()
+        self._doubts.adopt(self._control, self._basis, options, self._is_perspective)
         self._method.adopt(options, self._control)
         return True
 
@@ -207,11 +199,7 @@ class RorapidTracker:
         self._state = TrackerState.LOST if lost else TrackerState.INITIALISING
         self._misses, self._open, self._stamp_ns = 0.0, 0, None
         self._good: ObjectPose | None = None
-        self._size = SizeCheck(centred[2], distance_sigma_m)
-        self._depths.forget()
-        self._sure = lost or not self.options.doubts
-        if self._doubt is not None:
-            self._doubt.forget()
+        self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
                                      isinstance(self.model, MeshModel))
         if lost:
@@ -293,9 +281,9 @@ class RorapidTracker:
         if lost and measured.recognised and self.options.doubts and isinstance(
                 self._method, RobustTracker):
             measured = confirmed_again(self._method, image, measured)
-        if depth is not None and self._camera_model == 'perspective' and (
+        if depth is not None and self._is_perspective and (
                 measured.share >= self.options.lost_share):
-            measured = self._depths.improved(measured, depth, self._basis)
+            measured = self._doubts.depths.improved(measured, depth, self._basis)
         return self._judge(measured, image, stamp_ns)
 
     def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
@@ -307,8 +295,7 @@ class RorapidTracker:
             self._filter.restart(measured.state, wide)
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            self._sure = method.check.sure(starting.support)
-            self._size.measure(measured.state.translation[2])
+            self._doubts.confirmed(method.check, starting.support, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
             self._misses = 0
@@ -349,7 +336,7 @@ class RorapidTracker:
         self._projection.become(camera_model)
         self._lay_basis()
         self._method.switch(self._basis, camera_model)
-        self._watch_for_doubt()
+        self._doubts.adopt(self._control, self._basis, self.options, self._is_perspective)
         self._start_filter(kalman.state, full[:6, :6])
         B, size = self._basis, self._projection.size
         moving = B.T @ velocity[:size]
@@ -392,7 +379,9 @@ class RorapidTracker:
             tracking = measured.share >= options.tracking_share and not open_turn
             self._method.remember(measured, tracking or measured.recognised)
             self._adapt(measured)
-            doubt = self._in_doubt(image, measured, tracking)
+            if tracking and isinstance(self._method, RobustTracker):
+                self._doubts.look(image, measured, self._method.check)
+            doubt = self._doubts.text()
             self._state = (TrackerState.TRACKING if tracking and not doubt
                            else TrackerState.DEGRADED)
             self._good = measured.state
@@ -420,24 +409,6 @@ class RorapidTracker:
         full = (B @ measured.covariance @ B.T)[:3, :3]
         return len(B) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
 
-    def _in_doubt(self, image, measured: PoseMeasurement, tracking: bool) -> str:
-        """Look, now and then, whether this is the object; return what is in doubt."""
-        doubt, method = self._doubt, self._method
-        if tracking and doubt is not None and isinstance(method, RobustTracker) and doubt.due():
-            state = measured.state
-            doubt.look(image, state, measured.view)
-            self._sure = self._sure or method.check.sure(method.check.support(image, state))
-        return self._doubted()
-
-    def _doubted(self) -> str:
-        """Say what seems wrong with the model, the camera or the start."""
-        if self._doubt is not None and self._doubt.doubt is not None:
-            return self._doubt.doubt.text()
-        if not self._sure:
-            return ('Some lines of the model are not seen: something hides them, or it is another '
-                    'object.')
-        return self._depths.text() or self._size.text()
-
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Put the result into the object's own frame."""
         state = self._filter.state
@@ -445,12 +416,7 @@ class RorapidTracker:
         B = self._basis
         full = B @ self._filter.spread @ B.T
         if accepted and len(full) == 6:
-            bias = None if self._doubt is None else self._doubt.bias()
-            if bias is not None:
-                full = full + np.outer(B @ bias, B @ bias)
-            if self._size.share:
-                away = np.r_[np.zeros(3), self._size.share * state.translation]
-                full = full + np.outer(away, away)
+            full = full + self._doubts.covariance(state, B)
         carry = recentring(arm)
         pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
         view = measured.view if accepted and measured.with_prior else self._control.again(
@@ -468,4 +434,4 @@ class RorapidTracker:
             rejected=np.isfinite(edge) & ~found, hidden=~view.searched,
             primitive=view.primitive, texture_px=measured.texture_px, rms_px=rms,
             share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns,
-            doubt=self._doubted() if accepted else '')
+            doubt=self._doubts.text() if accepted else '')
