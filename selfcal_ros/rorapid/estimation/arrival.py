@@ -29,7 +29,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from selfcal_ros.rorapid.estimation.pose_search import PoseSearch, turned_by
+from selfcal_ros.rorapid.estimation.pose_search import OTHER_RAD, PoseSearch, turned_by
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.estimation.start_check import quartered
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -40,8 +40,6 @@ from selfcal_ros.rorapid.region.standing_out import what_stands_out
 _SILHOUETTES, _TURNS = 16, 4
 #: What stands out is tried in every so many images.
 _STANDING_EVERY = 3
-#: Poses turned by more than this are different ones.
-_OTHER_RAD = 0.2
 #: A model is taken onto itself if its vertices meet within this share of its diameter.
 _ITSELF = 0.02
 
@@ -103,14 +101,14 @@ class Arrival:
                 # the likest first, others in the next images
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
-            ranked = search.ranked(image, states, spread, _OTHER_RAD)
+            ranked = search.ranked(image, states, spread)
             if not ranked or not search.check.fair(ranked[0][1]):
                 continue
             best, support = ranked[0]
             if not search.outlined:
-                ranked += search.ranked(image, quartered(best), spread, _OTHER_RAD)
+                ranked += search.ranked(image, quartered(best), spread)
             yield [best] + [
-                pose for pose, other in ranked[1:] if turned_by(best, pose) > _OTHER_RAD
+                pose for pose, other in ranked[1:] if turned_by(best, pose) > OTHER_RAD
                 and search.check.rivals(support, other, was_seen)]
 
     def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:

@@ -27,8 +27,9 @@ from selfcal_ros.values.mesh import MeshModel
 
 #: Rounds of the search from each start, the first of them wide; range of the others, pixels.
 _START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
-#: Of many starts so many are looked at more closely.
-_CLOSELY = 6
+#: Of many starts so many are looked at more closely. They are turned by more than this angle
+#: from each other, or one wrong pose would take all places.
+_CLOSELY, OTHER_RAD = 6, 0.2
 
 
 class PoseSearch:
@@ -124,8 +125,8 @@ class PoseSearch:
                 return other, better
         return state, support
 
-    def ranked(self, image: np.ndarray, starts: list[ObjectPose], spread: np.ndarray,
-               apart_rad: float = 0.0) -> list[tuple[ObjectPose, Support]]:
+    def ranked(self, image: np.ndarray, starts: list[ObjectPose],
+               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
         Draw all starts in a little and the best ones wholly.
 
@@ -135,8 +136,6 @@ class PoseSearch:
         starts : list of ObjectPose
         spread : ndarray, shape (m, m)
             Covariance of each start.
-        apart_rad : float, optional
-            Of poses turned by less than this only the best is drawn in wholly.
 
         Returns
         -------
@@ -153,7 +152,7 @@ class PoseSearch:
 
         chosen: list[ObjectPose] = []
         for pose, _ in drawn(starts, _WIDE_ROUNDS):
-            if all(turned_by(pose, other) >= apart_rad for other in chosen):
+            if all(turned_by(pose, other) > OTHER_RAD for other in chosen):
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
