@@ -155,28 +155,46 @@ class Outputs:
                           if result and tracks is not None else ([], []))
         if self.mount and result:
             try:
-                written.append(_write_mount(self, result, source, open_frames))
+                written.append(write_mount(self.mount, result, self.camera_frame, source,
+                                           open_frames))
             except ArgumentError as error:
                 left_out = [*left_out, f'{self.mount} was not written: {error}']
         return written + more, left_out
 
 
-def _write_mount(outputs: Outputs, result: Calibration, source: str,
-                 open_frames: Callable | None) -> Path:
-    """Write the transform from the robot to the camera."""
+def write_mount(path: Path, result: Calibration, frame: str | None, source: str = '',
+                open_frames: Callable | None = None) -> Path:
+    """
+    Write the transform from the robot to the camera.
+
+    Parameters
+    ----------
+    path : Path
+    result : Calibration
+    frame : str or None
+        Of the camera; None: that of the images, if they are given.
+    source : str
+        Where the images come from.
+    open_frames : callable, optional
+        Opens the images.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no mount, or not all of it is known.
+
+    """
     from selfcal_ros.calibration.mount import Mount
     from selfcal_ros.report.mounts.transform_files import (CAMERA_FRAME, stored_mount,
                                                            write_transform)
-    assert outputs.mount is not None
     if not isinstance(result.mount, Mount):
         raise ArgumentError(result.mount.reason if result.mount is not None
                             else 'no robot was given.')
-    frame = outputs.camera_frame
     if frame is None and open_frames is not None:
         with open_frames() as frames:
             frame = frames.frame_id
     about = f'{result.software}: {source}' if source else result.software
-    return write_transform(outputs.mount, stored_mount(result.mount, frame or CAMERA_FRAME, about))
+    return write_transform(path, stored_mount(result.mount, frame or CAMERA_FRAME, about))
 
 
 def _shutter_comments(result: Calibration) -> list[str]:

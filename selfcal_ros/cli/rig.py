@@ -27,8 +27,7 @@ from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
-                 'poses', 'poses_format', 'ply', 'transforms', 'robot',
-                 'mount_output', 'output_dir', 'jobs', 'scheduler')
+                 'poses', 'poses_format', 'ply', 'transforms', 'output_dir', 'jobs', 'scheduler')
 #: Motions of a rig.
 MOTIONS = ('auto', 'planar', 'general')
 
@@ -37,7 +36,8 @@ def add_rig_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of several cameras."""
     group = parser.add_argument_group(
         'several cameras', 'Cameras that move together are calibrated in one, with their poses to '
-        'each other. They need not see the same things.')
+        'each other. They need not see the same things. With --robot the first one gets its place '
+        'on the robot, and all lengths metres.')
     group.add_argument('--cameras', metavar='NAMES',
                        help='names, separated by commas, of the cameras of the INPUTs, such as '
                             'left,right; with one bag the image topics, such as '
@@ -82,8 +82,9 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     files = output_names(base, [one.name for one in inputs])
     chain = base.with_name(f'{base.stem}_camchain.yaml')
     of_colmap = rig_config_path(args.colmap) if args.colmap else None
-    check_outputs((*files.values(), chain), (*args.input, args.mask), args.force,
-                  (args.json, args.report))
+    table = settings.robot and settings.robot.table
+    check_outputs((*files.values(), chain, args.mount_output), (*args.input, args.mask, table),
+                  args.force, (args.json, args.report))
     if args.colmap is not None and args.colmap.is_file():
         raise ArgumentError(f'{args.colmap} is a file; --colmap takes the name of a folder.')
     with Progress.of(args) as progress:
@@ -100,7 +101,8 @@ def run_rig(args: argparse.Namespace, settings) -> int:
             left_out.append('A chain of Kalibr needs metres, all poses, and lenses that Kalibr '
                             f'knows: {chain} was not written.')
         written += _for_colmap(of_colmap, rig_config(result), left_out)
-    text = rig_text(result) if result else str(result)
+        written += _mount_of_first(args, result, left_out)
+    text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result else str(result))
     if args.report:
         from selfcal_ros.report.provenance import Provenance
         from selfcal_ros.report.rig_page import write_rig_page
@@ -121,6 +123,20 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     for sentence in left_out if not args.quiet else ():
         print(sentence, file=sys.stderr)
     return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+
+
+def _mount_of_first(args: argparse.Namespace, result, left_out: list[str]) -> list[Path]:
+    """Write where the first camera sits on the robot, if it is asked for and known."""
+    from selfcal_ros.cli.outputs import write_mount
+    from selfcal_ros.errors import ArgumentError
+    if args.mount_output is None:
+        return []
+    try:
+        return [write_mount(args.mount_output, next(iter(result.cameras.values())),
+                            args.camera_frame)]
+    except ArgumentError as error:
+        left_out.append(f'{args.mount_output} was not written: {error}')
+        return []
 
 
 def _for_colmap(path: Path | None, content: str | None, left_out: list[str]) -> list[Path]:

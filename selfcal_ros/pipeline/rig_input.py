@@ -30,7 +30,8 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
-from selfcal_ros.pipeline.feature_session import generator, tracks_of_table
+from selfcal_ros.pipeline.feature_session import (ExtractedTracks, generator,
+                                                  tracks_of_table)
 from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
@@ -64,6 +65,8 @@ class RigReading:
     description : str
     findings : tuple of Finding
     topics : dict of str to str
+    clock : str
+        Where the stamps come from; see `FrameSource.clock`.
 
     """
 
@@ -72,6 +75,7 @@ class RigReading:
     description: str
     findings: tuple[Finding, ...]
     topics: dict[str, str]
+    clock: str = 'none'
 
 
 def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
@@ -152,7 +156,7 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
     ----------
     inputs : sequence of RigInput
     settings : CalibrationSettings
-        Of all cameras.
+        Of all cameras; a robot tells where the first one sits on it, and the scale.
     baseline : (float, float), optional
         Distance of the first two cameras and its sigma, metres.
     progress : callable, optional
@@ -170,6 +174,11 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
 
     """
     from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
+    first, robot = inputs[0], None
+    if settings.robot is not None:
+        from selfcal_ros.pipeline.robot.robot_mount import read_robot
+        robot = read_robot(first.path, settings.robot, settings.mount_facts, topic=first.topic,
+                           image_size=settings.image_size, excerpt=settings.excerpt)
     with ExitStack() as stack:
         sources = [stack.enter_context(open_source(
             one.path, one.topic, settings.image_size, excerpt=settings.excerpt))
@@ -180,6 +189,11 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
     result = calibrate_rig(reading.tracks, shared_tracks=reading.shared, motion=settings.motion,
                            facts=settings.facts, baseline=baseline,
                            rng=generator(settings.seed))
+    if robot is not None and isinstance(result, RigCalibration):
+        from selfcal_ros.calibration.rigs.on_robot import on_robot
+        of_first = ExtractedTracks(reading.tracks[first.name], reading.description,
+                                   reading.findings, reading.clock)
+        result = on_robot(result, robot.mounted(result.cameras[first.name], of_first, progress))
     return result, reading
 
 
@@ -193,7 +207,7 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
     if kinds == {'tracks'}:
         tables = [tracks_of_table(source, None, settings.max_keyframes) for source in sources]
         return RigReading({one.name: table.tracks for one, table in zip(inputs, tables)}, False,
-                          description, tables[0].findings, topics)
+                          description, tables[0].findings, topics, tables[0].clock)
     if 'tracks' in kinds:
         raise InputError('Give the images of all cameras, or tables of tracks of all.')
     from selfcal_ros.features.rig_extraction import extract_rig_tracks
@@ -220,7 +234,8 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
         {one.name: [some[frame] for frame in frames] for one, some in zip(inputs, images)},
         frames, {frame: chosen[frame][0] for frame in frames} if timed else None,
         progress=report if progress else None, mask=mask, rng=generator(settings.seed))
-    return RigReading(dict(found.tracks), found.shared > 0, description, found.findings, topics)
+    return RigReading(dict(found.tracks), found.shared > 0, description, found.findings, topics,
+                      sources[0].clock)
 
 
 def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Callable | None,

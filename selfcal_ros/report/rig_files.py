@@ -31,6 +31,7 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import CameraInRig, POSE, RigCalibration
 from selfcal_ros.report.camera_files.kalibr_chain import holds, kalibr_text
 from selfcal_ros.report.camera_yaml import ros_yaml
+from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
 from selfcal_ros.report.yaml_text import number_text
 
@@ -147,8 +148,8 @@ def _pose(pose: CameraInRig) -> dict[str, Any]:
             **({'places': [one.as_dict() for one in pose.places]} if pose.places else {})}
 
 
-def rig_text(rig: RigCalibration) -> str:
-    """Say where the cameras sit, for a terminal."""
+def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> str:
+    """Say where the cameras sit, for a terminal; with what was stated of the first one's mount."""
     unit, factor, digits = ('mm', 1e3, 2) if rig.unit == 'm' else ('steps', 1.0, 4)
     lines = [f'{len(rig.cameras)} cameras from {len(rig.frames)} instants, {rig.motion} motion: '
              f'reprojection {rig.reprojection_rms_px:.3f} px rms over {rig.observation_count} '
@@ -174,7 +175,9 @@ def rig_text(rig: RigCalibration) -> str:
                 if k < 3 else (turns[k - 3], np.degrees(pose.sigma[free]), 'deg', 4))
             lines.append(f'{free:>6} {value:>10.{places}f} ± {sigma_here:.{places}f} {what}')
     if rig.unit != 'm':
-        lines += ['', 'Lengths are in steps of the path; --baseline METRES gives metres.']
+        lines += ['', 'Lengths are in steps of the path; --baseline METRES gives metres, and so '
+                  'does --robot.']
+    lines += mount_lines(rig.cameras[first], mount_facts)
     return '\n'.join([*lines, '', *rig.notes])
 
 

@@ -32,6 +32,8 @@ from selfcal_ros.calibration.rigs.overlap import Overlap, unseen_heights
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
 from selfcal_ros.calibration.rigs.start import RigObservations
 from selfcal_ros.calibration.rigs.steadiness import steadiness, Unsteady
+from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
+from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
                                                                     ClusterCovariance,
                                                                     images_alike,
@@ -319,7 +321,9 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
         outlier_count=fit.outliers, software=f'selfcal_ros {__version__}',
         reconstruction=Reconstruction(
             frames, path[seen], fit.observations.track[at],
-            points / np.linalg.norm(points, axis=1, keepdims=True)),
+            points / np.linalg.norm(points, axis=1, keepdims=True),
+            pose_precision=pose_precision(fit, optimum.motion in IN_A_PLANE)
+            if k == 0 and len(seen) == len(path) else None),
         residuals=residuals)
 
 

@@ -39,6 +39,7 @@ def pose_precision(fit: RobustFit, planar: bool) -> PosePrecision:
     Parameters
     ----------
     fit : RobustFit
+        Of a rig the poses and the lens are those of its first camera.
     planar : bool
         The axes of the world are those of planar motion.
 
@@ -52,7 +53,8 @@ def pose_precision(fit: RobustFit, planar: bool) -> PosePrecision:
     slopes = in_the_world(fit.state.path.cam_from_world(), turns, moves, planar)
     views, n = len(fit.state.path), len(unknowns)
     independent = (unknowns.selection.T @ slopes.reshape(6 * views, n).T).T
-    return PosePrecision(fit.state.camera(), unknowns.free_lens_names,
+    lens, _, _, free = fit.lenses()[0]
+    return PosePrecision(lens.camera(), tuple(name for name in lens.names if name in free),
                          independent.reshape(views, 6, -1),
                          fit.covariance[np.ix_(unknowns.members, unknowns.members)])
 
