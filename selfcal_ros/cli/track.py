@@ -126,7 +126,8 @@ def run(args: argparse.Namespace) -> int:
     with Progress.of(args) as progress:
         runs, tables = track_recording(args.input, targets, camera, options, topic=args.topic,
                                        overlay=args.overlay, seed=args.seed, progress=progress,
-                                       excerpt=excerpt, depth_topic=args.depth_topic)
+                                       excerpt=excerpt, depth_topic=args.depth_topic,
+                                       names=names if len(paths) > 1 else [''])
     # not earlier: an input error stands alone
     for path, model in zip(paths, models):
         for remark in getattr(model, 'remarks', ()):
@@ -145,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,
-                    progress=None, listeners=(), excerpt=None, depth_topic=None):
+                    progress=None, listeners=(), excerpt=None, depth_topic=None, names=('',)):
     """
     Track through a recording, and write the overlay where one is wished for.
 
@@ -174,7 +175,8 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
         listeners = [add, *listeners]
         if overlay:
             video = stack.enter_context(OverlayVideo(overlay, playing_rate_hz(source)))
-            listeners.append(drawing_into(video, [target.model for target in targets], camera))
+            listeners.append(drawing_into(video, [target.model for target in targets], camera,
+                                          names))
         depths = stack.enter_context(open_depths(path, depth_topic)) if depth_topic else None
         runs = track_objects(source, targets, camera, options, seed=seed, progress=progress,
                              listeners=listeners, depths=depths)

@@ -79,8 +79,8 @@ class RorapidNode(Node):
         self.transforms = (self.create_publisher(self._transform_type(), '/tf', 100)
                            if p.publish_tf else None)
         self._ready = self.create_guard_condition(self._publish)
-        self._worker = TrackingWorker(sessions, self._ready.trigger)
         names = object_names(paths) if len(paths) > 1 else ['']
+        self._worker = TrackingWorker(sessions, self._ready.trigger, names)
         self._objects = [
             ObjectTopics(self, model, name, start, partial(self._worker.command, which=k))
             for k, (model, name, start) in enumerate(zip(self._models, names, starts))]

@@ -95,11 +95,14 @@ class TrackingWorker:
         One an object; they belong to the thread from now on.
     ready : callable
         Called in the thread when `poll` has something to fetch.
+    names : sequence of str
+        Of the objects, for the overlay.
 
     """
 
-    def __init__(self, sessions: Sequence[TrackingSession], ready: Callable):
-        self._sessions, self._ready = tuple(sessions), ready
+    def __init__(self, sessions: Sequence[TrackingSession], ready: Callable,
+                 names: Sequence[str] = ('',)):
+        self._sessions, self._ready, self._names = tuple(sessions), ready, tuple(names)
         self._map: Callable = map if len(self._sessions) == 1 else ThreadPoolExecutor(
             len(self._sessions)).map
         self._decoder = ImageDecoder()
@@ -237,10 +240,11 @@ class TrackingWorker:
         if picture is None:
             return None
         try:
-            for line, (session, one) in enumerate(zip(self._sessions, objects)):
+            for line, (session, one, name) in enumerate(zip(self._sessions, objects,
+                                                            self._names)):
                 if one is not None:
                     picture = draw_overlay(picture, one.tracked, session.model, session.camera,
-                                           one.problem, line)
+                                           one.problem, line, name)
             return image_message(picture, header, self._types)
         except Exception:  # a pose must not be lost to its picture
             traceback.print_exc()

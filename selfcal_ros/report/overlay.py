@@ -39,7 +39,8 @@ _PIECES = 12
 
 
 def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
-                 camera: Camera | None = None, text: str = '', line: int = 0) -> np.ndarray:
+                 camera: Camera | None = None, text: str = '', line: int = 0, name: str = ''
+                 ) -> np.ndarray:
     """
     Draw the tracked object over its image.
 
@@ -59,6 +60,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
         In place of the state and its reason.
     line : int
         That the text stands on, from above: one for each object.
+    name : str
+        Of the object, before the text.
 
     Returns
     -------
@@ -73,7 +76,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
         if model is not None and camera is not None and tracked.state is not TrackerState.LOST \
                 and tracked.camera_model in ('perspective', 'zoom'):
             _draw_axes(drawn, tracked, model, camera, thick)
-    _draw_text(drawn, text or _state_text(tracked), thick, line)
+    text = text or _state_text(tracked)
+    _draw_text(drawn, f'{name}: {text}' if name and text else text, thick, line)
     return drawn
 
 

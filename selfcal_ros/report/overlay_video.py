@@ -122,11 +122,11 @@ def check_video_path(path) -> Path:
 
 
 def drawing_into(video: OverlayVideo, models: Sequence[WireframeModel], camera: Camera,
-                 ) -> Callable[[Frame, Sequence[TrackedFrame]], None]:
+                 names: Sequence[str] = ('',)) -> Callable[[Frame, Sequence[TrackedFrame]], None]:
     """Return a listener of `track_objects` that appends each image with its overlay."""
     def add(frame: Frame, tracked: Sequence[TrackedFrame]) -> None:
         picture = frame.image if frame.bgr is None else frame.bgr
-        for line, (model, one) in enumerate(zip(models, tracked)):
-            picture = draw_overlay(picture, one, model, camera, line=line)
+        for line, (model, one, name) in enumerate(zip(models, tracked, names)):
+            picture = draw_overlay(picture, one, model, camera, line=line, name=name)
         video.add(picture)
     return add

@@ -15,9 +15,9 @@
 An object that comes into a scene, or stands out from it, and was not followed before.
 
 What is new before a camera that stands still has a silhouette. So has what stands out from a plain
-background. Poses with such a silhouette are starts. That whose
-lines are seen best is proposed, with all that are seen nearly as well. A cube looks the same from
-six sides, and the outline of a round part nearly so.
+background. Poses with such a silhouette are starts. That whose lines are seen best is proposed,
+with all that are seen nearly as well. A cube looks the same from six sides, and the outline of a
+round part nearly so.
 
 Texture tells them apart. Without any, poses that take the model onto itself are equally right.
 """
