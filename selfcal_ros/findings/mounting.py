@@ -95,6 +95,16 @@ MOUNTING: dict[str, Phrase] = {
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',
         'Check that the poses are those of the body in a fixed frame, and not the inverse.'),
+    'body_poses_inverse': Phrase(
+        'The {count} poses of the body contradict the images, and their inverse does not.',
+        'A pose takes points of the body to a fixed frame. These take points of that frame to the '
+        'body, as a view matrix does.',
+        'Invert each pose, or swap the two frames that it leads from and to.'),
+    'body_only_turned': Phrase(
+        'The body turned as the camera did, but it moved by no more than its poses err '
+        '({moved_mm:.2g} mm, median).',
+        'A body that turns about its own origin shows no scale, so that the place is open.',
+        'Move the body while it turns.'),
     # while it is watched
     'mount_changed': Phrase(
         'The camera is turned on its robot: {changes:changes}.',

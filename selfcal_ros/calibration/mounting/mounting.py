@@ -26,6 +26,7 @@ from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Opti
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
+from selfcal_ros.calibration.mounting.disagreement import inverse_is_meant, why_no_start
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
@@ -92,9 +93,15 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     known_offset = facts.time_offset
     tried = [known_offset[0]] if known_offset is not None and track.timed else offsets(
         camera, track)
+    rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
+    part, body = camera.chosen(rows), track.at(tried[0], rows)
+    if len(rows) >= LEAST_IMAGES and inverse_is_meant(part, body):
+        return replace(calibration, mount=NoEstimate('body_poses_inverse', count=len(poses)))
     found = [one for offset in tried for one in _from_start(camera, track, poses, facts, offset)]
     if not found:
-        return replace(calibration, mount=NoEstimate('no_mount_fits', count=len(poses)))
+        return replace(calibration, mount=why_no_start(part, body, len(poses))
+                       if len(rows) >= LEAST_IMAGES
+                       else NoEstimate('no_mount_fits', count=len(poses)))
     adjustment, optimum, rows = min(found, key=lambda one: one[1].cost / len(one[2]))
     part = camera.chosen(rows)
     refusal = _contradiction(part, track, optimum, rows)

@@ -96,22 +96,29 @@ def starts(camera: CameraPoses, body: BodyAt, offset: float) -> list[State]:
     list of State
 
     """
-    pairs = pairs_of(camera, body)
+    return [_in_the_world(camera, body, M, place, scale, offset)
+            for M, place, scale in closed_forms(camera, pairs_of(camera, body)) if scale > 0]
+
+
+def closed_forms(camera: CameraPoses, pairs: Pairs) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """
+    Solve for turn, place and scale, one a way of starting.
+
+    Returns
+    -------
+    list of (ndarray of shape (3, 3), ndarray of shape (3,), float)
+        A scale that is not positive is none.
+
+    """
     turns = [_robust_rotation(pairs.camera_turn, pairs.body_turn)]
-    if camera.has_path:
-        turns += _about_one_axis(pairs)
-        unit = _size(pairs.body_move) / max(_size(pairs.camera_move), 1e-300)
-        turns.append(_robust_rotation(
-            np.concatenate([pairs.camera_move * unit, pairs.camera_turn]),
-            np.concatenate([pairs.body_move, pairs.body_turn])))
-    found = []
-    for M in turns:
-        place, scale = np.zeros(3), 1.0
-        if camera.has_path:
-            place, scale = _place_and_scale(pairs, M, camera.is_metric)
-        if scale > 0:
-            found.append(_in_the_world(camera, body, M, place, scale, offset))
-    return found
+    if not camera.has_path:
+        return [(turns[0], np.zeros(3), 1.0)]
+    turns += _about_one_axis(pairs)
+    unit = _size(pairs.body_move) / max(_size(pairs.camera_move), 1e-300)
+    turns.append(_robust_rotation(
+        np.concatenate([pairs.camera_move * unit, pairs.camera_turn]),
+        np.concatenate([pairs.body_move, pairs.body_turn])))
+    return [(M, *_place_and_scale(pairs, M, camera.is_metric)) for M in turns]
 
 
 def _size(vectors: np.ndarray) -> float:

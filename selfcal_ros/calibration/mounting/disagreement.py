@@ -1,0 +1,111 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+In what poses of a body disagree with those of the camera, by the closed forms alone.
+
+A pose may be the inverse of what it should be: it takes points of the world to the body. Then
+turns are those about the axes of the world, and ways bend the other way. The inverse of all poses
+agrees with the images, and what was given does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.mounting.body_track import BodyAt
+from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
+from selfcal_ros.calibration.mounting.starts import closed_forms, pairs_of
+from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.rotation import rotation_matrix
+
+#: Poses that leave less than this share of what moved agree; the inverse is meant where it leaves
+#: so many times less.
+AGREES, TIMES = 0.05, 5.0
+#: Ways are noise where no place and scale take more than this share off.
+NOISE = 0.2
+
+
+def misfits(camera: CameraPoses, body: BodyAt) -> list[tuple[float, float, float]]:
+    """
+    Say how well the closed forms explain a body.
+
+    Parameters
+    ----------
+    camera : CameraPoses
+    body : BodyAt
+        At the same images.
+
+    Returns
+    -------
+    list of (float, float, float)
+        Of every way of starting: what is left of the turns and of the ways (medians over the
+        median turn and way), and the scale.
+
+    """
+    pairs = pairs_of(camera, body)
+    turned, moved = (_median(one) for one in (pairs.body_turn, pairs.body_move))
+    found = []
+    for M, place, scale in closed_forms(camera, pairs):
+        by_mount = (np.eye(3) - rotation_matrix(pairs.body_turn)) @ place + (
+            scale * pairs.camera_move @ M.T)
+        found.append((_median(pairs.body_turn - pairs.camera_turn @ M.T) / turned,
+                      _median(pairs.body_move - by_mount) / moved if camera.has_path else 0.0,
+                      scale))
+    return found
+
+
+def inverse_is_meant(camera: CameraPoses, body: BodyAt) -> bool:
+    """Tell whether the inverse of all poses agrees with the images, and they do not."""
+    back = np.swapaxes(body.rotation, 1, 2)
+    inverse = BodyAt(back, -np.einsum('vij,vj->vi', back, body.position), 0 * body.turning,
+                     0 * body.velocity)
+    # ways may be noise, and then turns tell; of turns about one axis the inverse is as good
+    return any(given > AGREES and turned_round * TIMES < min(given, 1.0)
+               for given, turned_round in zip(_best(camera, body), _best(camera, inverse)))
+
+
+def why_no_start(camera: CameraPoses, body: BodyAt, count: int) -> NoEstimate:
+    """
+    Say why no closed form has a positive scale.
+
+    Parameters
+    ----------
+    camera : CameraPoses
+    body : BodyAt
+        At the same images.
+    count : int
+        Poses of the body.
+
+    Returns
+    -------
+    NoEstimate
+
+    """
+    turns, ways, _ = min(misfits(camera, body))
+    if turns < AGREES and ways > 1 - NOISE:
+        moved_mm = 1e3 * _median(pairs_of(camera, body).body_move)
+        return NoEstimate('body_only_turned', count=count, moved_mm=moved_mm)
+    return NoEstimate('no_mount_fits', count=count)
+
+
+def _best(camera: CameraPoses, body: BodyAt) -> tuple[float, float]:
+    """Return the least misfit of turns, and of ways; infinite without one."""
+    found = misfits(camera, body)
+    return (min(turns for turns, _, _ in found),
+            min((ways for _, ways, scale in found if scale > 0), default=np.inf))
+
+
+def _median(vectors: np.ndarray) -> float:
+    """Return the median length of vectors (m, 3), above zero."""
+    return max(float(np.median(np.linalg.norm(vectors, axis=1))), 1e-12)
