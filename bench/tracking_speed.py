@@ -20,7 +20,6 @@ One core: run with OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1, as `make bench`
 from __future__ import annotations
 
 import cProfile
-import os
 import pstats
 import resource
 import time
@@ -30,7 +29,6 @@ from bench.tables import Report
 from bench.tracking_runs import cube_sequence, follow
 import cv2
 import numpy as np
-from selfcal_ros.pipeline.several_objects import beside_each_other
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions
 from selfcal_ros.synthetic.objects import tracked_object
@@ -104,7 +102,7 @@ def speed(report: Report) -> None:
 
 def several(report: Report) -> None:
     """Time of an image with three objects, over that with one of them."""
-    report.section(f'Several objects, 640x480, on {os.cpu_count()} cores')
+    report.section('Several objects, 640x480')
     made = objects_beside(('cube', 'l_block', 'step_block'), SEVERAL_IMAGES, supersampling=2)
     images = made.frames()
 
@@ -113,13 +111,12 @@ def several(report: Report) -> None:
         for session, one in zip(sessions, chosen):
             session.start(one.rotations[0], one.translations[0])
         walls = []
-        with beside_each_other(len(sessions)) as together:
-            worked = time.process_time()
-            for image in images:
-                began = time.perf_counter()
-                frames = list(together(lambda session: session.add(image, None), sessions))
-                walls.append(time.perf_counter() - began)
-            worked = time.process_time() - worked
+        worked = time.process_time()
+        for image in images:
+            began = time.perf_counter()
+            frames = [session.add(image) for session in sessions]
+            walls.append(time.perf_counter() - began)
+        worked = time.process_time() - worked
         if not all(frames):
             report.say('an object was lost')
         return float(np.median(walls)), worked / len(images)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 import threading
@@ -87,7 +86,8 @@ class TrackingWorker:
     Runs sessions in a thread of its own: commands in order, and always the newest image.
 
     The thread is a daemon: a process that is told to stop does not wait for it. Several objects
-    are followed beside each other, in the same image.
+    are followed one after the other, in the same image. Threads would make it slower: most of the
+    time is spent where Python lets one work at a time.
 
     Parameters
     ----------
@@ -103,8 +103,6 @@ class TrackingWorker:
     def __init__(self, sessions: Sequence[TrackingSession], ready: Callable,
                  names: Sequence[str] = ('',)):
         self._sessions, self._ready, self._names = tuple(sessions), ready, tuple(names)
-        self._map: Callable = map if len(self._sessions) == 1 else ThreadPoolExecutor(
-            len(self._sessions)).map
         self._decoder = ImageDecoder()
         self._types = rclpy_types()
         self._wake = threading.Condition()
@@ -231,7 +229,7 @@ class TrackingWorker:
             return ObjectInImage(tracked, session.camera, wrong, time.perf_counter() - began,
                                  session.snapshot())
 
-        objects = tuple(self._map(track, self._sessions, current))
+        objects = tuple(map(track, self._sessions, current))
         return TrackedImage(msg.header, objects,
                             self._drawn(picture, objects, msg.header) if with_overlay else None)
 

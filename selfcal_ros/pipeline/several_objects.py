@@ -11,13 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Several objects in the same images: which files, what each is called, and who does what."""
+"""Several objects in the same images: which files, and what each is called."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 import re
 
@@ -85,17 +83,3 @@ def parted_starts(text: str, count: int) -> list[str]:
         raise ArgumentError(f'--init has {len(words)} poses for {count} objects; part them by '
                             'semicolons, in the order of the models.')
     return words
-
-
-@contextmanager
-def beside_each_other(count: int) -> Iterator[Callable]:
-    """
-    Yield a `map` that works on so many objects at a time.
-
-    Half of the time of an image is spent where Python lets others work.
-    """
-    if count == 1:
-        yield map
-        return
-    with ThreadPoolExecutor(count, 'object') as pool:
-        yield pool.map

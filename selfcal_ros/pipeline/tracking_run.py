@@ -29,7 +29,6 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.depth_topic import DepthTopic
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
-from selfcal_ros.pipeline.several_objects import beside_each_other
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -230,7 +229,7 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
                   listeners: Iterable[Callable[[Frame, tuple[TrackedFrame, ...]], object]] = (),
                   depths: DepthTopic | None = None) -> list[TrackingRun]:
     """
-    Follow objects through a recording, several of them beside each other.
+    Follow objects through a recording, one or several.
 
     Parameters
     ----------
@@ -273,31 +272,29 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
     listeners = tuple(listeners)
     # images of a folder have no clock of their own
     timed = source.clock != 'nominal'
-    with beside_each_other(len(sessions)) as together:
-        for frame in source:
-            depth = None if depths is None else depths.at(frame.stamp_ns)
-
-            def add(session: TrackingSession) -> tuple[TrackedFrame, float]:
+    for frame in source:
+        stamp_ns = frame.stamp_ns if timed else None
+        depth = None if depths is None else depths.at(frame.stamp_ns)
+        found = []
+        try:
+            for run, session in zip(runs, sessions):
                 began = time.perf_counter()
-                tracked = session.add(frame.image, frame.stamp_ns if timed else None, depth)
-                return tracked, time.perf_counter() - began
-
-            try:
-                found = list(together(add, sessions))
-            except InputError as error:
-                remark = f'{frame.name or f"Image {frame.index}"} was passed over: {error}'
-                for run in runs:
-                    run.remarks.append(remark)
-                _LOGGER.info(remark)
-                continue
-            for run, (tracked, seconds) in zip(runs, found):
-                run.seconds += seconds
-                _count(run, frame.index, tracked)
-                _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
-            for listener in listeners:
-                listener(frame, tuple(tracked for tracked, _ in found))
-            if progress:
-                progress('Tracking', frame.index + 1, source.count)
+                found.append(session.add(frame.image, stamp_ns, depth))
+                run.seconds += time.perf_counter() - began
+        except InputError as error:
+            # an image that one of them cannot use is of no use to any
+            remark = f'{frame.name or f"Image {frame.index}"} was passed over: {error}'
+            for run in runs:
+                run.remarks.append(remark)
+            _LOGGER.info(remark)
+            continue
+        for run, tracked in zip(runs, found):
+            _count(run, frame.index, tracked)
+            _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
+        for listener in listeners:
+            listener(frame, tuple(found))
+        if progress:
+            progress('Tracking', frame.index + 1, source.count)
     return runs
 
 

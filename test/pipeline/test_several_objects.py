@@ -21,8 +21,7 @@ import pytest
 
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.pipeline.several_objects import (beside_each_other, object_names, parted_starts,
-                                                  several)
+from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.pipeline.tracking_run import Target, track_objects
 from selfcal_ros.report.camera_yaml import write_camera_yaml
@@ -123,17 +122,6 @@ def test_lists_are_parted_and_a_file_with_a_comma_is_one(tmp_path):
     assert parted_starts('1; 2 ;', 3) == ['1', '2', ''] and parted_starts(' a;b ', 1) == ['a;b']
     with pytest.raises(ArgumentError, match='2 poses for 3 objects'):
         parted_starts('1;2', 3)
-
-
-def test_an_error_of_one_of_several_is_raised():
-    def fail(number):
-        if number == 2:
-            raise ArgumentError('two')
-        return number
-
-    for count in (1, 3):
-        with beside_each_other(count) as together, pytest.raises(ArgumentError, match='two'):
-            list(together(fail, [2] if count == 1 else [1, 2, 3]))
 
 
 def test_objects_are_sought_where_no_start_is_known(folder, tmp_path, capsys):
