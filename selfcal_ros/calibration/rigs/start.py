@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.priors import Priors, priors_from_facts, wit
 from selfcal_ros.calibration.bundle.rig import Rig, RigPriors
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
+from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.rigs.alignment import align
 from selfcal_ros.geometry.camera import Camera, CameraFacts
@@ -195,7 +196,26 @@ def places(reference: str, known: Mapping[str, Calibration], moving: Sequence[st
             way.before_first(one) for donor in moving if donor != reference
             for way in found[donor] if np.isfinite(way.scale)
             for one in place_by_points(known[donor], tracks[name], cameras.get(name))]
-    return found
+    while True:
+        # by the points of cameras that were placed so themselves, one after the other
+        more = {name: [one for donor, ways in found.items() if donor != reference
+                       for way in ways[:1]
+                       for one in place_by_points(
+                           _with_points_of(anchor, {name: tracks[name] for name in (
+                               reference, donor)}, way), tracks[name], cameras.get(name))]
+                for name in tracks if not found[name]}
+        if not any(more.values()):
+            return found
+        found.update({name: ways for name, ways in more.items() if ways})
+
+
+def _with_points_of(anchor: Calibration, tracks: Mapping[str, Tracks], placed: Placed,
+                    ) -> Calibration:
+    """Return a calibration whose reconstruction has what a second camera sees from its place."""
+    seen = observations_of(tracks, dict.fromkeys(tracks), anchor.reconstructed.frames, True)
+    state = start_state(seen, anchor, [Placed(anchor.camera, np.eye(3, 4)), placed])
+    return anchor if state is None else replace(anchor, reconstruction=Reconstruction(
+        seen.frames, state.path.cam_from_world(), seen.observations.track, state.points))
 
 
 def places_by_path(reference: Calibration, other: Calibration) -> list[Placed]:
