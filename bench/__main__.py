@@ -51,6 +51,7 @@ BENCHES = {
     'tracking_sought': 'objects that nobody says a start of: found, or not, never wrong',
     'tracking_starts': 'wrong starts, wrong models, absent objects: said, never tracked',
     'tracking_stereo': 'the tea box before two cameras that must agree',
+    'tracking_rig': 'one object, several cameras: one pose, and what is wrong between them',
     'tracking_speed': 'time of the tracker and its parts, 10 000 images',
     'object_models': 'models of objects from two translated images, rendered and real',
     'visibility_tables': 'visibility tables of the thesis beside the direct test',

@@ -38,7 +38,7 @@ RORAPID_FLOOR = {
     'options': 1, 'tracked_frame': 1, 'projection': 1, 'region': 1, 'visibility': 1, 'model': 1,
     'edges': 2, 'texture': 2,
     'estimation': 3, 'acquisition': 3,
-    'tracker': 4}
+    'tracker': 4, 'several_cameras': 5}
 FLOORS = {'calibration': CALIBRATION_FLOOR, 'rorapid': RORAPID_FLOOR}
 #: The value types of the top storey that message adapters may name.
 VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera',

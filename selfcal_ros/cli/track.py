@@ -25,23 +25,26 @@ from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
+from selfcal_ros.cli.track_rig import (add_rig_arguments, check_single, overlays_of, rig_of,
+                                       track_rig_recordings)
 from selfcal_ros.errors import ArgumentError, InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `selfcal track`."""
-    parser.add_argument('input', metavar='INPUT',
+    parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='a rosbag2 folder, an .mcap, .db3 or .bag file, a folder of images, '
-                             'or a video')
+                             'or a video; with --cameras one for each, or a single bag')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
     parser.add_argument('--depth-topic', metavar='TOPIC',
                         help='depth images of the bag (16UC1 in millimetres, 32FC1 in metres), '
                              'registered to the images and with their stamps')
     add_excerpt_arguments(parser)
     add_object_arguments(parser)
-    parser.add_argument('--camera', type=Path, required=True, metavar='CAMERA.YAML',
+    parser.add_argument('--camera', type=Path, metavar='CAMERA.YAML',
                         help='calibration of the camera, as `selfcal calibrate` writes it, or '
                              'another program')
+    add_rig_arguments(parser)
     parser.add_argument('--model-scale', type=float, default=1.0, metavar='METRES',
                         help='metres per unit of a mesh: 0.001 where it is in millimetres '
                              '(default 1)')
@@ -114,26 +117,37 @@ def run(args: argparse.Namespace) -> int:
     names = object_names(paths)
     outputs = [args.output] if len(paths) == 1 else [
         args.output.with_name(f'{args.output.stem}_{name}{args.output.suffix}') for name in names]
-    check_outputs((), (args.input, *map(Path, paths), args.camera, args.init), False,
-                  (*outputs, args.overlay))
-    if args.overlay:
-        check_video_path(args.overlay)
-    camera = read_known_camera(args.camera)
+    if args.rig is None:
+        check_single(args)
+        cameras, camera = (), read_known_camera(args.camera)
+        overlays = [args.overlay] if args.overlay else []
+    else:
+        inputs, cameras = rig_of(args)
+        camera, overlays = cameras[0].camera, overlays_of(args.overlay, inputs)
+    check_outputs((), (*args.input, *map(Path, paths), args.camera, args.rig, args.init), False,
+                  (*outputs, *overlays))
+    for overlay in overlays:
+        check_video_path(overlay)
     models = [read_model(path, args.model_scale) for path in paths]
     starts = [None if word == AUTO else read_start(word, args.clicks, camera)
               for word in parted_starts(args.init or '', len(paths))]
     targets = [Target(model, start, args.init_sigma) for model, start in zip(models, starts)]
     with Progress.of(args) as progress:
-        runs, tables = track_recording(args.input, targets, camera, options, topic=args.topic,
-                                       overlay=args.overlay, seed=args.seed, progress=progress,
-                                       excerpt=excerpt, depth_topic=args.depth_topic,
-                                       names=names if len(paths) > 1 else [''])
+        alike = {'seed': args.seed, 'progress': progress, 'excerpt': excerpt,
+                 'names': names if len(paths) > 1 else ['']}
+        if cameras:
+            runs, tables = track_rig_recordings(inputs, cameras, targets, options,
+                                                overlays=overlays, **alike)
+        else:
+            runs, tables = track_recording(args.input[0], targets, camera, options,
+                                           topic=args.topic, overlay=args.overlay,
+                                           depth_topic=args.depth_topic, **alike)
     # not earlier: an input error stands alone
     for path, model in zip(paths, models):
         for remark in getattr(model, 'remarks', ()):
             print(f'{path}: {remark}', file=sys.stderr)
     written = [table.write(output) for table, output in zip(tables, outputs)]
-    written += [args.overlay] if args.overlay else []
+    written += overlays
     for name, run in zip(names, runs):
         text = run.text() if len(runs) == 1 else f'{name}: {run.text()}'
         if not args.quiet:

@@ -65,6 +65,10 @@ class TrackingRun:
         Time of the tracker alone.
     last_state : str
     description : str
+    distance_stated : bool
+        Something else than the size of the model tells distances.
+    cameras : dict of str to int
+        Of several cameras: in how many images each saw the object.
 
     """
 
@@ -79,6 +83,7 @@ class TrackingRun:
     last_state: str = ''
     description: str = ''
     distance_stated: bool = False
+    cameras: dict = field(default_factory=dict)
 
     @property
     def rms_px(self) -> float:
@@ -106,6 +111,9 @@ class TrackingRun:
             if seen and not self.distance_stated:
                 lines.append('Distances are as true as the size of the model: one camera cannot '
                              'tell a larger object farther away.')
+        if self.cameras and self.images:
+            seen_by = ', '.join(f'{name} in {count}' for name, count in self.cameras.items())
+            lines.append(f'The object was seen by {seen_by}.')
         lines += [f'Lost from image {first} to {last}: {reason}'
                   for first, last, reason in self.stretches[:MAX_REMARKS]]
         if len(self.stretches) > MAX_REMARKS:
@@ -266,9 +274,7 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
             session.seek()
         else:
             session.start(*target.start, target.distance_sigma_m)
-    if source.kind == 'tracks':
-        raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
-    _check_size(source, camera)
+    check_source(source, camera)
     listeners = tuple(listeners)
     # images of a folder have no clock of their own
     timed = source.clock != 'nominal'
@@ -289,7 +295,7 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
             _LOGGER.info(remark)
             continue
         for run, tracked in zip(runs, found):
-            _count(run, frame.index, tracked)
+            count_image(run, frame.index, tracked)
             _LOGGER.debug('image %d: %s %s', frame.index, tracked.state.value, tracked.reason)
         for listener in listeners:
             listener(frame, tuple(found))
@@ -298,8 +304,17 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
     return runs
 
 
-def _check_size(source, camera: Camera) -> None:
-    """Refuse a calibration of another image size before the first image."""
+def check_source(source: FrameSource, camera: Camera) -> None:
+    """
+    Refuse what is wrong before the first image: no images, or a calibration of another size.
+
+    Raises
+    ------
+    InputError
+
+    """
+    if source.kind == 'tracks':
+        raise InputError(f'{source.path} holds tracks, not images; the tracker needs images.')
     if source.image_size and camera.width and source.image_size != (camera.width, camera.height):
         raise InputError(f'The images are {source.image_size[0]}x{source.image_size[1]}, the '
                          f'calibration is for {camera.width}x{camera.height} pixels; use the '
@@ -319,7 +334,7 @@ def playing_rate_hz(source: FrameSource) -> float:
     return float(1e9 / steps.min()) if len(steps) and steps.min() > 0 else RATE_HZ
 
 
-def _count(run: TrackingRun, index: int, tracked) -> None:
+def count_image(run: TrackingRun, index: int, tracked: TrackedFrame) -> None:
     """Note how an image went."""
     run.images += 1
     run.squares += float(np.sum(tracked.edge_px[tracked.found]**2))

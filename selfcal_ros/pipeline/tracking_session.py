@@ -21,6 +21,7 @@ sentence what is wrong with it; the tracker behind it only sees what it can work
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,8 @@ class TrackingSession:
         check_size(model, *self.options.control_points)
         self._seed = seed
         self._camera: Camera | None = None
-        self._tracker: RorapidTracker | None = None
+        # of one camera, or of several (`RigSession`)
+        self._tracker: Any = None
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self._seeking = False
         self._distance_sigma_m: float | None = None
@@ -128,7 +130,7 @@ class TrackingSession:
             self._tracker.reset()
             self._begin(self._tracker)
 
-    def _begin(self, tracker: RorapidTracker) -> None:
+    def _begin(self, tracker) -> None:
         """Give a tracker the start pose."""
         if self._start is not None:
             tracker.start(*self._start, distance_sigma_m=self._distance_sigma_m)
@@ -198,16 +200,14 @@ class TrackingSession:
 
         """
         rotation, translation = checked_pose(rotation, translation)
-        points = self.model.extent @ rotation.T + translation
-        if not points[:, 2].max() > 0:
-            raise InputError('The start pose puts the object behind the camera; its z (the third '
-                             'number, metres along the optical axis) must be positive.')
-        camera = self._camera
-        if camera is not None and camera.width and camera.height:
-            _check_in_image(camera, points)
+        self._check_start(self.model.extent @ rotation.T + translation)
         self._start, self._distance_sigma_m = (rotation, translation), distance_sigma_m
         self._seeking = False
         self.reset()
+
+    def _check_start(self, points: np.ndarray) -> None:
+        """Refuse a start that puts the points (N, 3) of the object out of sight."""
+        check_in_image(self._camera, points)
 
     def seek(self) -> None:
         """
@@ -254,20 +254,24 @@ class TrackingSession:
             raise InputError('There is no calibration of the camera yet; the tracker needs one.')
         if self._start is None and not self._seeking:
             raise InputError('There is no start pose yet; say roughly where the object is.')
-        _check_image(image, self._camera)
+        check_image(image, self._camera)
         stamp_ns = self._checked_stamp(stamp_ns)
         if depth is not None and depth.shape != image.shape[:2]:
             raise InputError(f'The depth image is {depth.shape[1]}x{depth.shape[0]}, the image '
                              f'{image.shape[1]}x{image.shape[0]} pixels; give depths that are '
                              'registered to it.')
         frame = self._tracker.track(image, stamp_ns, depth)
+        self._count(frame)
+        return frame
+
+    def _count(self, frame: TrackedFrame) -> None:
+        """Note how an image went."""
         self._images += 1
         self._by_state[frame.state.value] = self._by_state.get(frame.state.value, 0) + 1
         before = self._newest.state if self._newest is not None else None
         if frame.state is TrackerState.LOST and before is not TrackerState.LOST:
             self._losses += 1
         self._newest = frame
-        return frame
 
     def snapshot(self) -> TrackingSnapshot:
         """Return the state for diagnostics."""
@@ -293,7 +297,7 @@ class TrackingSession:
         return None if stamp_ns == newest else stamp_ns
 
 
-def _check_image(image: np.ndarray, camera: Camera) -> None:
+def check_image(image: np.ndarray, camera: Camera) -> None:
     """Refuse what is no image of this camera."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or (
             image.ndim == 3 and image.shape[2] != 3):
@@ -334,8 +338,27 @@ def checked_pose(rotation, translation) -> tuple[np.ndarray, np.ndarray]:
     return nearest, translation
 
 
-def _check_in_image(camera: Camera, points: np.ndarray) -> None:
-    """Refuse a pose at which nothing of the object (N, 3, camera frame) is in the image."""
+def check_in_image(camera: Camera | None, points: np.ndarray) -> None:
+    """
+    Refuse a pose at which nothing of the object is in the image.
+
+    Parameters
+    ----------
+    camera : Camera or None
+        None: only what is behind any camera is refused.
+    points : ndarray, shape (N, 3)
+        Of the object, in the frame of the camera.
+
+    Raises
+    ------
+    InputError
+
+    """
+    if not points[:, 2].max() > 0:
+        raise InputError('The start pose puts the object behind the camera; its z (the third '
+                         'number, metres along the optical axis) must be positive.')
+    if camera is None or not (camera.width and camera.height):
+        return
     ahead = points[points[:, 2] > 1e-6]
     low, high = ahead_box(camera, ahead)
     size = np.array([camera.width, camera.height])

@@ -28,6 +28,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.files import check_writable
 from selfcal_ros.report.overlay import draw_overlay
+from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -122,11 +123,24 @@ def check_video_path(path) -> Path:
 
 
 def drawing_into(video: OverlayVideo, models: Sequence[WireframeModel], camera: Camera,
-                 names: Sequence[str] = ('',)) -> Callable[[Frame, Sequence[TrackedFrame]], None]:
+                 names: Sequence[str] = ('',)
+                 ) -> Callable[[Frame, Sequence[TrackedFrame | None]], None]:
     """Return a listener of `track_objects` that appends each image with its overlay."""
-    def add(frame: Frame, tracked: Sequence[TrackedFrame]) -> None:
+    def add(frame: Frame, tracked: Sequence[TrackedFrame | None]) -> None:
         picture = frame.image if frame.bgr is None else frame.bgr
         for line, (model, one, name) in enumerate(zip(models, tracked, names)):
             picture = draw_overlay(picture, one, model, camera, line=line, name=name)
         video.add(picture)
+    return add
+
+
+def drawing_of_camera(video: OverlayVideo, models: Sequence[WireframeModel], camera: Camera,
+                      which: int, names: Sequence[str] = ('',)) -> Callable:
+    """Return a listener of `track_in_rig` that appends the images of one of the cameras."""
+    draw = drawing_into(video, models, camera, names)
+
+    def add(frames: Sequence[Frame | None], found: Sequence[RigFrame]) -> None:
+        frame, views = frames[which], [one.views[which] for one in found]
+        if frame is not None:
+            draw(frame, views)
     return add

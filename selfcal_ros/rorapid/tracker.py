@@ -94,7 +94,10 @@ class RorapidTracker:
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
         self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
-        self._state, self._stamp_ns = TrackerState.LOST, None
+        self._state, self._led = TrackerState.LOST, False
+        self._stamp_ns: int | None = None
+        #: What the last image said of the pose; None where it did not confirm one.
+        self.measured: PoseMeasurement | None = None
 
     def _lay_basis(self) -> None:
         """Lay out the corrections that motion and camera model allow."""
@@ -133,7 +136,7 @@ class RorapidTracker:
             self._projection.become(self._camera_model)
             self._lay_basis()
             self._method.switch(self._basis, self._camera_model)
-        self._kalman = None
+        self._kalman, self.measured, self._led = None, None, False
         self._state, self._stamp_ns = TrackerState.LOST, None
 
     def adopt(self, options: TrackerOptions) -> bool:
@@ -226,6 +229,43 @@ class RorapidTracker:
         self.start(np.eye(3), [0, 0, away] - self._control.centre, lost=True)
         method.placed = False
 
+    @property
+    def centre(self) -> np.ndarray:
+        """Middle of the object in its own frame, (3,): what states are about."""
+        return self._control.centre
+
+    def follow_from(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray,
+                    stamp_ns: int | None, searches: bool) -> None:
+        """
+        Go on from where other cameras saw the object.
+
+        Parameters
+        ----------
+        state : ObjectPose
+            Of the object's middle, at `stamp_ns`.
+        velocity, covariance : ndarray, shape (6,) and (12, 12)
+            As of `ConstantVelocityFilter`.
+        stamp_ns : int or None
+        searches : bool
+            The object is sought around there, not only measured.
+
+        """
+        if self._kalman is None:
+            self.start(state.rotation, state.translation - state.rotation @ self.centre, lost=True)
+        self._stamp_ns, self._led = stamp_ns, not searches
+        if searches:
+            self._state = TrackerState.LOST
+            self._filter.restart(state, self._wide(state))
+            return
+        kalman = self._filter
+        kalman.state, kalman.velocity, kalman.covariance = state, velocity, covariance
+        if self._state is TrackerState.LOST:
+            self._state, self._misses = TrackerState.DEGRADED, 0.0
+
+    def doubted(self) -> np.ndarray:
+        """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
+        return self._doubts.covariance(self._filter.state, self._basis)
+
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
         self._kalman = started_filter(self._projection, self._basis, self._free, self.options,
@@ -259,6 +299,7 @@ class RorapidTracker:
         """
         if self._kalman is None:
             raise ArgumentError('The tracker needs a start pose before the first image.')
+        self.measured = None
         image = checked_grey(image, self.camera)
         self._control.resize(image.shape[::-1])
         seconds = self._elapsed(stamp_ns)
@@ -274,7 +315,7 @@ class RorapidTracker:
             measured = self._method.measure(image, predicted, spread)
         if first and self.options.doubts and isinstance(self._method, RobustTracker):
             return self._confirm(self._method, image, measured, stamp_ns)
-        if not first and self.options.seeks and not measured.recognised and (
+        if not first and self.options.seeks and not self._led and not measured.recognised and (
                 lost or measured.share < self.options.tracking_share):
             measured = relocalised(self._method, image, measured, self._filter.state, lost,
                                    self._wide)
@@ -355,10 +396,10 @@ class RorapidTracker:
         """Accept or refuse a measurement, and say what the state is."""
         options = self.options
         lost = self._state is TrackerState.LOST
-        accepted = measured.determined and (
+        accepted = (measured.determined or self._led) and (
             measured.recognised if lost else measured.share >= options.lost_share)
         innovation = float('nan')
-        open_turn = self._open_turn(measured)
+        open_turn = not self._led and self._open_turn(measured)
         if accepted and (open_turn or not measured.recognised
                          and measured.share <= options.lost_share):
             # barely found and not recognised, or hardly determined: half a miss
@@ -369,6 +410,7 @@ class RorapidTracker:
         else:
             self._misses += 1
         if accepted:
+            self.measured = measured
             innovation = self._filter.innovation_share(measured.state, measured.covariance)
             if lost:
                 self._filter.restart(measured.state, measured.covariance)
@@ -377,7 +419,9 @@ class RorapidTracker:
             else:
                 self._filter.update(measured.state, measured.covariance)
             tracking = measured.share >= options.tracking_share and not open_turn
-            self._method.remember(measured, tracking or measured.recognised)
+            if tracking or measured.recognised or not self._led:
+                # where others say where to look, little may be something else
+                self._method.remember(measured, tracking or measured.recognised)
             self._adapt(measured)
             if tracking and isinstance(self._method, RobustTracker):
                 self._doubts.look(image, measured, self._method.check)

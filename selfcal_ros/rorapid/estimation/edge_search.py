@@ -57,6 +57,8 @@ class EdgeFit:
     edges, measured, solved : ndarray, shape (m, m)
         Information of the edges, edgels taken as independent; the same with the corners; with
         the prior as well, the matrix of the last solution.
+    pull : ndarray, shape (m,)
+        measured (z - state), z being what the image says without the prior.
     view : ControlView
     at : ndarray of int, shape (C,)
         Which control points of the view.
@@ -75,6 +77,7 @@ class EdgeFit:
     edges: np.ndarray
     measured: np.ndarray
     solved: np.ndarray
+    pull: np.ndarray
     view: ControlView
     at: np.ndarray
     clutter_weight: np.ndarray
@@ -303,6 +306,6 @@ class EdgeSearch:
         after = self.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
         measured = H + corner_H
-        return EdgeFit(after, H, measured, measured + prior, view, at, weights, rows, residual,
-                       contrast[line, best] if len(at) else np.zeros(0), w, off * off,
-                       profiles)
+        return EdgeFit(after, H, measured, measured + prior, prior @ (back + q), view, at,
+                       weights, rows, residual,
+                       contrast[line, best] if len(at) else np.zeros(0), w, off * off, profiles)

@@ -1,0 +1,109 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Recordings of several cameras through the tracker, and how it went."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+import logging
+import time
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.pipeline.rig_session import RigSession
+from selfcal_ros.pipeline.simultaneous import simultaneous
+from selfcal_ros.pipeline.tracking_run import check_source, count_image, Target, TrackingRun
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.values.camera_rig import PlacedCamera
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
+                 cameras: Sequence[PlacedCamera], options: TrackerOptions | None = None, *,
+                 seed: int = 0, progress: Callable | None = None,
+                 listeners: Iterable[Callable[[Sequence[Frame | None], Sequence[RigFrame]],
+                                              object]] = ()) -> list[TrackingRun]:
+    """
+    Follow objects through the recordings of several cameras.
+
+    Parameters
+    ----------
+    sources : sequence of FrameSource
+        One a camera.
+    targets : sequence of Target
+        Starts are in the frame of the first camera.
+    cameras : sequence of PlacedCamera
+    options : TrackerOptions, optional
+    seed : int
+    progress : callable, optional
+        Called as progress(text, done, total).
+    listeners : iterable of callable
+        Each is called as listener(frames, found) after every instant: a Frame or None of each
+        camera, numbered by the instant, and a RigFrame of each object.
+
+    Returns
+    -------
+    list of TrackingRun
+        Of each object.
+
+    Raises
+    ------
+    InputError
+        If an input, a start pose or the size of the images is wrong.
+
+    """
+    description = '; '.join(f'{one.name}: {source.description}'
+                            for one, source in zip(cameras, sources))
+    # distances come from the places of the cameras
+    runs = [TrackingRun(description=description, distance_stated=True,
+                        cameras={one.name: 0 for one in cameras}) for _ in targets]
+    sessions = [RigSession(target.model, cameras, options, seed) for target in targets]
+    for session, target in zip(sessions, targets):
+        if target.start is None:
+            session.seek()
+        else:
+            session.start(*target.start, target.distance_sigma_m)
+    for source, one in zip(sources, cameras):
+        check_source(source, one.camera)
+    listeners = tuple(listeners)
+    timed = all(source.clock != 'nominal' for source in sources)
+    counts = [source.count for source in sources if source.count is not None]
+    for instant, heads in enumerate(simultaneous(sources)):
+        frames = [head and replace(head, index=instant) for head in heads]
+        first = next(frame for frame in frames if frame is not None)
+        images = [None if frame is None else frame.image for frame in frames]
+        found = []
+        try:
+            for run, session in zip(runs, sessions):
+                began = time.perf_counter()
+                found.append(session.look(images, first.stamp_ns if timed else None))
+                run.seconds += time.perf_counter() - began
+        except InputError as error:
+            remark = f'{first.name or f"Instant {instant}"} was passed over: {error}'
+            for run in runs:
+                run.remarks.append(remark)
+            _LOGGER.info(remark)
+            continue
+        for run, now in zip(runs, found):
+            count_image(run, instant, now.tracked)
+            for camera, sees in zip(cameras, now.sees):
+                run.cameras[camera.name] += sees
+        for listener in listeners:
+            listener(frames, found)
+        if progress:
+            progress('Tracking', instant + 1, max(counts) if counts else None)
+    return runs

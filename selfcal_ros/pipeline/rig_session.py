@@ -1,0 +1,132 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Images of several cameras in, poses of one object out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.errors import InputError
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.tracking_session import check_image, check_in_image, TrackingSession
+from selfcal_ros.rorapid.several_cameras.rig_tracker import (
+    check_rig_options, RigFrame, RigTracker)
+from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
+from selfcal_ros.values.camera_rig import PlacedCamera
+
+
+class RigSession(TrackingSession):
+    """
+    Follows one object through the images of several cameras.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    cameras : sequence of PlacedCamera
+        Poses are in the frame of the first one.
+    options : TrackerOptions, optional
+    seed : int
+
+    Raises
+    ------
+    ArgumentError
+        If an option is for a single camera.
+
+    """
+
+    def __init__(self, model, cameras: Sequence[PlacedCamera],
+                 options: TrackerOptions | None = None, seed: int = 0):
+        super().__init__(model, options, None, seed)
+        check_rig_options(self.options)
+        self._placed = tuple(cameras)
+        self.newest_of_rig: RigFrame | None = None
+        self._take(self._placed[0].camera, self.options)
+
+    @property
+    def cameras(self) -> tuple[PlacedCamera, ...]:
+        """The cameras in use."""
+        return self._placed
+
+    def set_camera(self, camera: Camera, which: int = 0) -> bool:
+        """Take a calibration of one of the cameras; see `TrackingSession.set_camera`."""
+        old = self._placed[which].camera
+        if (old.width, old.height, old.model) == (camera.width, camera.height, camera.model) and (
+                np.array_equal(old.K, camera.K)
+                and np.array_equal(old.distortion, camera.distortion)):
+            return False
+        self._placed = tuple(replace(one, camera=camera) if k == which else one
+                             for k, one in enumerate(self._placed))
+        self._take(self._placed[0].camera, self.options)
+        return True
+
+    def _take(self, camera: Camera, options: TrackerOptions) -> None:
+        tracker = RigTracker(self.model, self._placed, options, self._seed)
+        newest = self._newest
+        if newest is not None and {'tracking', 'degraded'} & set(self._by_state):
+            tracker.start(newest.rotation, newest.translation,
+                          lost=newest.state is TrackerState.LOST)
+        else:
+            self._begin(tracker)
+        self._tracker, self._camera, self.options = tracker, camera, options
+
+    def _check_start(self, points: np.ndarray) -> None:
+        """Refuse a start that no camera sees; one of them is enough."""
+        problems = []
+        for one in self._placed:
+            back = np.linalg.inv(one.T_rig_camera)
+            here = points @ back[:3, :3].T + back[:3, 3]
+            try:
+                check_in_image(one.camera, here)
+                return
+            except InputError as error:
+                problems.append(error)
+        raise problems[0]
+
+    def look(self, images: Sequence[np.ndarray | None], stamp_ns: int | None = None) -> RigFrame:
+        """
+        Find the object in the images of one instant.
+
+        Parameters
+        ----------
+        images : sequence of ndarray of uint8 (H, W) or (H, W, 3), or None
+            Of each camera.
+        stamp_ns : int, optional
+            See `TrackingSession.add`.
+
+        Returns
+        -------
+        RigFrame
+
+        Raises
+        ------
+        InputError
+            If there is no start pose yet, an image is of another size than its camera was
+            calibrated for, or older than those before.
+
+        """
+        if self._tracker is None or self._start is None and not self._seeking:
+            raise InputError('There is no start pose yet; say roughly where the object is.')
+        for image, one in zip(images, self._placed):
+            if image is not None:
+                try:
+                    check_image(image, one.camera)
+                except InputError as error:
+                    raise InputError(f'{one.name}: {error}') from None
+        stamp_ns = self._checked_stamp(stamp_ns)
+        self.newest_of_rig = self._tracker.track(images, stamp_ns)
+        self._count(self.newest_of_rig.tracked)
+        return self.newest_of_rig

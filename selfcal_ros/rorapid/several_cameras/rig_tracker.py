@@ -1,0 +1,386 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+The pose of one object from the images of several cameras that sit still to each other.
+
+Each camera looks near the prediction that all share. What its image says is an information matrix
+and a pull; those of all images add up, and with the prediction they are one pose and one
+covariance. A camera that does not see the object adds nothing. Where cameras contradict each
+other, they are not mixed: the largest group that agrees gives the pose, the covariance counts the
+whole difference, and the finding is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.rorapid.estimation.filter_start import (
+    checked_start, started_filter, TURN_LAST)
+from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.estimation.track_quality import RANK_TOLERANCE
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.motion_models import recentring
+from selfcal_ros.rorapid.several_cameras.agreement import Agreement, CONFLICT
+from selfcal_ros.rorapid.several_cameras.eye import Eye, Glimpse
+from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
+
+#: Share of the velocity that is lost with each instant in which nothing is seen.
+_DAMPING = 0.3
+#: Longest time that a prediction reaches over, seconds.
+_LONGEST_S = 0.5
+
+
+@dataclass(frozen=True)
+class RigFrame:
+    """
+    What the images of one instant gave.
+
+    Attributes
+    ----------
+    tracked : TrackedFrame
+        Pose and covariance in the frame of the rig, which is that of the first camera. What it
+        says of control points is of the first camera that had an image.
+    views : tuple of TrackedFrame or None
+        Of each camera, in its own frame and by itself; None without an image.
+    sees : tuple of bool
+        Which cameras the pose is from.
+
+    """
+
+    tracked: TrackedFrame
+    views: tuple[TrackedFrame | None, ...]
+    sees: tuple[bool, ...]
+
+
+class RigTracker:
+    """
+    Follow a known object through the images of several cameras.
+
+    Parameters
+    ----------
+    model : WireframeModel
+    cameras : sequence of PlacedCamera
+        Poses are in the frame of the first one.
+    options : TrackerOptions, optional
+    seed : int
+
+    Raises
+    ------
+    ArgumentError
+        If an option is for a single camera.
+
+    """
+
+    def __init__(self, model, cameras: Sequence[PlacedCamera],
+                 options: TrackerOptions | None = None, seed: int = 0):
+        """Prepare the model for each camera."""
+        self.options = options = TrackerOptions() if options is None else options
+        check_rig_options(options)
+        self.model, self.cameras = model, placed_beside(cameras)
+        self.eyes = [Eye(model, placed, options, np.random.default_rng(seed))
+                     for placed in self.cameras]
+        self._names = [placed.name for placed in self.cameras]
+        self._projection = Projection(cameras[0].camera)
+        self._centre = self.eyes[0].tracker.centre
+        self._agreement = Agreement(np.array([eye.place for eye in self.eyes]))
+        self.reset()
+
+    @property
+    def state(self) -> TrackerState:
+        """State after the last images; LOST before any start."""
+        return self._state
+
+    def reset(self) -> None:
+        """Forget all that was learned; a new start is needed."""
+        for eye in self.eyes:
+            eye.reset()
+        self._begin(TrackerState.LOST)
+
+    def _begin(self, state: TrackerState) -> None:
+        self._agreement.forget()
+        self._kalman: ConstantVelocityFilter | None = None
+        self._stamp_ns: int | None = None
+        self._misses, self._state = 0, state
+
+    def start(self, rotation, translation, covariance=None, lost: bool = False,
+              distance_sigma_m: float | None = None) -> None:
+        """
+        Take a guess of the pose in the frame of the first camera; see `RorapidTracker.start`.
+
+        Raises
+        ------
+        ArgumentError
+            If it is no pose, or behind all cameras.
+
+        """
+        rotation, translation = checked_start(rotation, translation)
+        # of all cameras: each may be the one that sees the object
+        if not any([eye.start(rotation, translation, covariance, lost, distance_sigma_m)
+                    for eye in self.eyes]):
+            raise ArgumentError('The start pose puts the object behind all cameras.')
+        self._begin(TrackerState.LOST if lost else TrackerState.INITIALISING)
+
+    def seek(self) -> None:
+        """Begin without a pose; see `RorapidTracker.seek`."""
+        for eye in self.eyes:
+            eye.seek()
+        self._begin(TrackerState.LOST)
+
+    def adopt(self, options: TrackerOptions) -> bool:
+        """Go on by other settings; see `RorapidTracker.adopt`."""
+        check_rig_options(options)
+        if options.built_in != self.options.built_in:
+            return False
+        for eye in self.eyes:
+            eye.tracker.adopt(options)
+        self.options = options
+        return True
+
+    def track(self, images: Sequence[np.ndarray | None],
+              stamp_ns: int | None = None) -> RigFrame:
+        """
+        Find the object in the next images.
+
+        Parameters
+        ----------
+        images : sequence of ndarray (H, W) or (H, W, 3) of uint8, or None
+            Of each camera, of one instant; None where there is none.
+        stamp_ns : int, optional
+
+        Returns
+        -------
+        RigFrame
+
+        Raises
+        ------
+        ArgumentError
+            If there was no start, or no image.
+        InputError
+            If an image is not of its camera's size or type.
+
+        """
+        if all(image is None for image in images):
+            raise ArgumentError('There is no image of any camera.')
+        kalman = self._kalman
+        views: list[TrackedFrame | None] = []
+        for eye, image in zip(self.eyes, images):
+            if image is not None and kalman is not None:
+                eye.expect(kalman, self._stamp_ns)
+            views.append(None if image is None else eye.look(image, stamp_ns))
+        if not any(views[k] is not None for k in range(len(views))):
+            raise ArgumentError('The tracker needs a start pose before the first image.')
+        seconds = self._elapsed(stamp_ns)
+        if kalman is not None:
+            kalman.predict(seconds, _DAMPING if self._misses else 0.0)
+        seen = {k: glimpse for k, (eye, view) in enumerate(zip(self.eyes, views))
+                if view is not None and (glimpse := eye.glimpse()) is not None}
+        return self._judged(views, seen, stamp_ns)
+
+    def _elapsed(self, stamp_ns) -> float:
+        before, self._stamp_ns = self._stamp_ns, stamp_ns
+        if stamp_ns is None or before is None or stamp_ns <= before:
+            return 1 / self.options.frame_rate_hz
+        return min((stamp_ns - before) * 1e-9, _LONGEST_S)
+
+    # one pose from all
+
+    def _group(self, seen: dict[int, Glimpse]) -> list[int]:
+        """Return the largest group of cameras that agree; of equals the first."""
+        best: list[int] = []
+        for k in seen:
+            place, known = self._joined([seen[k]])
+            group = [j for j in seen if j == k or self._square(seen[j], place, known) < CONFLICT]
+            if (len(group), sum(seen[j].good for j in group)) > (
+                    len(best), sum(seen[j].good for j in best)):
+                best = group
+        return best
+
+    def _joined(self, glimpses: Sequence[Glimpse]) -> tuple[ObjectPose, np.ndarray]:
+        """Return the pose and information (6, 6) of some glimpses with the prediction."""
+        if self._kalman is None:
+            place, known = glimpses[0].state, np.zeros((6, 6))
+        else:
+            place, known = self._kalman.state, np.linalg.inv(self._kalman.spread)
+        pull = np.zeros(6)
+        for glimpse in glimpses:
+            known = known + glimpse.information
+            pull += glimpse.about(place, self._projection.difference)
+        return self._projection.moved(place, np.linalg.solve(known, pull)), known
+
+    def _square(self, glimpse: Glimpse, place: ObjectPose, known: np.ndarray) -> float:
+        """Squared difference of a glimpse from a pose, in sigmas."""
+        pull = glimpse.about(place, self._projection.difference)
+        M = glimpse.information
+        spread = M + M @ np.linalg.solve(known, M)
+        return float(pull @ np.linalg.pinv(spread, 1e-9, hermitian=True) @ pull)
+
+    def _judged(self, views, seen: dict[int, Glimpse], stamp_ns) -> RigFrame:
+        """Join what is seen, and say what the state is."""
+        doubt, apart = '', np.zeros((6, 6))
+        if seen:
+            self._compare(seen)
+            group = self._group(seen)
+            found = self._agreement.found
+            if found is not None and len(seen) > 1:
+                # no mixture of what contradicts: it would be far from all of them
+                out = found.which if len(self.eyes) > 2 else max(seen)
+                group = [k for k in seen if k != out]
+            place, known = self._joined([seen[k] for k in group])
+            others = [k for k in seen if k not in group and seen[k].good]
+            for k in seen:
+                self.eyes[k].is_apart = k in others or found is not None
+            doubt, apart = self._told(seen, others, place)
+            self._take(place, np.linalg.inv(known))
+            self._misses = 0
+            good = any(seen[k].good for k in group)
+            told = [(f'{self._names[k]}: {view.doubt}', self.eyes[k].doubted()) for k in group
+                    if (view := views[k]) is not None and view.doubt]
+            for text, spread in told:
+                doubt, apart = doubt or text, apart + spread
+            self._state = (TrackerState.TRACKING if good and not doubt
+                           else TrackerState.DEGRADED)
+            reason = doubt if good else 'No camera sees more than a little of the object.'
+        else:
+            group, others, reason = [], [], self._missed(views)
+        for k, (eye, view) in enumerate(zip(self.eyes, views)):
+            if view is not None:
+                eye.settle(k in group or k in others)
+        return self._frame(views, group, reason, doubt, apart, stamp_ns)
+
+    def _take(self, place: ObjectPose, spread: np.ndarray) -> None:
+        """Take over a pose with its covariance (6, 6)."""
+        if self._kalman is not None:
+            self._kalman.absorb(place, spread)
+            return
+        self._kalman = started_filter(self._projection, np.eye(6), 6, self.options,
+                                      self.model.diameter_m, place, spread)
+        self._kalman.restart(place, spread)
+
+    def _missed(self, views) -> str:
+        """No camera sees the object; returns why."""
+        self._misses += 1
+        if self._kalman is not None and self._misses >= self.options.frames_to_lost:
+            for eye in self.eyes:
+                eye.search(self._kalman.state)
+            self._kalman, self._state = None, TrackerState.LOST
+            self._agreement.forget()
+        elif self._kalman is not None:
+            self._state = TrackerState.DEGRADED
+        else:
+            begun = any(view is not None and view.state is TrackerState.INITIALISING
+                        for view in views)
+            if begun or self._state is not TrackerState.INITIALISING:
+                self._state = TrackerState.INITIALISING if begun else TrackerState.LOST
+            elif not any(eye.confirms for eye in self.eyes):
+                self._state = TrackerState.LOST
+        reasons = [f'{name}: {view.reason}' for name, view in zip(self._names, views)
+                   if view is not None and view.reason]
+        return reasons[0] if reasons else 'No camera sees the object where it was expected.'
+
+    def _compare(self, seen: dict[int, Glimpse]) -> None:
+        """Hold each camera against the others."""
+        sure = [k for k in seen if seen[k].good and _determined(seen[k].own)]
+        if len(sure) < 2:
+            return
+        place, _ = self._joined([seen[k] for k in sure])
+        difference = self._projection.difference
+        pulls = {k: seen[k].about(place, difference) for k in sure}
+        # of two the first would only say the same as the second
+        for k in sure[len(sure) == 2:]:
+            others = [j for j in sure if j != k]
+            known = sum(seen[j].information for j in others)
+            d = (np.linalg.solve(seen[k].information, pulls[k])
+                 - np.linalg.solve(known, sum(pulls[j] for j in others)))
+            weight = np.linalg.inv(np.linalg.inv(seen[k].own)
+                                   + np.linalg.inv(sum(seen[j].own for j in others)))
+            misplaced = seen[k].misplaced + sum(seen[j].misplaced for j in others) / len(others)
+            self._agreement.add(k, others, d, weight, misplaced, place.translation)
+        self._agreement.judge(float(np.linalg.norm(place.translation)))
+
+    def _told(self, seen, others: list[int], place: ObjectPose) -> tuple[str, np.ndarray]:
+        """Say what contradicts, and return the covariance (6, 6) that counts it."""
+        found, spread = self._agreement.found, np.zeros((6, 6))
+        for k in others:
+            pull = seen[k].about(place, self._projection.difference)
+            M = seen[k].information
+            d = np.linalg.solve(M + 1e-9 * np.diag(np.diag(M)), pull)
+            spread += np.outer(d, d)
+            if found is None:
+                # it may be the size of the model, which one image does not tell from other causes
+                apart = np.mean([self.eyes[j].place for j in seen if j not in others], axis=0)
+                apart = apart - self.eyes[k].place
+                size = float(apart @ d[3:]) / max(float(apart @ apart), 1e-12)
+                farther = np.r_[np.zeros(3), size * place.translation]
+                spread += np.outer(farther, farther)
+        if found is not None:
+            spread += 0.0 if others else np.outer(found.difference, found.difference)
+            if found.size is not None:
+                farther = np.r_[np.zeros(3), found.size[0] * place.translation]
+                spread += np.outer(farther, farther)
+            return found.text(self._names), spread
+        if not others:
+            return '', spread
+        turn, shift = np.rad2deg(np.linalg.norm(d[:3])), 1000 * np.linalg.norm(d[3:])
+        return (f'The camera {self._names[others[-1]]} sees the object elsewhere than the others, '
+                f'by {turn:.2f}° and {shift:.1f} mm.'), spread
+
+    def _frame(self, views, group, reason: str, doubt: str, apart: np.ndarray,
+               stamp_ns) -> RigFrame:
+        """Put the result into the object's own frame."""
+        sees = tuple(k in group for k in range(len(self.eyes)))
+        first = next(view for view in views if view is not None)
+        kalman = self._kalman
+        if kalman is None:
+            tracked = replace(first, state=self._state, reason=reason, doubt='',
+                              stamp_ns=stamp_ns)
+            return RigFrame(tracked, tuple(views), sees)
+        arm = kalman.state.rotation @ self._centre
+        carry = recentring(arm)
+        pose = carry @ (kalman.spread + apart) @ carry.T
+        shares = [view.share_found for k, view in enumerate(views)
+                  if view is not None and (k in group or not group)]
+        tracked = replace(
+            first, state=self._state, reason=reason, doubt=doubt, stamp_ns=stamp_ns,
+            rotation=kalman.state.rotation, translation=kalman.state.translation - arm,
+            covariance=pose[TURN_LAST], share_found=max(shares))
+        return RigFrame(tracked, tuple(views), sees)
+
+
+def check_rig_options(options: TrackerOptions) -> None:
+    """
+    Refuse what several cameras cannot do.
+
+    Raises
+    ------
+    ArgumentError
+        If an option is for a single camera.
+
+    """
+    for name, value in (('method', 'modern'), ('camera_model', 'perspective'),
+                        ('motion', 'general')):
+        if getattr(options, name) != value:
+            raise ArgumentError(f'Several cameras of one object need {name.replace("_", " ")} '
+                                f'{value}, not {getattr(options, name)}.')
+
+
+def _determined(information: np.ndarray) -> bool:
+    """Whether an image determines the whole pose."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > RANK_TOLERANCE)
