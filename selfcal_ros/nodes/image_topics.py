@@ -35,19 +35,19 @@ SILENT_S = 2.0
 COMPRESSED = 'compressed'
 
 
-def compressed_topic(node) -> str:
+def compressed_topic(node, base: str = 'image') -> str:
     """
-    Return the name of the compressed sibling of `image`.
+    Return the name of the compressed sibling of `image`, or of another base.
 
     Who remaps `image` to /camera/image_raw means /camera/image_raw/compressed as well; a remap of
     `image/compressed` of its own wins.
     """
     plain, beside = (node.resolve_topic_name(name, only_expand=True)
-                     for name in ('image', f'image/{COMPRESSED}'))
-    resolved = node.resolve_topic_name(f'image/{COMPRESSED}')
-    image = node.resolve_topic_name('image')
+                     for name in (base, f'{base}/{COMPRESSED}'))
+    resolved = node.resolve_topic_name(f'{base}/{COMPRESSED}')
+    image = node.resolve_topic_name(base)
     if resolved != beside or image == plain:
-        return f'image/{COMPRESSED}'
+        return f'{base}/{COMPRESSED}'
     return f'{image}/{COMPRESSED}'
 
 
@@ -90,6 +90,8 @@ class ImageInputs:
     transport : {'auto', 'raw', 'compressed'}
         With 'auto' the one that speaks first, until it is silent for `SILENT_S`.
     reliability : {'auto', 'best_effort', 'reliable'}
+    base : str
+        The topic, if it is another.
 
     Attributes
     ----------
@@ -99,9 +101,9 @@ class ImageInputs:
     """
 
     def __init__(self, node, take: Callable, wanted: Callable[[], bool] = lambda: True, *,
-                 transport: str, reliability: str):
+                 transport: str, reliability: str, base: str = 'image'):
         self._node, self._take, self._wanted = node, take, wanted
-        self._topics = {'raw': 'image', 'compressed': compressed_topic(node)}
+        self._topics = {'raw': base, 'compressed': compressed_topic(node, base)}
         self._subscriptions: dict[str, Any] = {}
         self._profiles: dict[str, Any] = {}
         self._chosen = self._followed = ''
@@ -115,6 +117,15 @@ class ImageInputs:
     def topics(self) -> list[str]:
         """Resolved names of the topics that are subscribed now."""
         return [one.topic_name for one in self._subscriptions.values()]
+
+    def look(self) -> None:
+        """Count what was lost so far."""
+        self.count.look()
+
+    @property
+    def values(self) -> dict:
+        """Counts for the diagnostics."""
+        return self.count.values
 
     def choose(self, transport: str, reliability: str) -> None:
         """Follow another transport, or subscribe in another way, from now on."""

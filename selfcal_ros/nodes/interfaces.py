@@ -88,10 +88,15 @@ INTERFACES = {
     'planar_calibrator': _CALIBRATOR,
     'affine_calibrator': _CALIBRATOR,
     'rorapid_tracker': (
-        Endpoint('in', 'image', 'sensor_msgs/Image', 'any encoding of a grey or colour camera'),
-        Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage', 'JPEG or PNG'),
+        Endpoint('in', 'image', 'sensor_msgs/Image',
+                 'any encoding of a grey or colour camera; with the parameter cameras NAME/image '
+                 'of each'),
+        Endpoint('in', 'image/compressed', 'sensor_msgs/CompressedImage',
+                 'JPEG or PNG; NAME/image/compressed of each'),
         Endpoint('in', 'camera_info', 'sensor_msgs/CameraInfo',
-                 'calibration of the camera, with distortion, binning and region of interest'),
+                 'calibration of the camera, with distortion, binning and region of interest; '
+                 'NAME/camera_info of each of several, and where they sit on /tf_static, if '
+                 'there is no rig_file'),
         Endpoint('in', 'depth', 'sensor_msgs/Image',
                  'with the parameter depth: 16UC1 (millimetres) or 32FC1 (metres), registered to '
                  'the images, with their stamps'),
@@ -102,7 +107,8 @@ INTERFACES = {
                  'while the object is lost'),
         Endpoint('out', '~/overlay', 'sensor_msgs/Image',
                  'the image with the object drawn over it: green found, vermilion rejected, '
-                 'orange nothing found, grey hidden; drawn only while somebody listens'),
+                 'orange nothing found, grey hidden; drawn only while somebody listens; '
+                 '~/NAME/overlay of each of several cameras'),
         Endpoint('out', '~/markers', 'visualization_msgs/MarkerArray',
                  'the wireframe at its pose, for RViz and Foxglove'),
         Endpoint('out', '~/state', 'std_msgs/String',

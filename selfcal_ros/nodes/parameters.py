@@ -188,6 +188,14 @@ class RorapidTrackerParameters:
                                    'millimetres', 1e-6, 1e6)
     camera_file: str = parameter('', 'calibration file to use until a camera_info comes; empty: '
                                  'wait for one')
+    cameras: str = parameter('', 'names of several cameras that see the object, such as '
+                             'left,right: their images are on left/image and right/image; '
+                             'empty: one camera')
+    rig_file: str = parameter('', 'with cameras: their calibrations and places, result.json of '
+                              "selfcal calibrate --cameras or Kalibr's camchain.yaml; empty: "
+                              'camera_info and /tf_static')
+    rig_sigma: str = parameter('', 'with cameras: standard deviations "DEGREES METRES" of their '
+                               'places; empty: those of the file, else 0.05 0.0005')
     start_pose: str = parameter('', 'where the object is at first: "tx ty tz rx ry rz" (metres, '
                                 'angle-axis radians, in the optical frame of the camera), or a '
                                 '.pos file; of several objects parted by semicolons; auto: it '

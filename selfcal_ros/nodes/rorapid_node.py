@@ -18,13 +18,13 @@ from __future__ import annotations
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
-from msg_adapters.camera_info import image_camera_from_info
 from msg_adapters.diagnostics import diagnostics_message, status_message, WARN
 from msg_adapters.image import depth_metres
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import header_message, stamp_ns
 from rclpy.node import Node
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.nodes.camera_info_input import CameraInfoInput
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
@@ -33,19 +33,23 @@ from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import RorapidTrackerParameters
 from selfcal_ros.nodes.quality_of_service import IMAGES_IN, IMAGES_OUT, STEADY
+from selfcal_ros.nodes.rig_inputs import (
+    camera_names, check_rig_parameters, rig_of_file, RigInputs)
+from selfcal_ros.nodes.rig_worker import RigWorker
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.tracking_status import tracking_status
 from selfcal_ros.nodes.tracking_worker import TrackingWorker
 from selfcal_ros.pipeline.depth_pairing import DepthPairing
+from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
 from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import AUTO, TrackingSession
-from selfcal_ros.report.camera_files.known_camera import check_unfolded, read_known_camera
+from selfcal_ros.report.camera_files.known_camera import read_known_camera
 from selfcal_ros.rorapid.model import read_model
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.visibility.visible_model import check_size
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 
 
 class RorapidNode(Node):
@@ -57,40 +61,51 @@ class RorapidNode(Node):
         if not p.model:
             raise ArgumentError('rorapid_tracker needs the wireframe of the object: '
                                 '--ros-args -p model:=/path/to/model.cao')
-        self._types = rclpy_types()
+        check_rig_parameters(p)
+        self.types = rclpy_types()
         paths = several(p.model)
         self._models = [read_model(path, p.model_scale) for path in paths]
         for path, model in zip(paths, self._models):
             for remark in getattr(model, 'remarks', ()):
                 self.get_logger().warning(f'{path}: {remark}')
         camera = read_known_camera(p.camera_file) if p.camera_file else None
+        rig, of_rig = rig_of_file(p), camera_names(p.cameras)
         starts = starts_of(p.start_pose, len(paths), camera)
-        sessions = [TrackingSession(model, tracker_options(p)) for model in self._models]
+        sessions = [RigSession(model, rig, tracker_options(p)) if of_rig else
+                    TrackingSession(model, tracker_options(p)) for model in self._models]
         for session, start in zip(sessions, starts):
             if camera is not None:
                 session.set_camera(camera)
             begin(session, start)
         #: Frame of the images.
         self.image_frame = ''
-        self._info_key = None
-        self._info_problem = ''
-        self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
+        self._overlays = [self.create_publisher(Image, topic, IMAGES_OUT) for topic in (
+            [f'~/{name}/overlay' for name in of_rig] or ['~/overlay'])]
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.transforms = (self.create_publisher(self._transform_type(), '/tf', 100)
                            if p.publish_tf else None)
         self._ready = self.create_guard_condition(self._publish)
         names = object_names(paths) if len(paths) > 1 else ['']
-        self._worker = TrackingWorker(sessions, self._ready.trigger, names)
+        self._worker = (RigWorker(sessions, self._ready.trigger, names, of_rig) if of_rig else
+                        TrackingWorker(sessions, self._ready.trigger, names))
         self._objects = [
             ObjectTopics(self, model, name, start, partial(self._worker.command, which=k))
             for k, (model, name, start) in enumerate(zip(self._models, names, starts))]
-        self._inputs = ImageInputs(self, self._on_image, transport=p.image_transport,
-                                   reliability=p.reliability)
         self._pairing = DepthPairing() if p.depth else None
         if p.depth:
             self.create_subscription(Image, 'depth', self._on_depth, IMAGES_IN)
-        # a publisher of CameraInfo may be of either reliability, too
-        self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, IMAGES_IN)
+        self._inputs: ImageInputs | RigInputs
+        self._infos: CameraInfoInput | RigInputs
+        if of_rig:
+            self._inputs = self._infos = RigInputs(
+                self, self._on_instant,
+                lambda which, one: self._command(lambda rig: rig.set_camera(one, which)),
+                lambda placed: self._command(lambda rig: rig.set_cameras(placed)))
+        else:
+            self._inputs = ImageInputs(self, self._on_image, transport=p.image_transport,
+                                       reliability=p.reliability)
+            self._infos = CameraInfoInput(
+                self, 'camera_info', lambda one: self._command(lambda s: s.set_camera(one)))
         self._watchdog = InputWatchdog(self, 'images', lambda: self._inputs.topics,
                                        p.silence_s)
         self._rivals = RivalPublishers(self, lambda: self._inputs.topics,
@@ -145,38 +160,22 @@ class RorapidNode(Node):
         except InputError as error:
             self.get_logger().warning(f'depth image dropped: {error}', throttle_duration_sec=5.0)
 
+    def _on_instant(self, header, images):
+        self._watchdog.heard()
+        self.image_frame = header.frame_id
+        self._worker.submit((header, images), self._are_drawn())
+
+    def _are_drawn(self) -> list[bool]:
+        """Of which cameras somebody looks at the overlay."""
+        return [one.get_subscription_count() > 0 for one in self._overlays]
+
+    def _command(self, action):
+        self._worker.command(action)
+
     def _submit(self, pairs):
         """Hand over images, each with its depth or None."""
         for msg, depth in pairs:
-            self._worker.submit(msg, self._overlay.get_subscription_count() > 0, depth)
-
-    def _on_camera_info(self, msg: CameraInfo):
-        # drivers send the same calibration with every image
-        key = (msg.width, msg.height, msg.distortion_model, msg.k.tobytes(), bytes(msg.d),
-               msg.binning_x, msg.binning_y, msg.roi.x_offset, msg.roi.y_offset, msg.roi.width,
-               msg.roi.height)
-        if key == self._info_key:
-            return
-        self._info_key = key
-        try:
-            camera = image_camera_from_info(msg)
-            if camera is not None and min(camera.width, camera.height) > 0:
-                check_unfolded(camera, 'The CameraInfo is wrong')
-        except InputError as error:
-            self._refuse_camera(str(error))
-            return
-        if camera is None:
-            self._refuse_camera('The camera_info is of a camera that is not calibrated (its focal '
-                                'length is zero).')
-            return
-        self._info_problem = ''
-        self.get_logger().info(f'calibration for {camera.width}x{camera.height} pixels: '
-                               f'fx {camera.K[0, 0]:.1f}, fy {camera.K[1, 1]:.1f} px')
-        self._worker.command(lambda session: session.set_camera(camera))
-
-    def _refuse_camera(self, problem: str):
-        self._info_problem = problem
-        self.get_logger().warning(f'camera_info dropped: {problem}', throttle_duration_sec=5.0)
+            self._worker.submit(msg, self._are_drawn()[0], depth)
 
     # what goes out
 
@@ -186,14 +185,15 @@ class RorapidNode(Node):
             if isinstance(done, str):
                 self.get_logger().warning(in_parameters(done))
                 continue
-            if done.overlay is not None:
-                self._overlay.publish(done.overlay)
+            for publisher, picture in zip(self._overlays, done.overlays or (done.overlay,)):
+                if picture is not None:
+                    publisher.publish(picture)
             for topics, one in zip(self._objects, done.objects):
                 if one is not None:
                     topics.publish(one, done.header)
 
     def _diagnose(self):
-        self._inputs.count.look()
+        self._inputs.look()
         news = self._inputs.complaint(news=True)
         if news:
             self.get_logger().warning(news)
@@ -201,17 +201,17 @@ class RorapidNode(Node):
         statuses = []
         for topics in self._objects:
             level, text, values = tracking_status(
-                topics.newest, self._info_problem, self._worker.dropped,
+                topics.newest, self._infos.problem, self._worker.dropped,
                 self._watchdog.too_long_s)
             if complaint:
                 level, text = max(level, WARN), f'{complaint}; {text}'
-            values.update(self._inputs.count.values)
+            values.update(self._inputs.values)
             what = f'tracking {topics.name}' if topics.name else 'tracking'
             statuses.append(status_message(f'{diagnostic_name(self)}: {what}', level,
-                                           in_parameters(text), self._types, values,
+                                           in_parameters(text), self.types, values,
                                            self.parameters.camera_name))
-        header = header_message(self.get_clock().now().nanoseconds, '', self._types)
-        self._diagnostics.publish(diagnostics_message(statuses, header, self._types))
+        header = header_message(self.get_clock().now().nanoseconds, '', self.types)
+        self._diagnostics.publish(diagnostics_message(statuses, header, self.types))
 
 
 def starts_of(text: str, count: int, camera) -> list:

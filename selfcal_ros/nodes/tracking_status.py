@@ -75,8 +75,11 @@ def _describe(newest: ObjectInImage, values: dict) -> tuple[int, str]:
         values['reprojection rms px'] = float(tracked.rms_px)
         values['position sigma m'] = float(np.linalg.norm(sigma[:3]))
         values['rotation sigma rad'] = float(np.linalg.norm(sigma[3:]))
+        values.update({f'seen by {name}': sees for name, sees in newest.sees.items()})
         # one camera cannot tell a larger object farther away; no sigma of a pose holds that
-        values['size of the object'] = 'as the model says; not seen by one camera'
+        values['size of the object'] = (
+            'held against the distances between the cameras' if sum(newest.sees.values()) > 1
+            else 'as the model says; not seen by one camera')
         values['focal length px'] = float(tracked.focal_px)
         values['focal length sigma px'] = float(tracked.focal_sigma_px)
     return _LEVELS[tracked.state], tracked.reason or tracked.state.value

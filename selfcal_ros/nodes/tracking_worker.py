@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 import threading
 import time
@@ -51,6 +51,8 @@ class ObjectInImage:
     seconds : float
         From taking up the image to the pose.
     snapshot : TrackingSnapshot
+    sees : dict of str to bool
+        Of several cameras: which of them see the object.
 
     """
 
@@ -59,6 +61,7 @@ class ObjectInImage:
     problem: str
     seconds: float
     snapshot: TrackingSnapshot
+    sees: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,15 @@ class TrackedImage:
     objects : tuple of ObjectInImage or None
         None where an object began anew since.
     overlay : sensor_msgs/Image or None
+    overlays : tuple of sensor_msgs/Image or None
+        Of several cameras.
 
     """
 
     header: object
     objects: tuple[ObjectInImage | None, ...]
     overlay: object
+    overlays: tuple = ()
 
 
 class TrackingWorker:
@@ -102,12 +108,13 @@ class TrackingWorker:
 
     def __init__(self, sessions: Sequence[TrackingSession], ready: Callable,
                  names: Sequence[str] = ('',)):
-        self._sessions, self._ready, self._names = tuple(sessions), ready, tuple(names)
+        self._sessions: tuple[Any, ...] = tuple(sessions)
+        self._ready, self._names = ready, tuple(names)
         self._decoder = ImageDecoder()
         self._types = rclpy_types()
         self._wake = threading.Condition()
         self._commands: deque[Callable] = deque()
-        self._image: tuple[Any, bool, Any, tuple[int, ...]] | None = None
+        self._image: tuple[Any, Any, Any, tuple[int, ...]] | None = None
         self._results: deque[tuple[TrackedImage, tuple[int, ...]] | str] = deque()
         #: How often each object began anew.
         self._begun = (0,) * len(self._sessions)
@@ -140,7 +147,7 @@ class TrackingWorker:
                     self._image = None
             self._wake.notify()
 
-    def submit(self, msg, with_overlay: bool, depth: np.ndarray | None = None) -> None:
+    def submit(self, msg, with_overlay, depth: np.ndarray | None = None) -> None:
         """Hand over an image, and its depths (H, W) in metres; one that waits is dropped."""
         with self._wake:
             self.dropped += self._image is not None
@@ -202,9 +209,9 @@ class TrackingWorker:
             self._tell(str(error))
         except Exception as error:  # the thread must live, and the fault must be seen
             traceback.print_exc()
-            self._tell(_fault(error))
+            self._tell(fault(error))
 
-    def _track(self, msg, with_overlay: bool, depth, current: np.ndarray) -> TrackedImage:
+    def _track(self, msg, with_overlay, depth, current: np.ndarray) -> TrackedImage:
         began, problem, picture, stamp = time.perf_counter(), '', None, 0
         try:
             stamp, picture = stamp_ns(msg.header.stamp), self._decoder.grey(msg)
@@ -212,7 +219,7 @@ class TrackingWorker:
             problem = str(error)
         except Exception as error:  # as above
             traceback.print_exc()
-            problem = _fault(error)
+            problem = fault(error)
 
         def track(session: TrackingSession, is_current: bool) -> ObjectInImage | None:
             if not is_current:
@@ -225,7 +232,7 @@ class TrackingWorker:
                     wrong = str(error)
                 except Exception as error:  # as above
                     traceback.print_exc()
-                    wrong = _fault(error)
+                    wrong = fault(error)
             return ObjectInImage(tracked, session.camera, wrong, time.perf_counter() - began,
                                  session.snapshot())
 
@@ -249,7 +256,7 @@ class TrackingWorker:
             return None
 
 
-def _fault(error: Exception) -> str:
+def fault(error: Exception) -> str:
     """Say that the program is at fault."""
     return (f'The tracker failed ({type(error).__name__}: {error}); please report the lines on '
             'standard error.')

@@ -37,7 +37,8 @@ class RigSession(TrackingSession):
     ----------
     model : WireframeModel
     cameras : sequence of PlacedCamera
-        Poses are in the frame of the first one.
+        Poses are in the frame of the first one. Without any, nothing is tracked until
+        `set_cameras`.
     options : TrackerOptions, optional
     seed : int
 
@@ -54,12 +55,23 @@ class RigSession(TrackingSession):
         check_rig_options(self.options)
         self._placed = tuple(cameras)
         self.newest_of_rig: RigFrame | None = None
-        self._take(self._placed[0].camera, self.options)
+        if self._placed:
+            self._take(self._placed[0].camera, self.options)
 
     @property
     def cameras(self) -> tuple[PlacedCamera, ...]:
         """The cameras in use."""
         return self._placed
+
+    def set_cameras(self, cameras: Sequence[PlacedCamera]) -> None:
+        """Take calibrations and places; the object is followed on, or sought."""
+        self._placed = tuple(cameras)
+        self._take(self._placed[0].camera, self.options)
+
+    def set_options(self, options: TrackerOptions) -> None:
+        """Take other settings; see `TrackingSession.set_options`."""
+        check_rig_options(options)
+        super().set_options(options)
 
     def set_camera(self, camera: Camera, which: int = 0) -> bool:
         """Take a calibration of one of the cameras; see `TrackingSession.set_camera`."""
@@ -85,6 +97,9 @@ class RigSession(TrackingSession):
 
     def _check_start(self, points: np.ndarray) -> None:
         """Refuse a start that no camera sees; one of them is enough."""
+        if not self._placed:
+            check_in_image(None, points)
+            return
         problems = []
         for one in self._placed:
             back = np.linalg.inv(one.T_rig_camera)
@@ -118,7 +133,9 @@ class RigSession(TrackingSession):
             calibrated for, or older than those before.
 
         """
-        if self._tracker is None or self._start is None and not self._seeking:
+        if self._tracker is None:
+            raise InputError('There are no calibrations and places of the cameras yet.')
+        if self._start is None and not self._seeking:
             raise InputError('There is no start pose yet; say roughly where the object is.')
         for image, one in zip(images, self._placed):
             if image is not None:

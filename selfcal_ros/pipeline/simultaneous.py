@@ -24,14 +24,17 @@ from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 
 #: Stamps of one instant differ by no more than this, nanoseconds.
 SAME_NS = 3_000_000
+#: An image may come so much later than that of another camera, nanoseconds.
+WAIT_NS = 100_000_000
 
 
 class StampGroups:
     """
     Gathers what cameras send, whichever comes first.
 
-    An instant waits until all have sent, or one of them has sent twice. A camera that is `_GONE`
-    images behind is not waited for. What is older than an instant that is done is dropped.
+    An instant waits until all have sent, or the newest image is `WAIT_NS` younger. A camera that
+    is `_GONE` images behind is not waited for. What is
+    older than an instant that is done is dropped.
 
     Parameters
     ----------
@@ -106,10 +109,10 @@ class StampGroups:
     def _is_ready(self) -> bool:
         """Whether the oldest instant is complete, or no longer waited for."""
         images = self._waiting[0][1]
+        if self._waiting[-1][0] - self._waiting[0][0] >= WAIT_NS:
+            return True
         later = [any(other[k] is not None for _, other in self._waiting[1:])
                  for k in range(self._count)]
-        if any(one is not None and again for one, again in zip(images, later)):
-            return True
         return all(one is not None or again or missed >= self._GONE
                    for one, again, missed in zip(images, later, self._missed))
 

@@ -148,6 +148,34 @@ class TransformTree:
         return BodyPoses(matrices[:, :3, :3], matrices[:, :3, 3], stamps, kind=kind,
                          body_frame=body, world_frame=world)
 
+    def still(self, first: str, second: str) -> np.ndarray:
+        """
+        Return where a frame is in another, (4, 4), by static transforms.
+
+        Raises
+        ------
+        InputError
+            If a frame does not exist, or nothing static ties the two.
+
+        """
+        if first == second:
+            return np.eye(4)
+        for name in (first, second):
+            if name not in self.frames:
+                there = ', '.join(self.frames[:30]) or 'none'
+                raise InputError(f'TF has no static frame {name}; it has {there}.')
+        up, down = self._to_root(second), self._to_root(first)
+        shared = next((name for name in up if name in down), None)
+        if shared is None:
+            raise InputError(f'No chain of static transforms ties {second} to {first}.')
+        matrix = np.eye(4)
+        now = np.zeros(1, np.int64)
+        for name in down[:down.index(shared)]:
+            matrix = matrix @ np.linalg.inv(self._edges[name].sampled(now)[0])
+        for name in reversed(up[:up.index(shared)]):
+            matrix = matrix @ self._edges[name].sampled(now)[0]
+        return matrix
+
     def _to_root(self, name: str) -> list[str]:
         """Return the frame and what it hangs from, up to the root."""
         chain = [name]

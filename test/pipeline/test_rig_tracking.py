@@ -173,15 +173,16 @@ def test_instants_are_complete_or_waited_for_no_longer_than_an_image():
     groups = StampGroups(2)
     assert groups.add(0, 0, 'a0') == []
     assert groups.add(1, SAME_NS, 'b0') == [(0, ['a0', 'b0'])]
-    # one is missing: the next image of the other ends the wait
-    assert groups.add(0, 33_000_000, 'a1') == []
-    assert groups.add(0, 66_000_000, 'a2') == [(33_000_000, ['a1', None])]
-    # who comes a little late, but has something newer, is an instant of its own
-    assert groups.add(1, 34_000_000, 'b1') == [(34_000_000, [None, 'b1'])] and not groups.late
-    assert groups.add(1, 66_000_000, 'b2') == [(66_000_000, ['a2', 'b2'])]
-    # one that is gone is not waited for
-    done = [groups.add(0, 99_000_000 + k * 33_000_000, k) for k in range(6)]
-    assert [len(one) for one in done] == [0, 1, 1, 2, 1, 1]
+    # a late one is waited for, and one that was left out is known by the next
+    assert groups.add(0, 33_000_000, 'a1') == [] and groups.add(0, 66_000_000, 'a2') == []
+    assert groups.add(1, 34_000_000, 'b1') == [(33_000_000, ['a1', 'b1'])]
+    assert groups.add(0, 99_000_000, 'a3') == []
+    assert groups.add(1, 99_000_000, 'b3') == [(66_000_000, ['a2', None]),
+                                               (99_000_000, ['a3', 'b3'])]
+    # one that is gone is waited for by 0.1 s at the most, and then no longer
+    done = [groups.add(0, 133_000_000 + k * 34_000_000, k) for k in range(8)]
+    assert [len(one) for one in done] == [0, 0, 0, 1, 4, 1, 1, 1]
+    assert not groups.late
     # and time may jump back
     assert groups.add(1, 0, 'b') == [] and groups.add(0, 0, 'a') == [(0, ['a', 'b'])]
 
@@ -189,7 +190,7 @@ def test_instants_are_complete_or_waited_for_no_longer_than_an_image():
 def test_what_came_too_late_is_counted_and_dropped():
     groups = StampGroups(2)
     groups.add(0, 100_000_000, 'a')
-    groups.add(0, 133_000_000, 'a')
+    groups.add(0, 233_000_000, 'a')
     assert groups.add(1, 95_000_000, 'b') == [] and groups.add(1, 100_000_000, 'b') == []
     assert groups.late == 2
 

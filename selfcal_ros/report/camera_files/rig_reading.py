@@ -83,7 +83,7 @@ def read_rig(path, names: Sequence[str] | None = None, topics: Sequence[str | No
     if len({id(one) for one, _ in found}) < len(found):
         raise InputError(f'{source}: two of the cameras named are the same one.')
     if sigma is not None:
-        spread = _spread(*sigma)
+        spread = rough_spread(sigma)
         found = [(replace(one, covariance=spread if k else np.zeros((6, 6))), topic)
                  for k, (one, topic) in enumerate(found)]
     cameras = placed_beside([one for one, _ in found])
@@ -95,7 +95,9 @@ def read_rig(path, names: Sequence[str] | None = None, topics: Sequence[str | No
         cameras, [one.name for one in cameras] if names is None else names))
 
 
-def _spread(degrees: float, metres: float) -> np.ndarray:
+def rough_spread(sigma: tuple[float, float] | None = None) -> np.ndarray:
+    """Covariance (6, 6) of a place known to so many degrees and metres, roughly by default."""
+    degrees, metres = (ROUGH_DEG, ROUGH_M) if sigma is None else sigma
     return np.diag([metres**2] * 3 + [np.deg2rad(degrees)**2] * 3)
 
 
@@ -131,7 +133,7 @@ def _of_chain(document: dict, source: str) -> list[tuple[PlacedCamera, str]]:
                                  'the camera before.')
             T = np.array([numbers(row, source, 'T_cn_cnm1') for row in entry['T_cn_cnm1']])
             place = place @ np.linalg.inv(T.reshape(4, 4))
-        spread = _spread(ROUGH_DEG, ROUGH_M) if k else np.zeros((6, 6))
+        spread = rough_spread() if k else np.zeros((6, 6))
         found.append((PlacedCamera(stored.name, stored.camera, place, spread), stored.topic))
     return found
 

@@ -43,6 +43,8 @@ from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
 
 #: Share of the velocity that is lost with each instant in which nothing is seen.
 _DAMPING = 0.3
+#: Instants in a row without an image of a camera that saw the object last.
+_UNSEEN = 3
 #: Longest time that a prediction reaches over, seconds.
 _LONGEST_S = 0.5
 
@@ -117,7 +119,8 @@ class RigTracker:
         self._agreement.forget()
         self._kalman: ConstantVelocityFilter | None = None
         self._stamp_ns: int | None = None
-        self._misses, self._state = 0, state
+        self._misses, self._unseen, self._state = 0, 0, state
+        self._reason = ''
 
     def start(self, rotation, translation, covariance=None, lost: bool = False,
               distance_sigma_m: float | None = None) -> None:
@@ -248,7 +251,7 @@ class RigTracker:
                 self.eyes[k].is_apart = k in others or found is not None
             doubt, apart = self._told(seen, others, place)
             self._take(place, np.linalg.inv(known))
-            self._misses = 0
+            self._misses = self._unseen = 0
             good = any(seen[k].good for k in group)
             told = [(f'{self._names[k]}: {view.doubt}', self.eyes[k].doubted()) for k in group
                     if (view := views[k]) is not None and view.doubt]
@@ -259,6 +262,7 @@ class RigTracker:
             reason = doubt if good else 'No camera sees more than a little of the object.'
         else:
             group, others, reason = [], [], self._missed(views)
+        self._reason = reason
         for k, (eye, view) in enumerate(zip(self.eyes, views)):
             if view is not None:
                 eye.settle(k in group or k in others)
@@ -275,6 +279,13 @@ class RigTracker:
 
     def _missed(self, views) -> str:
         """No camera sees the object; returns why."""
+        alone = [eye for eye, view in zip(self.eyes, views) if view is None]
+        if self._kalman is not None and all(
+                eye.is_blind for eye, view in zip(self.eyes, views) if view is not None) and any(
+                    not eye.is_blind for eye in alone) and self._unseen < _UNSEEN:
+            # who sees the object has no image of this instant: nothing is new
+            self._unseen += 1
+            return self._reason
         self._misses += 1
         if self._kalman is not None and self._misses >= self.options.frames_to_lost:
             for eye in self.eyes:
