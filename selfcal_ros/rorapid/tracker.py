@@ -23,19 +23,21 @@ from numpy.typing import ArrayLike
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
+from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
 from selfcal_ros.rorapid.estimation.doubts import Doubts
 from selfcal_ros.rorapid.estimation.filter_start import (
-    checked_start, start_spread, started_filter, TURN_LAST)
-from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+    checked_start, start_spread, started_filter)
+from selfcal_ros.rorapid.estimation.kalman_filter import (
+    ConstantVelocityFilter, DAMPING, seconds_between)
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
+from selfcal_ros.rorapid.estimation.standing import leaves_turn_open, refusal, Standing
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, proposed_spread, relocalised, StartSearch)
+from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
-from selfcal_ros.rorapid.projection.motion_models import (completed, motion_basis, PlaneLearner,
-                                                          recentring)
 from selfcal_ros.rorapid.region.region_of_interest import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
@@ -44,21 +46,10 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Share of the velocity that is lost with each frame in which nothing is seen.
-_DAMPING = 0.3
-#: The plane of motion is learned when its normal is known so well, from so many poses.
-_PLANE_RAD, _PLANE_POSES = 0.005, 30
 #: Zoom is left when so many images in a row leave the focal length open by this share.
 _ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
-#: A pose whose rotation is known worse than this is hardly one, radians.
-_OPEN_RAD = 0.1
-#: An object that was never seen is thought to be so many diameters of the image away; what is
-#: said while it is sought.
+#: An object that was never seen is thought to be so many diameters of the image away.
 _SOUGHT = 3.0
-_SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
-            'comes in before a still camera, has its silhouette.')
-#: Longest time that a prediction reaches over, seconds.
-_LONGEST_S = 0.5
 
 
 class RorapidTracker:
@@ -83,32 +74,24 @@ class RorapidTracker:
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
         self._visible = visible_of(model, *options.control_points)
-        self._plane = PlaneLearner()
-        self._axis: tuple | np.ndarray | None = options.plane_axis
         self._camera_model = options.camera_model
         self._projection = Projection(camera, options.camera_model)
-        self._lay_basis()
+        self._allowed = AllowedMotion(self._projection, options)
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
         self._control = ControlModel(self._visible, self._projection, size)
         method = RobustTracker if options.method == 'modern' else RapidTracker
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
         self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
-        self._state, self._led = TrackerState.LOST, False
+        self._standing, self._led = Standing(), False
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
         self.measured: PoseMeasurement | None = None
 
-    def _lay_basis(self) -> None:
-        """Lay out the corrections that motion and camera model allow."""
-        motion = self.options.motion
-        if motion == 'planar' and self._axis is None:
-            motion = 'general'                # until the plane is learned
-        self._basis = motion_basis(motion, self._projection.size, self._axis)
-        self._free = self._basis.shape[1]
-        if self.options.method == 'modern':
-            # what the motion does not change is estimated all the same, from all images
-            self._basis = completed(self._basis)
+    @property
+    def _basis(self) -> np.ndarray:
+        """Corrections that motion and camera model allow, (size, m)."""
+        return self._allowed.basis
 
     @property
     def _filter(self) -> ConstantVelocityFilter:
@@ -124,20 +107,20 @@ class RorapidTracker:
     @property
     def state(self) -> TrackerState:
         """State after the last image; LOST before any start."""
-        return self._state
+        return self._standing.state
 
     def reset(self) -> None:
         """Forget pose, texture and plane; a new start is needed."""
         self._method.reset()
-        self._plane.reset()
-        self._axis = self.options.plane_axis
+        self._allowed.reset()
         if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
             self._camera_model = self.options.camera_model
             self._projection.become(self._camera_model)
-            self._lay_basis()
+            self._allowed.lay()
             self._method.switch(self._basis, self._camera_model)
-        self._kalman, self.measured, self._led = None, None, False
-        self._state, self._stamp_ns = TrackerState.LOST, None
+        self._kalman = self.measured = self._stamp_ns = None
+        self._led = False
+        self._standing.begin(lost=True)
 
     def adopt(self, options: TrackerOptions) -> bool:
         """
@@ -199,9 +182,8 @@ class RorapidTracker:
         if focal_px is not None and self._camera_model == 'zoom':
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
         self._start_filter(state, spread)
-        self._state = TrackerState.LOST if lost else TrackerState.INITIALISING
-        self._misses, self._open, self._stamp_ns = 0.0, 0, None
-        self._good: ObjectPose | None = None
+        self._standing.begin(lost)
+        self._open, self._stamp_ns = 0, None
         self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
                                      isinstance(self.model, MeshModel))
@@ -254,13 +236,12 @@ class RorapidTracker:
             self.start(state.rotation, state.translation - state.rotation @ self.centre, lost=True)
         self._stamp_ns, self._led = stamp_ns, not searches
         if searches:
-            self._state = TrackerState.LOST
+            self._standing.state = TrackerState.LOST
             self._filter.restart(state, self._wide(state))
             return
         kalman = self._filter
         kalman.state, kalman.velocity, kalman.covariance = state, velocity, covariance
-        if self._state is TrackerState.LOST:
-            self._state, self._misses = TrackerState.DEGRADED, 0.0
+        self._standing.follow()
 
     def doubted(self) -> np.ndarray:
         """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
@@ -268,8 +249,8 @@ class RorapidTracker:
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
-        self._kalman = started_filter(self._projection, self._basis, self._free, self.options,
-                                      self.model.diameter_m, state, spread)
+        self._kalman = started_filter(self._projection, self._basis, self._allowed.free,
+                                      self.options, self.model.diameter_m, state, spread)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None,
               depth: np.ndarray | None = None) -> TrackedFrame:
@@ -297,18 +278,17 @@ class RorapidTracker:
             If the image is not of the camera's size or type.
 
         """
-        if self._kalman is None:
-            raise ArgumentError('The tracker needs a start pose before the first image.')
-        self.measured = None
+        self.measured, kalman = None, self._filter
         image = checked_grey(image, self.camera)
         self._control.resize(image.shape[::-1])
-        seconds = self._elapsed(stamp_ns)
-        lost = self._state is TrackerState.LOST
-        first = self._state is TrackerState.INITIALISING
+        seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
+        self._stamp_ns = stamp_ns
+        lost = self.state is TrackerState.LOST
+        first = self.state is TrackerState.INITIALISING
         fresh = first and not (self._starting.tries and self.options.doubts)
         if not lost and not fresh:
-            self._filter.predict(seconds, _DAMPING if self._misses >= 1 else 0.0)
-        predicted, spread = self._filter.state, self._filter.spread
+            kalman.predict(seconds, DAMPING if self._standing.misses >= 1 else 0.0)
+        predicted, spread = kalman.state, kalman.spread
         if fresh:
             measured = self._method.initialise(image, predicted, spread)
         else:
@@ -339,13 +319,13 @@ class RorapidTracker:
             self._doubts.confirmed(method.check, starting.support, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
-            self._misses = 0
+            self._standing.misses = 0.0
             method.glance(image, measured.state)
             self._filter.absorb(measured.state, measured.covariance)
         else:
-            self._misses += 1
-        if starting.given_up or self._misses >= self.options.frames_to_lost:
-            self._state = TrackerState.LOST
+            self._standing.misses += 1
+        if starting.given_up or self._standing.misses >= self.options.frames_to_lost:
+            self._standing.state = TrackerState.LOST
             self._filter.restart(starting.guess, self._wide(starting.guess))
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
@@ -356,14 +336,8 @@ class RorapidTracker:
 
     def _adapt(self, measured: PoseMeasurement) -> None:
         """Learn the plane of motion; leave a zoom that the images leave open."""
-        if self.options.motion == 'planar' and self._axis is None:
-            state, B = self._filter.state, self._basis
-            self._plane.add(state.rotation, state.translation,
-                            (B @ self._filter.spread @ B.T)[:6, :6])
-            plane = self._plane.plane()
-            if plane.sigma_rad < _PLANE_RAD and self._plane.count >= _PLANE_POSES:
-                self._axis = plane.axis
-                self._switch(self._camera_model)
+        if self._allowed.learns(self._filter.state, self._filter.spread):
+            self._switch(self._camera_model)
         if self._camera_model == 'zoom':
             self._open = self._open + 1 if measured.focal_sigma > _ZOOM_OPEN else 0
             if self._open >= _ZOOM_FRAMES:
@@ -375,40 +349,22 @@ class RorapidTracker:
         full, velocity = old @ kalman.spread @ old.T, old @ kalman.velocity
         self._camera_model = camera_model
         self._projection.become(camera_model)
-        self._lay_basis()
+        self._allowed.lay()
         self._method.switch(self._basis, camera_model)
         self._doubts.adopt(self._control, self._basis, self.options, self._is_perspective)
         self._start_filter(kalman.state, full[:6, :6])
         B, size = self._basis, self._projection.size
         moving = B.T @ velocity[:size]
-        moving[self._free:] = 0
+        moving[self._allowed.free:] = 0
         self._filter.restart(kalman.state, B.T @ full[:size, :size] @ B
                              + 1e-12 * np.eye(B.shape[1]), moving)
 
-    def _elapsed(self, stamp_ns):
-        """Seconds since the last image."""
-        before, self._stamp_ns = self._stamp_ns, stamp_ns
-        if stamp_ns is None or before is None or stamp_ns <= before:
-            return 1 / self.options.frame_rate_hz
-        return min((stamp_ns - before) * 1e-9, _LONGEST_S)
-
     def _judge(self, measured: PoseMeasurement, image, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
-        options = self.options
-        lost = self._state is TrackerState.LOST
-        accepted = (measured.determined or self._led) and (
-            measured.recognised if lost else measured.share >= options.lost_share)
-        innovation = float('nan')
-        open_turn = not self._led and self._open_turn(measured)
-        if accepted and (open_turn or not measured.recognised
-                         and measured.share <= options.lost_share):
-            # barely found and not recognised, or hardly determined: half a miss
-            self._misses += 0.5
-            accepted = self._misses < options.frames_to_lost
-        elif accepted:
-            self._misses = 0
-        else:
-            self._misses += 1
+        options, standing = self.options, self._standing
+        lost = self.state is TrackerState.LOST
+        open_turn = not self._led and leaves_turn_open(self._basis, measured)
+        accepted, innovation = standing.weighs(measured, open_turn, self._led, options), np.nan
         if accepted:
             self.measured = measured
             innovation = self._filter.innovation_share(measured.state, measured.covariance)
@@ -426,56 +382,24 @@ class RorapidTracker:
             if tracking and isinstance(self._method, RobustTracker):
                 self._doubts.look(image, measured, self._method.check)
             doubt = self._doubts.text()
-            self._state = (TrackerState.TRACKING if tracking and not doubt
-                           else TrackerState.DEGRADED)
-            self._good = measured.state
-            reason = doubt if tracking else (
-                f'Only {100 * measured.share:.0f} % of what should be visible is found.')
+            reason = standing.confirm(measured, tracking, doubt)
             if tracking and not doubt and self._camera_model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:
-            if not lost and self._misses >= options.frames_to_lost:
-                self._state = TrackerState.LOST
-                place = self._filter.state if self._good is None else self._good
+            if standing.refuse(options):
+                place = self._filter.state if standing.good is None else standing.good
                 self._filter.restart(place, self._wide(place))
-            elif not lost and self._state is not TrackerState.INITIALISING:
-                self._state = TrackerState.DEGRADED
-            seeking = isinstance(self._method, RobustTracker) and not self._method.placed
-            reason = measured.reason or (_SEEKING if seeking else (
-                f'Only {100 * measured.share:.0f} % of what should be visible is found where '
-                'the object was expected.'))
+            reason = refusal(measured, isinstance(self._method, RobustTracker)
+                             and not self._method.placed)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
-    def _open_turn(self, measured: PoseMeasurement) -> bool:
-        """Whether an image leaves a rotation open: what is seen of an outline fits many poses."""
-        B = self._basis
-        full = (B @ measured.covariance @ B.T)[:3, :3]
-        return len(B) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
-
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
-        """Put the result into the object's own frame."""
-        state = self._filter.state
-        arm = state.rotation @ self._control.centre
-        B = self._basis
+        """Say what the state is, with what a doubt adds to the covariance."""
+        state, B = self._filter.state, self._basis
         full = B @ self._filter.spread @ B.T
         if accepted and len(full) == 6:
             full = full + self._doubts.covariance(state, B)
-        carry = recentring(arm)
-        pose = carry @ self._projection.covariance_of_pose(state, full) @ carry.T
-        view = measured.view if accepted and measured.with_prior else self._control.again(
-            measured.view, state)
-        edge = measured.edge_px
-        found = measured.found & accepted
-        rms = float(np.sqrt(np.mean(edge[found]**2))) if found.any() else float('nan')
-        focal = float(self.camera.K[0, 0] * state.zoom)
-        sigma = focal * float(np.sqrt(full[6, 6])) if len(full) == 7 else 0.0
-        return TrackedFrame(
-            state=self._state, reason=reason, rotation=state.rotation,
-            translation=state.translation - arm, covariance=pose[TURN_LAST], focal_px=focal,
-            focal_sigma_px=sigma, camera_model=self._camera_model,
-            image_px=view.projected.pixels, normal=view.normal, edge_px=edge, found=found,
-            rejected=np.isfinite(edge) & ~found, hidden=~view.searched,
-            primitive=view.primitive, texture_px=measured.texture_px, rms_px=rms,
-            share_found=measured.share, innovation=innovation, stamp_ns=stamp_ns,
-            doubt=self._doubts.text() if accepted else '')
+        return told_frame(self._control, measured, state, full, accepted, told=self.state,
+                          reason=reason, doubt=self._doubts.text() if accepted else '',
+                          innovation=innovation, stamp_ns=stamp_ns)

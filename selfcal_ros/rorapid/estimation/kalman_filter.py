@@ -19,6 +19,11 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
+#: Share of the velocity that is lost with each image in which nothing is seen.
+DAMPING = 0.3
+#: Longest time that a prediction reaches over, seconds.
+_LONGEST_S = 0.5
+
 
 class ConstantVelocityFilter:
     """
@@ -146,3 +151,10 @@ class ConstantVelocityFilter:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)
         return float(step @ np.linalg.solve(self.spread + noise, step) / len(step))
+
+
+def seconds_between(before_ns: int | None, now_ns: int | None, frame_rate_hz: float) -> float:
+    """Time between two images, as far as a prediction reaches; by their rate without stamps."""
+    if now_ns is None or before_ns is None or now_ns <= before_ns:
+        return 1 / frame_rate_hz
+    return min((now_ns - before_ns) * 1e-9, _LONGEST_S)

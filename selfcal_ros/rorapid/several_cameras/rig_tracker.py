@@ -31,7 +31,8 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
-from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.estimation.kalman_filter import (
+    ConstantVelocityFilter, DAMPING, seconds_between)
 from selfcal_ros.rorapid.estimation.track_quality import RANK_TOLERANCE
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -41,12 +42,8 @@ from selfcal_ros.rorapid.several_cameras.eye import Eye, Glimpse
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
 
-#: Share of the velocity that is lost with each instant in which nothing is seen.
-_DAMPING = 0.3
 #: Instants in a row without an image of a camera that saw the object last.
 _UNSEEN = 3
-#: Longest time that a prediction reaches over, seconds.
-_LONGEST_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -189,18 +186,13 @@ class RigTracker:
             views.append(None if image is None else eye.look(image, stamp_ns))
         if not any(views[k] is not None for k in range(len(views))):
             raise ArgumentError('The tracker needs a start pose before the first image.')
-        seconds = self._elapsed(stamp_ns)
+        seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
+        self._stamp_ns = stamp_ns
         if kalman is not None:
-            kalman.predict(seconds, _DAMPING if self._misses else 0.0)
+            kalman.predict(seconds, DAMPING if self._misses else 0.0)
         seen = {k: glimpse for k, (eye, view) in enumerate(zip(self.eyes, views))
                 if view is not None and (glimpse := eye.glimpse()) is not None}
         return self._judged(views, seen, stamp_ns)
-
-    def _elapsed(self, stamp_ns) -> float:
-        before, self._stamp_ns = self._stamp_ns, stamp_ns
-        if stamp_ns is None or before is None or stamp_ns <= before:
-            return 1 / self.options.frame_rate_hz
-        return min((stamp_ns - before) * 1e-9, _LONGEST_S)
 
     # one pose from all
 

@@ -88,8 +88,9 @@ class SurfaceViews:
         self._visible, self._centre = visible, centre
         self.projection, self.most_points = projection, int(most_points)
         model = visible.model
-        self._corners = (model.vertices - centre)[model.triangles]
+        self._vertices, self._triangles = model.vertices - centre, model.triangles
         self._normals = model.normals
+        self._heights = (self._normals * self._vertices[self._triangles[:, 0]]).sum(axis=1)
         self.forget()
 
     @property
@@ -107,6 +108,8 @@ class SurfaceViews:
         self._views: list[_View] = []
         #: Aspects that show too few corners.
         self._plain: list[tuple[np.ndarray, float]] = []
+        #: What a view shows whose corners are put on the surface in the next image.
+        self._chosen: tuple[Region, ObjectPose, np.ndarray, np.ndarray] | None = None
 
     def follow(self, region: Region, state: ObjectPose, levels: int = 3,
                much_hidden: bool = False) -> TextureMatches | None:
@@ -167,7 +170,7 @@ class SurfaceViews:
     def learn(self, region: Region, state: ObjectPose, confirmed: bool,
               covariance: np.ndarray) -> None:
         """
-        Keep a view that is new.
+        Keep a view that is new: its corners are chosen in one image, and placed in the next.
 
         Parameters
         ----------
@@ -180,19 +183,32 @@ class SurfaceViews:
             Of that pose (theta, Delta).
 
         """
+        if self._chosen is not None:
+            self._place(*self._chosen)
+            self._chosen = None
+            return
         direction, size = self._aspect(state)
         if not confirmed or self.projection.model in ('weak', 'affine') or any(
                 _distance(aspect, (direction, size)) < 1
                 for aspect in self._plain + [view.aspect for view in self._views]):
             return
         texels = self._choose(region, state)
+        if len(texels) < _LEAST_CORNERS:
+            self._plain = self._plain[-_MOST_VIEWS:] + [(direction, size)]
+        else:
+            self._chosen = region, state, covariance, texels
+
+    def _place(self, region: Region, state: ObjectPose, covariance: np.ndarray,
+               texels: np.ndarray) -> None:
+        """Put the corners (N, 2) of a view on the surface, and keep it."""
+        aspect = self._aspect(state)
         points, normals, cosine = self._on_surface(region.outside(texels), state)
         good = cosine > _LEARN_COSINE
         if np.count_nonzero(good) < _LEAST_CORNERS:
-            self._plain = self._plain[-_MOST_VIEWS:] + [(direction, size)]
+            self._plain = self._plain[-_MOST_VIEWS:] + [aspect]
             return
         self._views = self._views[-_MOST_VIEWS + 1:] + [_View(
-            region, state.rotation, covariance, (direction, size), points[good], normals[good],
+            region, state.rotation, covariance, aspect, points[good], normals[good],
             texels[good], np.full(np.count_nonzero(good), _UNPROVEN))]
 
     @staticmethod
@@ -228,38 +244,47 @@ class SurfaceViews:
 
     def _on_surface(self, pixels: np.ndarray, state: ObjectPose):
         """Points (N, 3) of the surface at pixels, normals, and cosines; -1 where there is none."""
+        nowhere = np.zeros((len(pixels), 3))
         camera = -state.rotation.T @ state.translation
-        front = ((camera - self._corners[:, 0]) * self._normals).sum(axis=1) > 0
-        seen = self._corners[front] @ state.rotation.T + state.translation
-        ahead = seen[..., 2].min(axis=1) > 0
-        front, seen = np.flatnonzero(front)[ahead], seen[ahead]
-        if not len(front):
-            return np.zeros((len(pixels), 3)), np.zeros((len(pixels), 3)), np.full(
-                len(pixels), -1.0)
-        xy = seen[..., :2] / seen[..., 2:]
+        seen = self._vertices @ state.rotation.T + state.translation
+        front = self._normals @ camera > self._heights
+        front &= (seen[:, 2] > 0)[self._triangles].all(axis=1)
+        front = np.flatnonzero(front)
         K = self.projection.camera.K
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(K).T
         rays[:, :2] /= state.zoom
-        a, b, c = (xy[:, k] for k in range(3))
-        double = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (
-            c[:, 0] - a[:, 0])
+        corners = self._triangles[front].T
+        depths = seen[:, 2][corners]
+        x, y = (seen[:, k][corners] / depths for k in (0, 1))
+        # a ray meets few of the faces: those whose box it lies in
+        ray, face = np.nonzero(_within(rays[:, 0], x) & _within(rays[:, 1], y))
+        x, y, depths = x[:, face], y[:, face], depths[:, face]
+        double = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
         double = np.where(np.abs(double) > 1e-18, double, np.inf)     # seen from the edge
-        share = []
-        for one, two in ((b, c), (c, a), (a, b)):
-            side = two - one
-            share.append(((rays[:, :1] - one[:, 0]) * -side[:, 1]
-                          + (rays[:, 1:2] - one[:, 1]) * side[:, 0]) / double)
-        inverse = sum(part / seen[:, k, 2] for k, part in enumerate(share))
-        hit = (np.min(share, axis=0) >= 0) & np.isfinite(double)
-        inverse = np.where(hit, inverse, 0.0)
-        at = inverse.argmax(axis=1)
-        row = np.arange(len(pixels))
-        depth = 1 / np.maximum(inverse[row, at], 1e-12)
-        points = (depth[:, None] * rays - state.translation) @ state.rotation
-        normals = self._normals[front[at]]
-        towards = camera - points
-        cosine = (towards * normals).sum(axis=1) / np.linalg.norm(towards, axis=1)
-        return points, normals, np.where(hit.any(axis=1), cosine, -1.0)
+        across, down = rays[ray, 0], rays[ray, 1]
+        share = np.stack([((down - y[k]) * (x[j] - x[k]) - (across - x[k]) * (y[j] - y[k]))
+                          / double for k, j in ((1, 2), (2, 0), (0, 1))])
+        hit = np.flatnonzero((share.min(axis=0) >= 0) & np.isfinite(double))
+        inverse = (share[:, hit] / depths[:, hit]).sum(axis=0)
+        # the nearest of each ray's faces, which comes last
+        order = np.argsort(inverse, kind='stable')
+        nearest = np.full(len(pixels), -1)
+        nearest[ray[hit[order]]] = order
+        met = np.flatnonzero(nearest >= 0)
+        at = nearest[met]
+        points, normals, cosine = nowhere.copy(), nowhere, np.full(len(pixels), -1.0)
+        points[met] = (rays[met] / inverse[at, None] - state.translation) @ state.rotation
+        normals[met] = self._normals[front[face[hit[at]]]]
+        towards = camera - points[met]
+        cosine[met] = (towards * normals[met]).sum(axis=1) / np.linalg.norm(towards, axis=1)
+        return points, normals, cosine
+
+
+def _within(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Which values (P,) lie between the corners (3, F) of which faces, (P, F) bool."""
+    within: np.ndarray = (values[:, None] >= corners.min(axis=0)) & (
+        values[:, None] <= corners.max(axis=0))
+    return within
 
 
 def _distance(one: tuple[np.ndarray, float], other: tuple[np.ndarray, float]) -> float:

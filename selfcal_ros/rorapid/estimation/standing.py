@@ -1,0 +1,121 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""How an object that is followed stands: what confirms it, and what speaks against it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
+from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.tracked_frame import TrackerState
+
+#: A pose whose rotation is known worse than this is hardly one, radians.
+_OPEN_RAD = 0.1
+#: What is said while an object that was never seen is sought.
+_SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
+            'comes in before a still camera, has its silhouette.')
+
+
+class Standing:
+    """
+    State of an object.
+
+    Attributes
+    ----------
+    state : TrackerState
+    misses : float
+        Images in a row that did not confirm the pose; half a miss where little did.
+    good : ObjectPose or None
+        The last pose that was accepted.
+
+    """
+
+    def __init__(self) -> None:
+        """Wait for a start."""
+        self.begin(lost=True)
+
+    def begin(self, lost: bool) -> None:
+        """Take a start; or it was lost there."""
+        self.state = TrackerState.LOST if lost else TrackerState.INITIALISING
+        self.misses = 0.0
+        self.good: ObjectPose | None = None
+
+    def follow(self) -> None:
+        """Other cameras see it."""
+        if self.state is TrackerState.LOST:
+            self.state, self.misses = TrackerState.DEGRADED, 0.0
+
+    def weighs(self, measured: PoseMeasurement, open_turn: bool, led: bool,
+               options: TrackerOptions) -> bool:
+        """
+        Accept or refuse a measurement, and count misses.
+
+        Parameters
+        ----------
+        measured : PoseMeasurement
+        open_turn : bool
+            It leaves a rotation open.
+        led : bool
+            Other cameras say where to look: part of a pose is of use, too.
+        options : TrackerOptions
+
+        Returns
+        -------
+        bool
+            Whether it is accepted.
+
+        """
+        accepted = (measured.determined or led) and (
+            measured.recognised if self.state is TrackerState.LOST
+            else measured.share >= options.lost_share)
+        if accepted and (open_turn or not measured.recognised
+                         and measured.share <= options.lost_share):
+            # barely found and not recognised, or hardly determined: half a miss
+            self.misses += 0.5
+            return self.misses < options.frames_to_lost
+        self.misses = 0.0 if accepted else self.misses + 1
+        return accepted
+
+    def confirm(self, measured: PoseMeasurement, tracking: bool, doubt: str) -> str:
+        """Take an accepted measurement; returns the reason, empty while all is well."""
+        self.state = TrackerState.TRACKING if tracking and not doubt else TrackerState.DEGRADED
+        self.good = measured.state
+        return doubt if tracking else (
+            f'Only {100 * measured.share:.0f} % of what should be visible is found.')
+
+    def refuse(self, options: TrackerOptions) -> bool:
+        """Take note of an image that did not confirm the pose; returns whether it is lost now."""
+        if self.state is TrackerState.LOST:
+            return False
+        lost_now = self.misses >= options.frames_to_lost
+        if lost_now:
+            self.state = TrackerState.LOST
+        elif self.state is not TrackerState.INITIALISING:
+            self.state = TrackerState.DEGRADED
+        return lost_now
+
+
+def refusal(measured: PoseMeasurement, seeking: bool) -> str:
+    """Say why a measurement is refused; the object was never seen if it is only sought."""
+    return measured.reason or (_SEEKING if seeking else (
+        f'Only {100 * measured.share:.0f} % of what should be visible is found where '
+        'the object was expected.'))
+
+
+def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement) -> bool:
+    """Whether an image leaves a rotation open: what is seen of an outline fits many poses."""
+    full = (basis @ measured.covariance @ basis.T)[:3, :3]
+    return len(basis) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
