@@ -56,6 +56,13 @@ def test_a_wall_does_not_take_its_mirror_image(seed):
     assert abs(result.camera.K[0, 0] / 520 - 1) < 0.01
 
 
+def test_a_drive_before_a_far_scene_is_no_turn_about_a_far_point_of_the_axis():
+    result, away = outcome('far scene, 200 steps away', 1)
+
+    assert result.motion == 'planar'
+    assert away < 4
+
+
 @pytest.mark.parametrize('name', [
     'forward only', 'sideways only', 'one image twelve times', 'two views',
     'general, about z only', '8 points'])

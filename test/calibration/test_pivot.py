@@ -24,6 +24,7 @@ from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.depths import inverse_depths, seen_ahead, share_behind
 from selfcal_ros.calibration.bundle.motion import PIVOT
 from selfcal_ros.calibration.bundle.path import AxisPath, path_unknowns
+from selfcal_ros.calibration.bundle.point_of_rest import common_axis, resting_near
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
@@ -144,6 +145,31 @@ def test_points_behind_the_camera_are_counted_and_a_mirrored_scene_is_turned_rou
     assert (inverse_depths(mirrored) < 0).all()
     assert mirrored.cost == pytest.approx(fit.cost, abs=1e-6)
     assert (inverse_depths(seen_ahead(mirrored)) > 0).all()
+
+
+def arc(seed, lever=(-0.05, 0.0, 0.0), turn_deg=90.0, views=14, **options):
+    """Turn a camera that looks down a little about an upright axis beside it."""
+    angle = np.radians(turn_deg) * np.linspace(0, 1, views)
+    R = rotation_matrix(np.outer(angle, [0.0, np.cos(0.3), np.sin(0.3)]))
+    poses = np.concatenate([R, np.tile(lever, (views, 1))[:, :, None]], axis=2)
+    return scene(np.random.default_rng([seed, 43]), poses, count=200, depth_m=(1.0, 6.0),
+                 **options)
+
+
+def test_any_point_of_a_common_axis_may_rest():
+    sequence = arc(8, noise_px=0.0)
+    observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
+    axis = common_axis(state.path.rotations())
+    places = state.points[:, :3] - 5.0 * axis * state.points[:, 3:]
+    far = replace(state, points=np.column_stack([places, state.points[:, 3]]), path=replace(
+        state.path, translation=state.path.translation + 5.0 * axis))
+    near = resting_near(far)
+    bundle = bundle_of(observed, PIVOT, priors_from_facts(STRAIGHT), 0.2)
+
+    assert np.allclose(bundle.residuals(far), bundle.residuals(near), atol=1e-6)
+    assert abs(near.path.translation[0] @ axis) < 1e-9
+    several = head(5)
+    assert resting_near(state_of(several, several.tracks)[1]) is None
 
 
 def test_the_lever_follows_from_rays_and_orientations():

@@ -30,6 +30,7 @@ from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.rig_model import RigModel
+from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -288,7 +289,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
     state = rescaled(state)
     for _ in range(RENEWALS):
         bundle = bundle_of(observations, motion, priors, sigma_px)
-        state = bundle.optimise(state, iterations=30, tolerance=0.02)
+        state = _optimum(bundle, state, motion)
         renewed = observations.displaced(state)
         if renewed.is_displaced_like(observations, state, SETTLED * sigma_px):
             break
@@ -309,6 +310,14 @@ def out_of_plane(fit: RobustFit) -> tuple[float, float]:
     height = np.sqrt(np.mean(path.translation[1:, 2]**2 + of_height))
     return (max(float(tilt), MINIMUM_TILT_RAD),
             max(float(height) / path.step_length(), MINIMUM_HEIGHT))
+
+
+def _optimum(bundle: Bundle, state: SceneState, motion: MotionModel) -> SceneState:
+    """Optimise, and from the nearest point that may rest, too; return the better one."""
+    starts = [state, resting_near(state) if motion.fixed_pivot else None]
+    optima: list[SceneState] = [bundle.optimise(one, iterations=30, tolerance=0.02)
+                                for one in starts if one is not None]
+    return min(optima, key=bundle.cost)
 
 
 def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) -> RobustFit:

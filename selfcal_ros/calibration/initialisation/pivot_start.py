@@ -34,6 +34,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.path import AxisPath
+from selfcal_ros.calibration.bundle.point_of_rest import common_axis
 from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
@@ -92,9 +93,11 @@ class PivotPath:
         if not np.isfinite(directions).all():
             return
         lever = lever_direction(blocks, directions, self.rotations)
-        axes = np.eye(3)
+        axis = common_axis(self.rotations)
+        # along the axis any point rests
+        levers = [lever, *(np.eye(3)[[2, 0, 1]] if axis is None else _across(axis).T)]
         yield from self._with_levers(blocks, xy, camera, [
-            sign * one for one in (lever, axes[2], axes[0], axes[1]) for sign in (1, -1)])
+            sign * one for one in levers for sign in (1, -1)])
 
     def _directions(self, blocks: PointBlocks, xy: np.ndarray, camera: Camera) -> np.ndarray:
         rays = all_rays(camera, xy)
@@ -113,6 +116,12 @@ class PivotPath:
                 blocks, directions, moved.centres())))
 
 
+def _across(axis: np.ndarray) -> np.ndarray:
+    """Two directions (3, 2) across an axis."""
+    _, vectors = np.linalg.eigh(np.outer(axis, axis))
+    return vectors[:, :2]
+
+
 def lever_direction(blocks: PointBlocks, directions: np.ndarray, rotations: np.ndarray,
                     ) -> np.ndarray:
     """
@@ -129,9 +138,11 @@ def lever_direction(blocks: PointBlocks, directions: np.ndarray, rotations: np.n
     Returns
     -------
     ndarray, shape (3,)
-        Unit, in the camera's frame; its sign is open.
+        Unit, in the camera's frame; its sign is open. Across the common axis, if there is one.
 
     """
+    axis = common_axis(rotations)
+    across = np.eye(3) if axis is None else _across(axis)
     every = np.arange(len(directions))
     first = blocks.first[blocks.point]
     last = first + blocks.length[blocks.point] - 1
@@ -144,7 +155,8 @@ def lever_direction(blocks: PointBlocks, directions: np.ndarray, rotations: np.n
     length, weight = longest, np.ones(len(rows))
     for _ in range(_ROUNDS):
         weighted = rows * (weight / length)[:, None]
-        lever: np.ndarray = np.linalg.eigh(weighted.T @ weighted)[1][:, 0]
+        open_to = weighted @ across
+        lever: np.ndarray = across @ np.linalg.eigh(open_to.T @ open_to)[1][:, 0]
         # sine of the angle between ray and epipolar plane, times a constant
         length = np.maximum(np.linalg.norm(ways @ lever, axis=1), _LEAST_WAY * longest)
         miss = np.abs(rows @ lever) / length
