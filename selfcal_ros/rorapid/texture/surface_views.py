@@ -47,7 +47,7 @@ _BLOCK, _APART_PX = 5, 6
 _UNPROVEN, _DROPPED = 0.5, 0.4
 
 
-@dataclass
+@dataclass(eq=False)
 class _View:
     """One view with its corners; `texels` are pixels of its region."""
 
