@@ -58,6 +58,7 @@ BENCHES = {
     'tracked_calibration': 'calibration from the edges of a tracked object against truth',
     'lens_population': 'prior over real lenses against brands it has not seen',
     'lenses': 'every lens, simulated: covariance, family, corners, decentring: hours',
+    'uneven_lenses': 'lenses with bumps that no model describes: errors, and sigmas',
     'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
     'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
     'mounts': 'where the camera sits on the robot: recorded sets, degenerate, coverage',

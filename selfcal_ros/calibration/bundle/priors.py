@@ -112,7 +112,7 @@ class Priors(Mapping[str, Prior]):
 
     def soft_information(self) -> np.ndarray:
         """Information (k, k) about the unknowns of the lens that all this is, 1 / sigma²."""
-        names = intrinsic_names(self.lens)
+        names = self.names
         matrix = np.zeros((len(names), len(names)))
         for name, one in self.soft.items():
             place = names.index(name)

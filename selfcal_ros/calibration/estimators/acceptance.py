@@ -45,8 +45,10 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMis
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
+from selfcal_ros.calibration.uncertainty.hidden_decentring import (
+    hidden_decentring, possible_decentring)
 from selfcal_ros.calibration.uncertainty.identifiability import identify
+from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
@@ -220,7 +222,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     dependence = robust_covariance_of(fit, problem.size)
     inner, findings = dependence.covariance, dependence.findings()
     residuals = np.where(fit.linearisation.ahead[:, None], fit.linearisation.residual, np.nan)
-    field = find_distortion_misfit(fit, problem.size, dependence.ratios['track']**2)
+    field = find_distortion_misfit(fit, problem.size, dependence.ratios['track']**2,
+                                   possible_decentring(fit))
     if field is not None:
         # the field is what the image's regions share
         state, inner, residuals = field.state, field.covariance, field.residual
@@ -239,6 +242,9 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     prism = possible_prism(fit, inner, dependence.inflation**2)
     if prism is not None:
         inner, findings = inner + prism.covariance, findings + prism.findings()
+    posterior = lens_posterior(fit, state, inner, residuals)
+    if posterior is not None:
+        state, inner, residuals = posterior.state, posterior.covariance, posterior.residual
     course = focal_course(fit, state, graph.frames, inner, dependence.inflation**2)
     findings = course_findings(course) + findings
     camera = state.camera(*problem.size)

@@ -42,7 +42,9 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
-from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
+from selfcal_ros.calibration.uncertainty.hidden_decentring import (
+    hidden_decentring, possible_decentring)
+from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, LensPosterior
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
@@ -80,8 +82,8 @@ class RigOptimum:
         What single cameras leave.
     shared : bool
         Whether the cameras may share points.
-    deviation : DistortionMisfit, optional
-        How the lenses deviate from their models, where that is allowed for.
+    deviation : DistortionMisfit or LensPosterior, optional
+        How the lenses deviate from their models, or are like others, where that is allowed for.
 
     """
 
@@ -92,7 +94,7 @@ class RigOptimum:
     motion: str
     noise_px: float
     shared: bool
-    deviation: DistortionMisfit | None = None
+    deviation: DistortionMisfit | LensPosterior | None = None
 
     @property
     def state(self) -> RigState:
@@ -142,7 +144,8 @@ class RigOptimum:
         """
         fit, dependence = self.fit, self.dependence()
         covariance, findings, better = dependence.covariance, dependence.findings(), self
-        field = find_distortion_misfit(fit, self.image_sizes, dependence.ratios['track']**2)
+        field = find_distortion_misfit(fit, self.image_sizes, dependence.ratios['track']**2,
+                                       possible_decentring(fit))
         if field is not None:
             # the field is what the image's regions share
             covariance = field.covariance
@@ -158,6 +161,9 @@ class RigOptimum:
         prism = possible_prism(fit, covariance, known)
         if prism is not None:
             covariance, findings = covariance + prism.covariance, findings + prism.findings()
+        posterior = lens_posterior(fit, better.state, covariance, better.residuals)
+        if posterior is not None:
+            covariance, better = posterior.covariance, replace(better, deviation=posterior)
         added, cause = self.steadiness()
         if cause is not None:
             findings += (cause.finding(),)

@@ -14,13 +14,13 @@
 """
 A lens that is not quite what the distortion model says: a smooth field of displacements.
 
-The field is a sum of low-degree Legendre polynomials over the image, from degree two (degrees
-zero and one are the calibration matrix itself), with independent Gaussian coefficients. Their
-standard deviation is the one under which the residuals are most probable (type-II maximum
-likelihood; Bishop 2006, 3.5). Where the residuals show no field it comes out as zero and nothing
-changes; where they do, the calibration is the mean, and its covariance that, over all fields of
-the size found. One linear step at the optimum does it. Each camera of a rig has a field of its
-own; all have one standard deviation.
+The field is a sum of Legendre polynomials over the image, from degree two (degrees zero and one
+are the calibration matrix itself), with independent Gaussian coefficients. Their standard
+deviation, and how it falls from degree to degree, are those under which the residuals are most
+probable (type-II maximum likelihood; Bishop 2006, 3.5). Where the residuals show no field it
+comes out as zero and nothing changes. Where they do, the calibration is the mean over all fields
+of the size found, and its covariance theirs. One linear step at the optimum does it. Each camera
+of a rig has a field of its own; all have one standard deviation.
 """
 
 from __future__ import annotations
@@ -41,8 +41,14 @@ from selfcal_ros.calibration.uncertainty.random_effects import most_probable_siz
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.optimise import huber_weights
 
-#: Degrees of the polynomials.
-MIN_DEGREE, MAX_DEGREE = 2, 4
+#: Degrees of the polynomials: the highest have waves of a quarter of the image.
+MIN_DEGREE, MAX_DEGREE = 2, 8
+#: Long recordings do with lower degrees, down to this: so many derivatives are 64 MB.
+LEAST_DEGREE, MOST_DERIVATIVES = 4, 8_000_000
+#: From this degree on, coefficients may fall: their standard deviation over that of the degree
+#: below, as tried. A lens may lack a term of its model, which has degree two or three, or be
+#: uneven everywhere.
+LEVEL_DEGREE, FALLS = 3, (1.0, 0.7, 0.4, 0.2, 0.1)
 #: Standard deviations of a coefficient that are tried, pixels.
 SIZES_PX = 0.003 * 2.0**np.arange(9)
 #: Least gain of the log evidence over no field: odds of 150 to 1.
@@ -90,7 +96,53 @@ class DistortionMisfit:
             found, Finding('regions_beyond_lens', ratio=float(self.region_ratio)))
 
 
-def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+@dataclass(frozen=True)
+class Supposed:
+    """
+    A cause that residuals may have: a few coefficients.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (N, 2, n)
+        Derivative of every residual by each of them, pixels.
+    sigma : float
+        How large they may be.
+
+    """
+
+    columns: np.ndarray
+    sigma: float
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """
+    How large the coefficients are, and what the images know of them.
+
+    Attributes
+    ----------
+    gain : float
+        Of log probability over no field.
+    size_px : float
+        Standard deviation of a coefficient of a low degree.
+    share : ndarray, shape (q,)
+        That of every coefficient over it.
+    values : ndarray, shape (q,)
+        Information of the images about coefficients of equal standard deviation, its eigenvalues.
+    vectors : ndarray, shape (q, q)
+        What those are of the coefficients themselves.
+
+    """
+
+    gain: float
+    size_px: float
+    share: np.ndarray
+    values: np.ndarray
+    vectors: np.ndarray
+
+
+def displacement_modes(xy: np.ndarray, size: tuple[int, int], highest: int = MAX_DEGREE,
+                       ) -> np.ndarray:
     """
     Displacements of every coefficient at image points.
 
@@ -100,6 +152,8 @@ def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         Pixels.
     size : (int, int)
         Width and height of the image.
+    highest : int
+        Degree.
 
     Returns
     -------
@@ -107,27 +161,39 @@ def displacement_modes(xy: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
     """
     scaled = (xy - (np.array(size) - 1) / 2) / (max(size) / 2)
-    along, across = (legendre.legvander(scaled[:, axis], MAX_DEGREE) for axis in (0, 1))
-    values = np.stack([along[:, i] * across[:, j]
-                       for i in range(MAX_DEGREE + 1) for j in range(MAX_DEGREE + 1)
-                       if MIN_DEGREE <= i + j <= MAX_DEGREE], axis=1)
+    along, across = (legendre.legvander(scaled[:, axis], highest) for axis in (0, 1))
+    values = np.stack([along[:, i] * across[:, j] for i, j in _powers(highest)], axis=1)
     modes = np.zeros((len(xy), 2, 2 * values.shape[1]))
     modes[:, 0, :values.shape[1]] = values
     modes[:, 1, values.shape[1]:] = values
     return modes
 
 
-def _modes_by_camera(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None) -> np.ndarray:
+def _powers(highest: int) -> list[tuple[int, int]]:
+    """Powers of both coordinates, for every polynomial."""
+    return [(i, j) for i in range(highest + 1) for j in range(highest + 1)
+            if MIN_DEGREE <= i + j <= highest]
+
+
+def _highest_degree(observations: int, cameras: int) -> int:
+    """Return the highest degree whose derivatives do not take too much memory."""
+    return next((degree for degree in range(MAX_DEGREE, LEAST_DEGREE, -1)
+                 if 4 * cameras * len(_powers(degree)) * observations <= MOST_DERIVATIVES),
+                LEAST_DEGREE)
+
+
+def _modes_by_camera(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None,
+                     highest: int) -> np.ndarray:
     """Displacements (N, 2, C k) of every coefficient of C cameras, each in its own images."""
     if camera is None:
-        return displacement_modes(xy, (int(sizes[0]), int(sizes[1])))
-    parts = [displacement_modes(xy, (int(width), int(height))) * (camera == k)[:, None, None]
-             for k, (width, height) in enumerate(sizes)]
+        return displacement_modes(xy, (int(sizes[0]), int(sizes[1])), highest)
+    parts = [displacement_modes(xy, (int(width), int(height)), highest)
+             * (camera == k)[:, None, None] for k, (width, height) in enumerate(sizes)]
     return np.concatenate(parts, axis=2)
 
 
 def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, known: float,
-                           ) -> DistortionMisfit | None:
+                           rival: Supposed | None = None) -> DistortionMisfit | None:
     """
     Look for a field in the residuals of an optimum.
 
@@ -139,6 +205,9 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
         Width and height of the image, of a rig those of every camera.
     known : float
         Variance of the estimate over that with independent errors (drift within tracks).
+    rival : Supposed, optional
+        What may explain the residuals with fewer coefficients. Where no field is left beside it,
+        there is none.
 
     Returns
     -------
@@ -151,20 +220,24 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     # where the points project: at the measured places the modes would carry the noise itself,
     # and one that the rest of the adjustment all but absorbs would explain the residuals by it
     sizes, camera = np.asarray(size), fit.observations.camera
-    modes = _modes_by_camera(bundle.xy + linearisation.residual, sizes, camera)
+    highest = _highest_degree(len(bundle.xy), np.size(sizes) // 2)
+    modes = _modes_by_camera(bundle.xy + linearisation.residual, sizes, camera, highest)
     count = modes.shape[2]
+    degree = np.tile([i + j for i, j in _powers(highest)], np.size(sizes))
     distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
     weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
     weight /= known * bundle.sigma_px**2
     root = np.sqrt(weight)[:, None]
-    shared = np.concatenate([linearisation.shared, modes], axis=2)
+    others = np.empty((*bundle.xy.shape, 0)) if rival is None else rival.columns
+    shared = np.concatenate([linearisation.shared, modes, others], axis=2)
     shared *= root[..., None]
     system = bundle.blocks.reduce(shared, linearisation.view * root[..., None],
                                   linearisation.eliminated * root[..., None],
                                   linearisation.residual * root)
     # of the adjustment's unknowns, and of the field
-    place = np.r_[:shared_count, shared_count + count:len(system.matrix)]
+    place = np.r_[:shared_count, shared.shape[2]:len(system.matrix)]
     field = np.arange(shared_count, shared_count + count)
+    besides = np.arange(shared_count + count, shared.shape[2])
     bundle.add_priors(system, state, place, 1 / known)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
@@ -178,19 +251,22 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
         factor = cho_factor(matrix / np.outer(scale, scale))
     except (LinAlgError, ValueError):
         return None
-    coupling = E.T @ system.matrix[np.ix_(place, field)] / scale[:, None]
+    extra = np.r_[field, besides]
+    coupling = E.T @ system.matrix[np.ix_(place, extra)] / scale[:, None]
     slope = E.T @ system.gradient[place] / scale
     solved = cho_solve(factor, coupling)
-    own = system.matrix[np.ix_(field, field)] - coupling.T @ solved
-    pull = system.gradient[field] - solved.T @ slope
-    values, vectors = np.linalg.eigh((own + own.T) / 2)
-    values = np.maximum(values, 0)
-    turned = vectors.T @ pull
-    size_px, gain = most_probable_size(values, turned, SIZES_PX)
-    if gain < MIN_GAIN:
+    own = system.matrix[np.ix_(extra, extra)] - coupling.T @ solved
+    pull = system.gradient[extra] - solved.T @ slope
+    if rival is not None and _most_probable(
+            *_eliminated(own, pull, count, rival.sigma), degree).gain < MIN_GAIN:
         return None
+    own, pull, solved = own[:count, :count], pull[:count], solved[:, :count]
+    spectrum = _most_probable(own, pull, degree)
+    if spectrum.gain < MIN_GAIN:
+        return None
+    size_px, values, vectors = spectrum.size_px, spectrum.values, spectrum.vectors
     posterior = size_px**2 / (1 + size_px**2 * values)
-    coefficients = -vectors @ (posterior * turned)
+    coefficients = -vectors @ (posterior * (vectors.T @ pull))
 
     step = np.zeros(len(system.matrix))
     step[field] = coefficients
@@ -218,4 +294,27 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
     return DistortionMisfit(size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
-                            linearisation.residual + change / np.maximum(root, 1e-300), modes)
+                            linearisation.residual + change / np.maximum(root, 1e-300),
+                            modes * spectrum.share)
+
+
+def _eliminated(information: np.ndarray, pull: np.ndarray, count: int, sigma: float,
+                ) -> tuple[np.ndarray, np.ndarray]:
+    """Eliminate all but the first unknowns, which have so large a standard deviation."""
+    own = information[count:, count:] + np.eye(len(pull) - count) / sigma**2
+    solved = np.linalg.solve(own, information[count:, :count])
+    return (information[:count, :count] - information[:count, count:] @ solved,
+            pull[:count] - solved.T @ pull[count:])
+
+
+def _most_probable(information: np.ndarray, pull: np.ndarray, degree: np.ndarray) -> _Spectrum:
+    """Choose how coefficients of degrees (q,) are spread, from their information and gradient."""
+    found = []
+    for fall in FALLS:
+        share = fall**np.maximum(degree - LEVEL_DEGREE, 0.0)
+        values, vectors = np.linalg.eigh((information + information.T) / 2
+                                         * np.outer(share, share))
+        values, vectors = np.maximum(values, 0), share[:, None] * vectors
+        size_px, gain = most_probable_size(values, vectors.T @ pull, SIZES_PX)
+        found.append(_Spectrum(gain, size_px, share, values, vectors))
+    return max(found, key=lambda one: one.gain)

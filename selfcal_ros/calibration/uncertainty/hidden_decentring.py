@@ -28,6 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.distortion_misfit import Supposed
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
                                                               Supposition)
 from selfcal_ros.findings.finding import Finding
@@ -102,17 +103,16 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
         None where the models have coefficients for it, or no lens is estimated.
 
     """
-    unknowns = fit.bundle.unknowns
-    columns = [_by_decentring(fit, lens, rows) for lens, _, rows, free in fit.lenses()
-               if not lens.model.is_perspective and {'k1', 'k2'} <= free]
-    if not columns:
+    possible = possible_decentring(fit)
+    if possible is None:
         return None
-    every = np.concatenate(columns, axis=2)
-    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2') * len(columns),
+    unknowns, every = fit.bundle.unknowns, possible.columns
+    count = every.shape[2] // 2
+    tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2') * count,
                                                  every)],
                                known, field, field_px).test(_DECENTRING)
     widest, spread = tested.with_prior(DECENTRING[-1]**2)
-    lenses = [slice(2 * k, 2 * k + 2) for k in range(len(columns))]
+    lenses = [slice(2 * k, 2 * k + 2) for k in range(count)]
     size = np.array([likely_decentring(widest[one], spread[one, one]) for one in lenses])
     found, after = tested.with_prior(np.repeat(size, 2)**2)
     response = tested.response * unknowns.free[unknowns.lens][:, None]
@@ -121,6 +121,13 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
         np.array([_is_certain(tested.value[one], tested.covariance[one, one])
                   for one in lenses]),
         response @ (after + np.outer(found, found)) @ response.T, every)
+
+
+def possible_decentring(fit: RobustFit) -> Supposed | None:
+    """Return what decentring of the fisheyes among the cameras would do, if there are any."""
+    columns = [_by_decentring(fit, lens, rows) for lens, _, rows, free in fit.lenses()
+               if not lens.model.is_perspective and {'k1', 'k2'} <= free]
+    return Supposed(np.concatenate(columns, axis=2), DECENTRING[-1]) if columns else None
 
 
 def _is_certain(value: np.ndarray, covariance: np.ndarray) -> bool:
