@@ -101,6 +101,10 @@ class RorapidTracker:
         return self._kalman
 
     @property
+    def _outlined(self) -> bool:
+        return isinstance(self.model, MeshModel)
+
+    @property
     def _is_perspective(self) -> bool:
         return self._camera_model == 'perspective'
 
@@ -186,7 +190,7 @@ class RorapidTracker:
         self._open, self._stamp_ns = 0, None
         self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
-                                     isinstance(self.model, MeshModel))
+                                     self._outlined)
         if lost:
             self._filter.restart(state, self._wide(state))
 
@@ -302,6 +306,12 @@ class RorapidTracker:
         if lost and measured.recognised and self.options.doubts and isinstance(
                 self._method, RobustTracker):
             measured = confirmed_again(self._method, image, measured)
+            if measured.recognised and self._standing.good is None and self._outlined:
+                # an outline that was never confirmed is a start, not a return
+                self._starting = StartSearch.again(measured.state, self._wide(measured.state))
+                self._standing.begin(lost=False)
+                self._filter.restart(measured.state, measured.covariance)
+                return self._confirm(self._method, image, measured, stamp_ns)
         if depth is not None and self._is_perspective and (
                 measured.share >= self.options.lost_share):
             measured = self._doubts.depths.improved(measured, depth, self._basis)

@@ -68,6 +68,13 @@ class StartSearch:
         self._spread, self._outline = spread, outline
         self._searches, self._held, self._rival = 0, 0, Support()
 
+    @classmethod
+    def again(cls, guess: ObjectPose, spread: np.ndarray) -> StartSearch:
+        """Confirm an outline that was found; it must be sure in several images in a row."""
+        search = cls(guess, spread, True)
+        search.tries = _OUTLINE_IMAGES - 1
+        return search
+
     @property
     def given_up(self) -> bool:
         """Whether there were images enough."""
