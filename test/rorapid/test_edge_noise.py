@@ -18,7 +18,8 @@ import pytest
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.edges.edge_noise import CommonScatter, EdgeNoise, sums_of
+from selfcal_ros.rorapid.edges.edge_noise import (
+    _AROUND_PX, _SECTOR_PX, _SECTORS, CommonScatter, EdgeNoise, shared_by_outline, sums_of)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
@@ -111,3 +112,30 @@ def test_a_curve_is_found_where_it_is_although_the_lanes_are_straight():
     raw = (found.offset[:, 0] * outward).mean()
     assert abs(raw) > 0.015
     assert abs(((found.offset[:, 0] - bow) * outward).mean()) < 0.5 * abs(raw)
+
+
+def test_what_shading_moves_in_common_is_counted_exactly():
+    rng = np.random.default_rng(5)
+    angle = np.linspace(-np.pi, np.pi, 72, endpoint=False) + 1e-3
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    side = rng.choice([-1.0, 1.0], 72)
+    # two shifts and the size of a circle, along normals of either sign
+    rows = side[:, None] * np.column_stack([normal, np.ones(72)])
+    sigma = 0.1
+    H = rows.T @ rows / sigma**2
+    known = H - shared_by_outline(rows, np.full(72, sigma**-2), side, 80 * normal, H)
+    sector = ((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    found = []
+    for _ in range(4000):
+        offset = _AROUND_PX * rng.normal() + _SECTOR_PX * rng.normal(size=_SECTORS)[sector]
+        measured = side * offset + sigma * rng.normal(size=72)
+        found.append(np.linalg.solve(H, rows.T @ measured / sigma**2))
+    expected = np.linalg.inv(known)
+    scale = np.sqrt(np.diag(expected))
+    assert np.abs((np.cov(np.array(found).T) - expected) / np.outer(scale, scale)).max() < 0.08
+    assert expected[2, 2] > 10 * np.linalg.inv(H)[2, 2] > 0
+    # however much is shared, no information becomes negative
+    few = rows[:2]
+    little = few.T @ few * 1e6
+    left = little - shared_by_outline(few, np.full(2, 1e6), side[:2], 80 * normal[:2], little)
+    assert np.linalg.eigvalsh(left).min() > -1e-6 * np.trace(little)

@@ -23,7 +23,7 @@ from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_penalty
 from selfcal_ros.rorapid.edges.edge_noise import (
-    CommonScatter, EdgeNoise, sums_of, UNSEEN, UNSEEN_OUTLINE)
+    CommonScatter, EdgeNoise, shared_by_outline, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.edges.limb import limb_shift
 from selfcal_ros.rorapid.options import TrackerOptions
@@ -167,7 +167,15 @@ class EdgeSearch:
         some = np.flatnonzero(fit.weight > 0)
         sums = sums_of(fit.view.primitive[fit.at[some]], fit.rows[some], fit.weight[some],
                        fit.off[some], fit.residual[some], fit.solved)
-        return fit.solved + (1 / self._common.factor(sums) - 1) * fit.edges, sums
+        known = 1 / self._common.factor(sums)
+        posterior = fit.solved + (known - 1) * fit.edges
+        limb = some[fit.view.primitive[fit.at[some]] >= fit.view.limb]
+        if self._greys is not None and len(limb):
+            at = fit.at[limb]
+            posterior = posterior - shared_by_outline(
+                fit.rows[limb], known * fit.weight[limb], fit.view.inside[at],
+                fit.view.projected.pixels[at], fit.measured + (known - 1) * fit.edges)
+        return posterior, sums
 
     def learn(self, fit: EdgeFit, found: np.ndarray, share: float, sums: np.ndarray) -> None:
         """Take in an image that was accepted: edges found (C,), their share and scatter."""

@@ -67,12 +67,14 @@ class StartSearch:
         self.guess, self.tries, self.support = guess, 0, Support()
         self._spread, self._outline = spread, outline
         self._searches, self._held, self._rival = 0, 0, Support()
+        #: Images that must be sure in a row, even if the first one was.
+        self._images = 1
 
     @classmethod
     def again(cls, guess: ObjectPose, spread: np.ndarray) -> StartSearch:
         """Confirm an outline that was found; it must be sure in several images in a row."""
         search = cls(guess, spread, True)
-        search.tries = _OUTLINE_IMAGES - 1
+        search._images = _OUTLINE_IMAGES
         return search
 
     @property
@@ -121,7 +123,8 @@ class StartSearch:
         """Whether the last pose is confirmed; asked once an image where it was determined."""
         if not method.check.confirms(self.support, self._rival):
             return False
-        return not self._outline or self._held >= min(_OUTLINE_IMAGES, self.tries)
+        return not self._outline or self._held >= max(self._images,
+                                                      min(_OUTLINE_IMAGES, self.tries))
 
     def reason(self) -> str:
         """Say what lacks."""
