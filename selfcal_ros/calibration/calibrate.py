@@ -299,7 +299,9 @@ def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, 
         Noise that a turn leaves, pixels.
 
     """
-    problem = problem_of(graph, size, facts)
+    if graph.parallax < PARALLAX_RATIO and turning.left_px < ROTATION_NOISE * graph.noise_px:
+        return None, 0.0
+    problem = problem_of(graph, size, facts, turns=True)
     if isinstance(problem, NoEstimate):
         return None, 0.0
     decided = decide_pivot(problem, graph, turning)

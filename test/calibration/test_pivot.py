@@ -156,6 +156,14 @@ def arc(seed, lever=(-0.05, 0.0, 0.0), turn_deg=90.0, views=14, **options):
                  **options)
 
 
+@pytest.mark.parametrize('seed', [0, 2, 6, 10])
+def test_turns_about_one_axis_have_their_scene_before_the_camera(seed):
+    result = calibrate(arc(seed).tracks, facts=STRAIGHT)
+
+    assert result, result.reason
+    assert away(result) < 4
+
+
 def test_any_point_of_a_common_axis_may_rest():
     sequence = arc(8, noise_px=0.0)
     observed, state = state_of(sequence, sequence.tracks.with_at_least(3))

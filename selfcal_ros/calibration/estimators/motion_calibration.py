@@ -157,22 +157,23 @@ def _rejected(result: Calibration, graph: ViewGraph) -> float:
 
 
 def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat: bool = False,
-               at_once: bool = False) -> SelfCalibrationProblem | NoEstimate:
-    """Set up what is to be explained; see `calibrate_from_motion`."""
+               at_once: bool = False, turns: bool = False) -> SelfCalibrationProblem | NoEstimate:
+    """Set up what is to be explained; see `calibrate_from_motion`. Turns need no parallax."""
     observations = timed(observations_of(graph.tracks, graph.frames), graph, size, facts)
     if len(graph.frames) < 3:
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
             name: 'held' if name in held else 'unobservable' for name in MATRIX_PARAMETERS})
     plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
-    if graph.parallax < PARALLAX_RATIO and plane is None:
-        return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, 0.02), flat=plane,
                                      bend=graph.bend,
                                      instants=() if at_once else tuple(
                                          float(frame) for frame in graph.frames))
     refusal = unchecked(bundle_of(observations, PLANAR, priors_from_facts(facts), 1.0))
+    # of few points a homography explains as much as any motion does
+    if refusal is None and graph.parallax < PARALLAX_RATIO and plane is None and not turns:
+        return NoEstimate('no_parallax', parallax_ratio=float(graph.parallax), motion='rotation')
     return problem if refusal is None else refusal
 
 
