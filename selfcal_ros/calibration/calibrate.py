@@ -68,6 +68,9 @@ PIVOT_RATIO, HOPELESS = 8.0, 20.0
 #: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, or
 #: leaves so many times what pairs do, a free motion that leaves less than this share of its noise.
 PIVOT_NOISE, WORSE_THAN_PAIRS, CLEARER = 1.5, 1.04, 0.97
+#: So many times where no pair shows parallax: the noise of pairs is known to some 3 %, and a drive
+#: with the smallest of steps is no turn.
+HIDDEN_NOISE = 1.1
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
 SHORT_WAY = 0.3
@@ -299,7 +302,8 @@ def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, 
         Noise that a turn leaves, pixels.
 
     """
-    if graph.parallax < PARALLAX_RATIO and turning.left_px < ROTATION_NOISE * graph.noise_px:
+    hidden = graph.parallax < PARALLAX_RATIO
+    if hidden and turning.left_px < ROTATION_NOISE * graph.noise_px:
         return None, 0.0
     problem = problem_of(graph, size, facts, turns=True)
     if isinstance(problem, NoEstimate):
@@ -313,7 +317,8 @@ def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, 
         rotating = judge_rotations(turning, size, facts, may_zoom=False, may_miss=True)
         if rotating:
             return rotating, noise_px
-    explained = noise_px < PIVOT_NOISE * problem.noise_px
+    # a lever that no pair shows has to explain all that rotations leave
+    explained = noise_px < (HIDDEN_NOISE if hidden else PIVOT_NOISE) * problem.noise_px
     if decision.holds and explained and decision.moved_share < SHORT_WAY:
         result = finish(settled(problem, decision.model), decision.model, graph, facts)
         # a focal length that varies is for the free motions
