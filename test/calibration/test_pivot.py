@@ -29,7 +29,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.pivot import _moved_share
+from selfcal_ros.calibration.estimators.pivot import _moved_shares
 from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -118,7 +118,7 @@ def test_the_way_of_a_camera_is_measured_against_depths_wherever_the_point_that_
         path = replace(AxisPath.at_origin(np.eye(3), *swing_twist(R)), translation=poses[:, :, 3])
         points = np.column_stack([rng.uniform(-1, 1, (50, 3)) * [2, 1, 1] + [0, 0, 4],
                                   np.ones(50)]) - [*lever, 0]
-        shares.append(_moved_share(SceneState(Lens.of(CAMERA), path, points)))
+        shares.append(_moved_shares(SceneState(Lens.of(CAMERA), path, points))[0])
 
     assert shares[0] == pytest.approx(0.1, abs=0.02)
     assert shares[1] == pytest.approx(shares[0], rel=0.1)

@@ -58,6 +58,9 @@ MOST_LOST = 0.1
 #: Where the likeliest turn leaves more than so many times the noise, and so do rotations alone, no
 #: model of lens or shutter makes a turn of it.
 HOPELESS = 4.0
+#: A lever longer than the usual depth of the points is none: the views lie on a piece of a path,
+#: which turns of any far point explain. True levers had up to 0.4 of the depth, those 20 to 60.
+LONGEST_LEVER = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class PivotDecision:
         Twice the fall of the cost where it translates freely, and how many unknowns more.
     moved_share : float
         Extent of the camera's path over the usual depth of the points.
+    lever_share : float
+        Distance of the camera from the point over that depth.
 
     """
 
@@ -83,6 +88,7 @@ class PivotDecision:
     general_excess: float
     general_freedom: float
     moved_share: float
+    lever_share: float
 
     @property
     def is_rotation(self) -> bool:
@@ -94,7 +100,7 @@ class PivotDecision:
         """Tell whether the point may be fixed."""
         fit = self.model.fit
         lost = fit.outliers / (fit.outliers + len(fit.observations.view))
-        return (lost < MOST_LOST
+        return (lost < MOST_LOST and self.lever_share < LONGEST_LEVER
                 and self.general_excess < NEARLY_FIXED * self.general_freedom)
 
 
@@ -157,16 +163,17 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     return problem, PivotDecision(
         model, 2 * (still.cost - fit.cost) / dependence, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / dependence,
-        free.bundle.unknowns.count - fit.bundle.unknowns.count, _moved_share(fit.state))
+        free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
 
 
-def _moved_share(state: SceneState) -> float:
-    """Return the extent of the camera's path over the usual depth of the points."""
+def _moved_shares(state: SceneState) -> tuple[float, float]:
+    """Return the extent of the camera's path, and its lever, over the usual depth of points."""
     centres, points = state.path.centres(), state.points
     # not from the point that rests: along a common axis of all turns it may be anywhere
     far = np.linalg.norm(points[:, :3] - points[:, 3:] * centres.mean(axis=0), axis=1)
     inverse_depth = float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
-    return float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth
+    return (float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth,
+            float(np.linalg.norm(state.path.translation[0])) * inverse_depth)
 
 
 def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> SceneState | None:
