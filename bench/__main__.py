@@ -62,6 +62,7 @@ BENCHES = {
     'zoom': 'a focal length that varies: found, sigmas true, constant ones left alone',
     'wide_lenses': 'wide lenses, rendered, in a room and on a drone; COLMAP beside',
     'mounts': 'where the camera sits on the robot: recorded sets, degenerate, coverage',
+    'hand_eye': 'mounts from pose streams beside eleven hand-eye solvers (kinhec)',
     'shutter': 'rolling shutter: simulated coverage, rendered videos at 30 Hz: hours',
     'whole_image': 'projection of recorded perspective lenses over the image, in sigmas',
     'speed': 'time of the estimate, of the command, and their growth',

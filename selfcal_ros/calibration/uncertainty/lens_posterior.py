@@ -94,10 +94,14 @@ def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
         return None
     square, scale = np.ix_(free, free), np.outer(sigma, sigma)
     known, pull = _known_beforehand(fit, state)
-    step, after = _weighed_anew(fit.lens_covariance[square] / scale,
-                                fit.bundle.loss_factors(fit.linearisation)[0],
-                                covariance[square] / scale, known[square] * scale,
-                                pull[free] * sigma)
+    try:
+        step, after = _weighed_anew(fit.lens_covariance[square] / scale,
+                                    fit.bundle.loss_factors(fit.linearisation)[0],
+                                    covariance[square] / scale, known[square] * scale,
+                                    pull[free] * sigma)
+    except np.linalg.LinAlgError:
+        # the images leave something of the camera open, which is told elsewhere
+        return None
     if not np.abs(step).max() > LEAST_SHIFT:
         return None
     change, widened = np.zeros(len(state.lens.values)), covariance.copy()
