@@ -60,11 +60,12 @@ DOUBTFUL_PARALLAX = 10.0
 #: Rotation alone is taken where it leaves no more than so many times the noise: depths that
 #: rest on so little would lead the calibration astray.
 ROTATION_NOISE = 1.2
-#: So is whether it turns about a point where the pair in the middle has less.
-USUAL_PARALLAX = 12.0
+#: So is whether it turns about a point where the pair in the middle has less. A lens that bends
+#: lines leaves up to 20 where large turns show it: a head was taken for a free hand at 12.
+USUAL_PARALLAX = 25.0
 #: That is tried where rotation alone leaves less than so many times the noise, and the search for
 #: a rotation ends where its first start leaves more than so many times.
-PIVOT_RATIO, HOPELESS = 8.0, 20.0
+PIVOT_RATIO, HOPELESS = 16.0, 20.0
 #: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, or
 #: leaves so many times what pairs do, a free motion that leaves less than this share of its noise.
 PIVOT_NOISE, WORSE_THAN_PAIRS, CLEARER = 1.5, 1.04, 0.97

@@ -164,6 +164,16 @@ def test_turns_about_one_axis_have_their_scene_before_the_camera(seed):
     assert away(result) < 4
 
 
+@pytest.mark.parametrize('seed', [11, 30, 34])
+def test_a_long_lever_is_no_free_motion(seed):
+    camera = Camera(CAMERA.K, (-0.12, 0.05, 0, 0), 640, 480)
+    sequence = head(seed, (0.0, -0.024, -0.08), 20.0, 12, 200, camera=camera)
+    result = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert result.motion == 'pivot'
+    assert away(result, camera) < 4
+
+
 def test_any_point_of_a_common_axis_may_rest():
     sequence = arc(8, noise_px=0.0)
     observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
