@@ -24,6 +24,7 @@ from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount, TURN as ANGLES
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.disagreement import inverse_is_meant, why_no_start
@@ -156,6 +157,8 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
         return []
     _, best, rough = min(tried, key=lambda one: one[0])
     best = replace(best, w=np.zeros(part.roots.shape[2]))
+    if not track.odometry:
+        rough = with_errors_of_camera(rough, best, part)
     adjustment = Adjustment(part, track, rows, facts)
     optimum = adjustment.optimum(best, rough)
     late = False

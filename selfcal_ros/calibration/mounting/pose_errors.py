@@ -53,7 +53,7 @@ class PoseErrors:
     Attributes
     ----------
     axes : tuple of tuple of int
-        Per kind, the components whose errors it is of.
+        Per kind, the components whose errors it is of; none where it is of the camera's poses.
     shapes : ndarray, shape (K, m, 6, 6)
         Covariances for unit variances.
     variances : ndarray, shape (K,)
@@ -151,7 +151,7 @@ class PoseErrors:
         """
         z = (self.whitening() @ residual[:, :, None])[keep, :, 0]
         shared = np.zeros(6)
-        for kind in self.axes:
+        for kind in filter(len, self.axes):
             own = z[:, list(kind)]
             found = float(np.sum(own[1:] * own[:-1]) / max(np.sum(own**2), 1e-300))
             if found > SHOWS / np.sqrt(own.size):
@@ -160,12 +160,14 @@ class PoseErrors:
 
     def from_medians(self, residual: np.ndarray, keep: np.ndarray) -> PoseErrors:
         """Estimate variances from misfits (m, 6) of which a minority may be wrong."""
-        found = []
-        for kind, shape in zip(self.axes, self.shapes):
+        found = self.variances.copy()
+        for k, (kind, shape) in enumerate(zip(self.axes, self.shapes)):
+            if not kind:
+                continue
             own = list(kind)
             spread = np.sqrt(np.diagonal(shape[keep], axis1=1, axis2=2)[:, own])
-            found.append((np.median(np.abs(residual[keep][:, own]) / spread) / _MEDIAN)**2)
-        return self._with(np.array(found))
+            found[k] = (np.median(np.abs(residual[keep][:, own]) / spread) / _MEDIAN)**2
+        return self._with(found)
 
     def refined(self, residual: np.ndarray, spread: np.ndarray,
                 keep: np.ndarray) -> tuple[PoseErrors, np.ndarray]:
@@ -209,7 +211,7 @@ class PoseErrors:
     def sigma(self, component: int) -> float:
         """Return the mean standard deviation of place (0) or turn (3)."""
         among = [(len(kind), variance) for kind, variance in zip(self.axes, self.variances)
-                 if kind[0] // 3 == component // 3]
+                 if kind and kind[0] // 3 == component // 3]
         return float(np.sqrt(sum(n * v for n, v in among) / sum(n for n, _ in among)))
 
 
