@@ -237,14 +237,15 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         verdict = verdict.without(LENS_MODEL)
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
+    # what no model has is no error of the images, and comes after
+    posterior = lens_posterior(fit, state, inner, residuals)
+    if posterior is not None:
+        state, inner, residuals = posterior.state, posterior.covariance, posterior.residual
     if hidden is not None:
         inner, findings = inner + hidden.covariance, findings + hidden.findings()
     prism = possible_prism(fit, inner, dependence.inflation**2)
     if prism is not None:
         inner, findings = inner + prism.covariance, findings + prism.findings()
-    posterior = lens_posterior(fit, state, inner, residuals)
-    if posterior is not None:
-        state, inner, residuals = posterior.state, posterior.covariance, posterior.residual
     course = focal_course(fit, state, graph.frames, inner, dependence.inflation**2)
     findings = course_findings(course) + findings
     camera = state.camera(*problem.size)

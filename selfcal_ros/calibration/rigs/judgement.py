@@ -154,6 +154,9 @@ class RigOptimum:
         known = dependence.inflation**2
         ratio, added = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
         covariance, findings = covariance + added, (*findings, *segment_findings(ratio))
+        posterior = lens_posterior(fit, better.state, covariance, better.residuals)
+        if posterior is not None:
+            covariance, better = posterior.covariance, replace(better, deviation=posterior)
         hidden = hidden_decentring(fit, known, *(
             () if field is None else (field.modes, field.size_px)))
         if hidden is not None:
@@ -161,9 +164,6 @@ class RigOptimum:
         prism = possible_prism(fit, covariance, known)
         if prism is not None:
             covariance, findings = covariance + prism.covariance, findings + prism.findings()
-        posterior = lens_posterior(fit, better.state, covariance, better.residuals)
-        if posterior is not None:
-            covariance, better = posterior.covariance, replace(better, deviation=posterior)
         added, cause = self.steadiness()
         if cause is not None:
             findings += (cause.finding(),)
