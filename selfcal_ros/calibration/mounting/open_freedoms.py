@@ -39,8 +39,9 @@ LIMIT_M, LIMIT_RAD, LIMIT_SCALE, LIMIT_S = 0.2, 0.1, 0.1, 0.1
 ABOVE_NOISE = 3.0
 #: Turns about the vertical by so many times those about other axes are those of a vehicle.
 UPRIGHT = 5.0
-#: Sigma along a motion that is not seen, in limits.
-_UNSEEN = 10.0
+#: Sigma along a motion that is not seen, in limits; and where nobody says how the camera's poses
+#: err, so that an estimate may have run away along it.
+_UNSEEN, _RUN_AWAY = 10.0, 100.0
 _COLUMNS = np.r_[T, TURN, SCALE, OFFSET]
 _LIMITS = np.array([LIMIT_M] * 3 + [LIMIT_RAD] * 3 + [LIMIT_SCALE, LIMIT_S])
 
@@ -185,7 +186,8 @@ def _honest_sigma(optimum: Optimum, free: np.ndarray, odometry: bool) -> np.ndar
     seen = ratio > 1
     spread = (motions[:, seen]**2 / ratio[seen]).sum(axis=1)
     unseen = motions[:, ~seen] / np.linalg.norm(motions[:, ~seen], axis=0)
-    spread += _UNSEEN**2 * (unseen**2).sum(axis=1)
+    far = _RUN_AWAY if _is_bare(optimum) else _UNSEEN
+    spread += far**2 * (unseen**2).sum(axis=1)
     sigma = np.full(COUNT, np.inf)
     sigma[columns] = np.sqrt(spread) * unit
     found: np.ndarray = sigma[_COLUMNS]
@@ -198,6 +200,9 @@ def _feigned(optimum: Optimum, odometry: bool) -> np.ndarray:
     W = np.linalg.inv(optimum.errors.covariances()[keep])
     # of the predicted turns and moves, whatever they come from
     errors = slopes @ optimum.covariance @ np.swapaxes(slopes, 1, 2)
+    if _is_bare(optimum):
+        # it may be the camera's poses that leave the misfits
+        errors = errors + optimum.errors.covariances()[keep]
     Q, P = errors[:, 3:, 3:], errors[:, :3, :3]
     # in the axes of the body: the earlier one of a pair, or that of the pose
     axes = np.eye(3)[None] if odometry else -slopes[:, 3:, TURN]
@@ -210,6 +215,11 @@ def _feigned(optimum: Optimum, odometry: bool) -> np.ndarray:
         feigned[TURN, TURN] += _by_crossing(P, place)
     feigned[SCALE, SCALE] = np.einsum('mij,mji->', place, P)
     return feigned
+
+
+def _is_bare(optimum: Optimum) -> bool:
+    """Tell whether nobody says how the poses of the camera err."""
+    return bool(optimum.prediction.slopes.shape[2] == COUNT)
 
 
 def _by_crossing(Q: np.ndarray, W: np.ndarray) -> np.ndarray:
