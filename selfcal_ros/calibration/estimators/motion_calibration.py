@@ -43,6 +43,7 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
                                                              widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
+from selfcal_ros.calibration.estimators.torn_path import mended
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
@@ -220,6 +221,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if near is not None:
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
+    fit = mended(fit, medium, window)
     if problem.motion.keeps_plane:
         # before what the plane forbids is taken for something else
         fit = as_uneven_as_told(fit, medium)

@@ -1,0 +1,96 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+A path in two parts of different scale, whose bridging tracks pass for outliers; and its mending.
+
+A start under a wrong focal length drifts in scale along the path. A robust adjustment may mend
+the parts and not the drift between them: then nearly all tracks that pass a view are set aside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.robust_fit import Observations, RobustFit, with_all_points
+from selfcal_ros.calibration.estimators.model_selection import first_fit
+from selfcal_ros.calibration.estimators.zoom_selection import nearer
+from selfcal_ros.calibration.initialisation.multi_start import starts
+from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+
+#: Of the tracks that pass a view, a sound fit keeps half at least, and a torn one hardly any.
+TORN_SHARE = 0.25
+#: So many tracks pass a view, or nothing is said of it. A false alarm costs time alone.
+LEAST_TRACKS = 3
+
+
+def passing_shares(tried: Observations, kept: Observations, views: int) -> np.ndarray:
+    """
+    Tell how many of the tracks that pass each view a fit has kept on both sides of it.
+
+    Parameters
+    ----------
+    tried, kept : Observations
+        What a fit began with, and what it did not set aside.
+    views : int
+
+    Returns
+    -------
+    ndarray, shape (views,)
+        Shares; NaN at both ends, and where fewer than `LEAST_TRACKS` pass.
+
+    """
+    count = int(tried.track.max(initial=-1)) + 1
+    passing = []
+    for observations in (tried, kept):
+        first, last = np.full(count, views), np.full(count, -1)
+        identity = observations.track[observations.point]
+        np.minimum.at(first, identity, observations.view)
+        np.maximum.at(last, identity, observations.view)
+        at = np.arange(views)[:, None]
+        passing.append((first < at) & (last > at))
+    before, after = passing[0].sum(axis=1), (passing[0] & passing[1]).sum(axis=1)
+    enough = before >= LEAST_TRACKS
+    return np.where(enough, after / np.maximum(before, 1), np.nan)
+
+
+def is_torn(tried: Observations, kept: Observations, views: int) -> bool:
+    """Tell whether at some view a fit has set nearly all tracks aside that pass it."""
+    return bool((passing_shares(tried, kept, views) < TORN_SHARE).any())
+
+
+def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem) -> RobustFit:
+    """
+    Return a fit whose path holds together, where there is one.
+
+    Parameters
+    ----------
+    fit : RobustFit
+    tried : Observations
+        That it began with.
+    problem : SelfCalibrationProblem
+        Of the same views.
+
+    Returns
+    -------
+    RobustFit
+        Begun anew with the calibration that was found, if `fit` is torn and that explains more.
+
+    """
+    if not is_torn(tried, fit.observations, problem.views):
+        return fit
+    for start, _ in starts(problem, iter([fit.state.camera(*problem.size)])):
+        state = with_all_points(start, tried)
+        if state is not None:
+            fit = nearer(fit, first_fit(problem, tried, state), tried)
+    return fit

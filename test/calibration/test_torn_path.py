@@ -1,0 +1,81 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Paths in two parts of different scale: told by the tracks that pass between, and mended."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from selfcal_ros import CameraFacts
+from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
+from selfcal_ros.calibration.bundle.robust_fit import with_all_points
+from selfcal_ros.calibration.estimators.model_selection import first_fit
+from selfcal_ros.calibration.estimators.motion_calibration import problem_of
+from selfcal_ros.calibration.estimators.torn_path import is_torn, mended, passing_shares
+from selfcal_ros.calibration.initialisation.multi_start import starts
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
+from selfcal_ros.synthetic.special_scenes import drive
+
+VIEWS, TORN_AT, SMALLER = 16, 8, 0.2
+#: Of the tracks that pass the view where it tears; what begins or ends there tells no scale.
+PASSING = 10
+
+
+@pytest.fixture(scope='module')
+def scene():
+    """Return a drive, what is to be explained of it, and a good start."""
+    sequence = drive(np.random.default_rng(8), 0.1, VIEWS, 1200, track_length=5)
+    tracks = sequence.tracks
+    before, after = (set(tracks.track[mask].tolist()) for mask in (
+        tracks.frame < TORN_AT, tracks.frame > TORN_AT))
+    cut = np.isin(tracks.track, sorted(before & after)[PASSING:]) & (tracks.frame > TORN_AT)
+    graph = build_view_graph(tracks.select(~cut), np.random.default_rng(0))
+    problem = replace(problem_of(graph, (640, 480), CameraFacts(aspect_ratio=1.0, skew=0.0)),
+                      motion=NEARLY_PLANAR)
+    (start, _), = starts(problem, iter([sequence.camera]))
+    return sequence, problem, start
+
+
+def unevenness(path, sequence):
+    """Largest over smallest ratio of an estimated step to the true one."""
+    found, true = (np.linalg.norm(np.diff(centres, axis=0), axis=1) for centres in (
+        path.centres(), -np.einsum('vji,vj->vi', sequence.cam_from_world[:, :, :3],
+                                   sequence.cam_from_world[:, :, 3])))
+    return (found / true).max() / (found / true).min()
+
+
+def test_a_path_that_falls_in_two_is_told_and_mended(scene):
+    sequence, problem, start = scene
+    centres = start.path.centres()
+    at = centres[TORN_AT].copy()
+    centres[TORN_AT:] = at + SMALLER * (centres[TORN_AT:] - at)
+    path = start.path.placed_at(centres)
+    torn = with_all_points(replace(start, path=path), problem.observations)
+    fit = first_fit(problem, problem.observations, torn)
+    # nothing in the residuals shows it: the tracks that contradict it are outliers
+    assert unevenness(fit.state.path, sequence) > 3 and fit.bundle.sigma_px < 0.15
+    shares = passing_shares(problem.observations, fit.observations, VIEWS)
+    assert np.nanargmin(shares) == TORN_AT and is_torn(
+        problem.observations, fit.observations, VIEWS)
+    whole = mended(fit, problem.observations, problem)
+    assert unevenness(whole.state.path, sequence) < 1.02
+    assert passing_shares(problem.observations, whole.observations, VIEWS)[TORN_AT] > 0.8
+
+
+def test_a_path_that_holds_together_is_left_alone(scene):
+    sequence, problem, start = scene
+    fit = first_fit(problem, problem.observations, with_all_points(start, problem.observations))
+    assert mended(fit, problem.observations, problem) is fit
+    shares = passing_shares(problem.observations, fit.observations, VIEWS)
+    assert np.isnan(shares[[0, -1]]).all() and shares[1:-1].min() > 0.8
