@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
@@ -26,6 +25,7 @@ from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.model import (
     COUNT, LAG, METRE, OFFSET, predict, Prediction, SCALE, State, T, TURN, WORLD_PLACE, WORLD_TURN)
+from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -42,41 +42,9 @@ FALSE_ALARM = 0.02
 _ROUNDS, _STEPS = 20, 30
 #: Variances that change by less (relative) are found; a cost that falls by less is least.
 _SETTLED, _LEVEL = 1e-2, 1e-6
-#: Degrees of freedom of the wide-tailed law by which wrong poses are found first.
-_TAIL = 3.0
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """
-    The estimate.
-
-    Attributes
-    ----------
-    state : State
-    covariance : ndarray, shape (16 + k, 16 + k)
-        Of all unknowns; what is held has zeros, what is open `VAGUE_M` and its like.
-    information : ndarray, shape (16 + k, 16 + k)
-        Of the poses, the images and the facts.
-    errors : PoseErrors
-    freedom : ndarray, shape (K,)
-        Degrees of freedom of each variance.
-    keep : ndarray of bool, shape (m,)
-        Which misfits count.
-    cost : float
-        Robust, for comparing starts.
-    prediction : Prediction
-
-    """
-
-    state: State
-    covariance: np.ndarray
-    information: np.ndarray
-    errors: PoseErrors
-    freedom: np.ndarray
-    keep: np.ndarray
-    cost: float
-    prediction: Prediction
+#: Degrees of freedom of the wide-tailed law by which wrong poses are found first (Cauchy's): of
+#: more, three slips in twenty steps pass for the rule.
+_TAIL = 1.0
 
 
 class Adjustment:
@@ -105,6 +73,8 @@ class Adjustment:
         self._open = np.zeros((0, 3)) if open_places is None else open_places
         self._camera, self._track, self._rows = camera, track, rows
         self._stated = facts.stated
+        # of what a pose in a plane does not measure there is no misfit
+        self._size = 3 if track.flat else 6
         k = camera.roots.shape[2]
         free = np.ones(COUNT + k, bool)
         if not camera.has_path:
@@ -268,7 +238,7 @@ class Adjustment:
             squares = self._distances(prediction, errors)
             facts = self._priors(one)[0]
             if keep is None:
-                poses = (_TAIL + 6) * np.log1p(squares / _TAIL).sum()
+                poses = (_TAIL + self._size) * np.log1p(squares / _TAIL).sum()
             else:
                 poses = (errors.independent(errors.whitening()[keep]
                                             @ prediction.residual[keep][:, :, None])**2).sum()
@@ -278,8 +248,8 @@ class Adjustment:
         system = None
         for _ in range(_STEPS):
             if system is None:
-                weights = (_TAIL + 6) / (_TAIL + self._distances(prediction, errors)) \
-                    if keep is None else keep.astype(float)
+                weights = (self._tail_weights(prediction, errors) if keep is None
+                           else keep.astype(float))
                 H, g = self._system(state, prediction, errors, weights)
                 system = H[np.ix_(free, free)], g[free]
             inner, right = system
@@ -318,16 +288,15 @@ class Adjustment:
 
         """
         count = len(self.predict(state).residual)
-        limit = float(chdtri(6, FALSE_ALARM / max(count, 1)))
+        limit = float(chdtri(self._size, FALSE_ALARM / max(count, 1)))
+        state, errors, cost = self._with_wide_tails(state, errors)
         keep = self._distances(self.predict(state), errors) < limit
-        cost = self.descend(state, errors)[1]
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
             state, _ = self.descend(state, errors, keep)
             prediction = self.predict(state)
-            information, _ = self._system(state, prediction, errors, keep.astype(float))
-            covariance = self._inverse(information)
-            spread = prediction.slopes @ covariance @ np.swapaxes(prediction.slopes, 1, 2)
+            information, covariance, spread = self._spread(state, prediction, errors,
+                                                           keep.astype(float))
             before = errors
             errors, freedom = errors.refined(prediction.residual, spread, keep)
             if not self._track.odometry:
@@ -341,6 +310,43 @@ class Adjustment:
             if settled:
                 break
         return Optimum(state, covariance, information, errors, freedom, keep, cost, prediction)
+
+    def _with_wide_tails(self, state: State,
+                         errors: PoseErrors) -> tuple[State, PoseErrors, float]:
+        """
+        Estimate state and errors by a law with wide tails, in which no few poses pass for many.
+
+        Returns
+        -------
+        state : State
+        errors : PoseErrors
+            Somewhat larger than those of poses that are not wrong.
+        cost : float
+            Minus twice the log-likelihood, but for a constant: starts compare by it.
+
+        """
+        every = np.ones(len(errors.covariances()), bool)
+        for _ in range(_ROUNDS):
+            state, cost = self.descend(state, errors)
+            prediction, before = self.predict(state), errors
+            weights = self._tail_weights(prediction, errors)
+            spread = self._spread(state, prediction, errors, weights)[2]
+            errors = errors.refined(prediction.residual, spread, every, weights)[0].at_most(before)
+            if (np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all():
+                break
+        return state, errors, cost + float(np.linalg.slogdet(errors.covariances())[1].sum())
+
+    def _tail_weights(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
+        """Return the weights of misfits (m,) under the law with wide tails."""
+        return np.asarray((_TAIL + self._size) / (_TAIL + self._distances(prediction, errors)))
+
+    def _spread(self, state: State, prediction: Prediction, errors: PoseErrors,
+                weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return information and covariance of all unknowns, and covariances of misfits."""
+        information, _ = self._system(state, prediction, errors, weights)
+        covariance = self._inverse(information)
+        S = prediction.slopes
+        return information, covariance, S @ covariance @ np.swapaxes(S, 1, 2)
 
     def lag(self, optimum: Optimum) -> tuple[float, float]:
         """

@@ -28,8 +28,8 @@ GAP_STEPS = 5.0
 #: Poses count as those of motion in a plane where their heights and tilts differ by less.
 FLAT_M, FLAT_RAD = 1e-6, 1e-6
 #: Rates are taken over so many usual steps to both sides: noise of the poses must not pass for
-#: speed.
-_RATE_STEPS = 2.5
+#: speed. That of odometry adds up, however short its steps are: so long at least, seconds.
+_RATE_STEPS, _ODOMETRY_RATE_S = 2.5, 0.25
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,8 @@ class BodyTrack:
         steps = np.diff(self._times)
         self._usual = float(np.median(steps)) if len(steps) else 1.0
         self._gap = GAP_STEPS * self._usual
+        self._rate_step = max(_RATE_STEPS * self._usual,
+                              _ODOMETRY_RATE_S if self.odometry else 0.0)
 
     @property
     def instants(self) -> np.ndarray:
@@ -150,7 +152,7 @@ class BodyTrack:
             at, still = self._rows[rows], np.zeros((len(rows), 3))
             return BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
         anchor = offset if self.anchor is None else self.anchor
-        when, step = self._instants[rows] - anchor, _RATE_STEPS * self._usual
+        when, step = self._instants[rows] - anchor, self._rate_step
         rotation, position = self._interpolated(when)
         earlier = np.maximum(when - step, self._times[0])
         later = np.minimum(when + step, self._times[-1])

@@ -22,7 +22,7 @@ import numpy as np
 
 from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount, TURN as ANGLES
-from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M, Optimum
+from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
@@ -32,6 +32,7 @@ from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T,
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
     without_sense)
+from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.starts import pairs_of, starts
 from selfcal_ros.calibration.mounting.turning_sense import (alike_in_a_row, HEADING,

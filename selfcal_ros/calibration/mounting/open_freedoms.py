@@ -26,9 +26,9 @@ from scipy.linalg import eigh
 
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, places_along
 from selfcal_ros.calibration.mount import MountFacts, NAMES, PLACE, TURN as ANGLES
-from selfcal_ros.calibration.mounting.adjustment import Optimum
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
+from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.projective import cross_matrix
 

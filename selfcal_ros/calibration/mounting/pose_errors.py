@@ -169,8 +169,8 @@ class PoseErrors:
             found[k] = (np.median(np.abs(residual[keep][:, own]) / spread) / _MEDIAN)**2
         return self._with(found)
 
-    def refined(self, residual: np.ndarray, spread: np.ndarray,
-                keep: np.ndarray) -> tuple[PoseErrors, np.ndarray]:
+    def refined(self, residual: np.ndarray, spread: np.ndarray, keep: np.ndarray,
+                weights: np.ndarray | None = None) -> tuple[PoseErrors, np.ndarray]:
         """
         Estimate variances from the misfits of an optimum, and the degrees of freedom of each.
 
@@ -182,6 +182,8 @@ class PoseErrors:
         spread : ndarray, shape (m, 6, 6)
             Covariance of what is predicted.
         keep : ndarray of bool, shape (m,)
+        weights : ndarray, shape (m,), optional
+            Of the squares, under a law with wide tails.
 
         Returns
         -------
@@ -192,7 +194,8 @@ class PoseErrors:
         W = np.linalg.inv(self.covariances()[keep])
         weighted = np.einsum('mij,mj->mi', W, residual[keep])
         shapes = self.shapes[:, keep]
-        squares = np.einsum('mi,kmij,mj->k', weighted, shapes, weighted)
+        counted = weighted if weights is None else weights[keep, None] * weighted
+        squares = np.einsum('mi,kmij,mj->k', counted, shapes, weighted)
         whole = np.einsum('mij,kmji->k', W, shapes)
         taken = np.einsum('kmij,mji->k', shapes, W @ spread[keep] @ W)
         left = np.maximum(whole - taken, 1e-3 * whole)
@@ -203,6 +206,10 @@ class PoseErrors:
         """Replace variances that are not stated."""
         return replace(self, variances=np.where(
             self.stated, self.variances, np.maximum(variances, self.floors)))
+
+    def at_most(self, other: PoseErrors) -> PoseErrors:
+        """Return the smaller of two estimates of each variance."""
+        return self._with(np.minimum(self.variances, other.variances))
 
     def scaled(self, factors: np.ndarray) -> PoseErrors:
         """Multiply all variances."""

@@ -26,9 +26,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.mounting.adjustment import Adjustment, Optimum
+from selfcal_ros.calibration.mounting.adjustment import Adjustment
 from selfcal_ros.calibration.mounting.body_track import BodyAt
 from selfcal_ros.calibration.mounting.model import State
+from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import SHOWS
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 
