@@ -20,7 +20,7 @@ from bench.mount_worlds import odometry
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from msg_adapters.message_types import rclpy_types
-from msg_adapters.poses import pose_message
+from msg_adapters.poses import pose_message, transform_message
 from msg_adapters.stamps import header_message
 from msg_adapters.tracks import tracks_message
 from nav_msgs.msg import Odometry
@@ -40,6 +40,7 @@ from std_msgs.msg import String
 START_NS, STEP_NS = 1_700_000_000_123_456_789, 200_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 VIEWS = 20
+needs_tf = pytest.mark.skipif(find_spec('tf2_msgs') is None, reason='tf2_msgs is not installed')
 
 
 def robot_of(sequence, rng):
@@ -56,16 +57,59 @@ def robot_of(sequence, rng):
     return mount, poses
 
 
-def odometry_message(rotation, position, stamp):
-    pose, types = np.eye(4), rclpy_types()
+def pose_of(rotation, position):
+    pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
-    message = Odometry(header=header_message(stamp, 'odom', types), child_frame_id='base_link')
-    message.pose.pose = pose_message(pose, types)
-    return message
+    return pose
+
+
+class Wheels:
+    """Odometry on a topic of its own."""
+
+    parameters = 'robot:=/wheels/odom',
+
+    def __init__(self, probe):
+        self._types = rclpy_types()
+        self._publisher = probe.create_publisher(Odometry, '/wheels/odom', 100)
+        self.get_subscription_count = self._publisher.get_subscription_count
+
+    def send(self, pose, stamp, x=None):
+        message = Odometry(header=header_message(stamp, 'odom', self._types),
+                           child_frame_id='base_link')
+        message.pose.pose = pose_message(pose, self._types)
+        if x is not None:
+            message.pose.pose.position.x = x
+        self._publisher.publish(message)
+
+
+class Tree:
+    """The same in TF, with a joint of the robot between."""
+
+    parameters = 'robot:=/tf:odom:base_link', 'robot_kind:=odometry', 'publish_tf:=true'
+
+    def __init__(self, probe):
+        from tf2_msgs.msg import TFMessage
+        self._kind, self._types = TFMessage, rclpy_types()
+        self._publisher = probe.create_publisher(TFMessage, '/tf', 100)
+        self.get_subscription_count = self._publisher.get_subscription_count
+        self._joint = pose_of(np.eye(3), [0.2, 0.0, 0.1])
+        probe.create_publisher(TFMessage, '/tf_static', LATCHED).publish(TFMessage(transforms=[
+            self._transform(self._joint, 0, 'lift', 'base_link')]))
+
+    def _transform(self, pose, stamp, parent, child):
+        return transform_message(pose, header_message(stamp, parent, self._types), child,
+                                 self._types)
+
+    def send(self, pose, stamp, x=None):
+        sent = self._transform(pose @ np.linalg.inv(self._joint), stamp, 'odom', 'lift')
+        if x is not None:
+            sent.transform.translation.x = x
+        self._publisher.publish(self._kind(transforms=[sent]))
 
 
 @pytest.mark.ros
-def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch):
+@pytest.mark.parametrize('source', [Wheels, pytest.param(Tree, marks=needs_tf)])
+def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, source):
     sequence = drive(np.random.default_rng(11), noise_px=0.1, views=VIEWS, tracks=700)
     mount, poses = robot_of(sequence, np.random.default_rng(3))
     graph, types = graph(), rclpy_types()
@@ -73,21 +117,19 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch):
     results = graph.listen(String, 'planar_calibrator/result', LATCHED)
     diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
     tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
-    odom = graph.probe.create_publisher(Odometry, '/wheels/odom', 100)
+    odom = source(graph.probe)
+    own = [word for parameter in source.parameters for word in ('-p', parameter)]
     launch('planar_calibrator', '-p', 'keyframe_parallax:=0.001', '-p', 'first_estimate:=20',
-           '-p', 'idle_s:=0.5', '-p', 'distortion:=none', '-p', 'robot:=/wheels/odom', '-p',
+           '-p', 'idle_s:=0.5', '-p', 'distortion:=none', *own, '-p',
            'mount_facts:=time_offset=0 z=0.6:0.01')
     graph.wait_for(lambda: odom.get_subscription_count() and tracks.get_subscription_count())
     graph.wait_for(lambda: graph.probe.count_publishers('camera_info'))
     graph.spin_for(0.3)
-    wrong = odometry_message(np.eye(3), np.zeros(3), START_NS)
-    wrong.pose.pose.position.x = float('nan')
-    stray = odometry_message(np.eye(3), np.zeros(3), START_NS - 10 * 10**9)
     for view in range(VIEWS):
         stamp = START_NS + view * STEP_NS
-        odom.publish(wrong)
-        odom.publish(odometry_message(poses.rotation[view], poses.position[view], stamp))
-        odom.publish(stray)
+        odom.send(np.eye(4), START_NS, x=float('nan'))
+        odom.send(pose_of(poses.rotation[view], poses.position[view]), stamp)
+        odom.send(np.eye(4), START_NS - 10 * 10**9)
         mask, known = sequence.tracks.frame == view, len(infos)
         tracks.publish(tracks_message(
             sequence.tracks.track[mask], sequence.tracks.xy[mask], (640, 480),
@@ -107,6 +149,14 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch):
     graph.wait_for(lambda: late, what='the latched mount')
     assert (late[0].header.frame_id, late[0].child_frame_id) == ('base_link', 'eye')
     assert late[0].transform.translation.z == pytest.approx(0.6, abs=0.03)
+    if source is Tree:
+        from tf2_msgs.msg import TFMessage
+        static = graph.listen(TFMessage, '/tf_static', QoSProfile(
+            depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        graph.wait_for(lambda: len(static) >= 2, what='the joint and the mount on /tf_static')
+        graph.spin_for(0.3)
+        sent = [one for message in static for one in message.transforms]
+        assert [one for one in sent if one.child_frame_id == 'eye'] == [late[0]] and len(sent) == 2
     seen = len(diagnostics)
     graph.wait_for(lambda: len(diagnostics) > seen)
     values = {v.key: v.value for v in diagnostics[-1].status[0].values}

@@ -177,6 +177,39 @@ def test_places_come_from_tf_and_calibrations_from_camera_info(station, rig, mon
     assert np.rad2deg(angle.max()) < 0.5 and share.max() < 0.005
 
 
+@pytest.mark.skipif(find_spec('tf2_msgs') is None, reason='tf2_msgs is not installed')
+def test_places_come_from_a_publisher_of_tf_that_spoke_before(station, rig):
+    from tf2_msgs.msg import TFMessage
+    station = station('cameras:=left,right', 'publish_tf:=true')
+    base = turned_camera(rig[1][1], 25.0).T_rig_camera
+    header = header_message(0, 'base_link', station.types)
+    station.graph.probe.create_publisher(TFMessage, '/tf_static', LATCHED).publish(
+        TFMessage(transforms=[transform_message(
+            (base @ one.T_rig_camera)[:3], header, f'{name}_optical_frame', station.types)
+            for one, name in zip(rig[1], NAMES)]))
+    sent = station.graph.listen(TFMessage, '/tf', 100)
+    station.add_node()
+
+    def lacks_infos():
+        said = station.diagnostics
+        return said and 'no camera_info' in said[-1].status[0].message
+    station.graph.wait_for(lacks_infos, what='word that TF came and camera_info is missing')
+    station.send_infos()
+    station.graph.wait_for(lambda: not lacks_infos(), what='word that all is there')
+    for k in range(4):
+        station.send(k, 0)
+        station.send(k, 1)
+        station.wait_for_pose(k + 1)
+    angle, share = station.errors().T
+    assert np.rad2deg(angle.max()) < 0.5 and share.max() < 0.005
+    station.graph.wait_for(lambda: len(sent) >= 4, what='the object in TF')
+    for pose, message in zip(station.poses, sent):
+        one, = message.transforms
+        assert one.header == pose.header
+        at, moved = pose.pose.pose.position, one.transform.translation
+        assert (at.x, at.y, at.z) == (moved.x, moved.y, moved.z)
+
+
 @pytest.mark.skipif(find_spec('tf2_msgs') is not None, reason='tf2_msgs is installed')
 def test_places_without_a_file_need_the_messages_of_tf(station):
     station('cameras:=left,right')
