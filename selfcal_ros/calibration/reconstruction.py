@@ -23,7 +23,7 @@ import numpy as np
 from selfcal_ros.geometry.camera import Camera
 
 if TYPE_CHECKING:
-    from selfcal_ros.geometry.optimise import Elimination
+    from selfcal_ros.geometry.reduced_system import Elimination
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,9 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse import csr_array
 
-from selfcal_ros.geometry.optimise import ReducedSystem
+from selfcal_ros.geometry.chain_factor import ChainFactor, NotPositive
+from selfcal_ros.geometry.chain_matrix import ChainMatrix
+from selfcal_ros.geometry.reduced_system import ReducedSystem
 
 
 #: A step that changes nothing means a minimum where the damping is below the first, and nothing
@@ -105,13 +107,23 @@ def places_of(unknowns: csr_array) -> np.ndarray | None:
     return places
 
 
+def restricted(matrix: np.ndarray, unknowns: csr_array) -> np.ndarray:
+    """Return the normal matrix (k, k) of the independent unknowns, of `unknowns_of` (n, k)."""
+    places = places_of(unknowns)
+    if places is not None:
+        of_places: np.ndarray = matrix[np.ix_(places, places)]
+        return of_places
+    folded: np.ndarray = unknowns.T @ (unknowns.T @ matrix).T
+    return folded
+
+
 class DampedFactor:
     """
     Cholesky factor of the damped normal equations of the unknowns.
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, n)
+    matrix : ndarray or ChainMatrix, shape (n, n)
     diagonal : ndarray, shape (n,)
         Scales the parameters (pixels, radians, lengths) to one unit.
     damping : float
@@ -126,41 +138,50 @@ class DampedFactor:
 
     """
 
-    def __init__(self, matrix: np.ndarray, diagonal: np.ndarray, damping: float,
+    def __init__(self, matrix: np.ndarray | ChainMatrix, diagonal: np.ndarray, damping: float,
                  unknowns: csr_array):
         self._unknowns = E = unknowns
         self._places = places_of(E)
         if self._places is not None:
-            self._members = 1.0
-            scale, H = diagonal[self._places], matrix[np.ix_(self._places, self._places)]
+            self._members, scale = 1.0, diagonal[self._places]
         else:
             taking_part = abs(E)
-            self._members = taking_part.sum(axis=0)
-            scale, H = taking_part.T @ diagonal, E.T @ (E.T @ matrix).T
+            self._members, scale = taking_part.sum(axis=0), taking_part.T @ diagonal
         scale = np.maximum(scale, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
         self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
+        self._factor: np.ndarray | ChainFactor
+        if isinstance(matrix, ChainMatrix):
+            try:
+                self._factor, self.usable = ChainFactor(matrix, E, self._root, damping), True
+            except NotPositive:
+                self.usable = False
+            return
+        H = restricted(matrix, E)
         H /= self._root[:, None]
         H /= self._root
         H[np.diag_indices_from(H)] += damping
         # of a symmetric matrix rows are columns, which saves a copy
-        self._factor, failed = dpotrf(H.T, lower=1, overwrite_a=1, clean=0)
-        self.usable = not failed and bool(np.isfinite(np.diag(self._factor)).all())
+        factor, failed = dpotrf(H.T, lower=1, overwrite_a=1, clean=0)
+        self._factor = factor
+        self.usable = not failed and bool(np.isfinite(np.diag(factor)).all())
 
     def _independent(self, values: np.ndarray) -> np.ndarray:
-        """Collect values (n,) by the independent unknowns (k,)."""
+        """Collect values (n, ...) by the independent unknowns (k, ...)."""
         collected: np.ndarray = (self._unknowns.T @ values if self._places is None
                                  else values[self._places])
         return collected
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for a step of all parameters; the held ones do not move. Shapes (n,)."""
-        solved = dpotrs(self._factor, self._independent(right) / self._root, lower=1)[0]
-        solved = solved / self._root
+        """Solve for a step of all parameters; the held ones stay. Shapes (n,) or (n, m)."""
+        root = self._root if right.ndim == 1 else self._root[:, None]
+        wanted = self._independent(right) / root
+        solved = (self._factor.solve(wanted) if isinstance(self._factor, ChainFactor)
+                  else dpotrs(self._factor, wanted, lower=1)[0]) / root
         if self._places is None:
             step: np.ndarray = self._unknowns @ solved
         else:
-            step = np.zeros(len(right))
+            step = np.zeros_like(right)
             step[self._places] = solved
         return step
 

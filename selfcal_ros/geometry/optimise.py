@@ -22,10 +22,14 @@ then a "point" is a view, and v is zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
+
+from selfcal_ros.geometry.chain_matrix import ChainMatrix
+from selfcal_ros.geometry.reduced_system import ReducedSystem
+from selfcal_ros.geometry.view_chain import chain_of_views
 
 #: Points are reduced in groups that share a window of views, so that the cost grows with the
 #: length of the tracks and not with that of the sequence.
@@ -56,23 +60,29 @@ class PointBlocks:
         self._view_sum = csr_matrix((np.ones(len(view)), by_view, self._view_first),
                                     shape=(self.view_count, len(view)))
         self._transposed: tuple[np.ndarray, np.ndarray, csr_array] | None = None
-        last = np.maximum.reduceat(view, self.first)
-        begin = np.minimum.reduceat(view, self.first)
+        self.chain = chain_of_views(point, view, self.view_count)
+        place = view if self.chain is None else self.chain.place[view]
+        last = np.maximum.reduceat(place, self.first)
+        begin = np.minimum.reduceat(place, self.first)
         order = np.lexsort((last, begin))
         self._groups = []
         # observations of one point in one view are added up before the points are eliminated
         self._cells = np.flatnonzero(np.r_[True, (np.diff(point) != 0) | (np.diff(view) != 0)])
         first = np.searchsorted(self._cells, self.first)
         cells = np.diff(np.r_[first, len(self._cells)])
-        cell_view = view[self._cells]
+        cell_place = place[self._cells]
         for start in range(0, self.point_count, GROUP_POINTS):
             members = order[start:start + GROUP_POINTS]
-            low, high = int(begin[members].min()), int(last[members].max()) + 1
             lengths = cells[members]
             rows = np.repeat(first[members], lengths) + (
                 np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths))
             slot = np.repeat(np.arange(len(members)), lengths)
-            self._groups.append((members, rows, slot, cell_view[rows] - low, low, high))
+            low, high = int(begin[members].min()), int(last[members].max()) + 1
+            window = np.arange(low, high)
+            if self.chain is not None:
+                window = np.unique(cell_place[rows])
+            self._groups.append((members, rows, slot,
+                                 np.searchsorted(window, cell_place[rows]), window))
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
@@ -145,6 +155,30 @@ class PointBlocks:
                     for jac in (jac_point, jac_shared))
         return H, cross
 
+    def _grams(self, full: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Return every view, and JᵀJ of its observations, from rows (N, m, g + v)."""
+        for k in range(self.view_count):
+            rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
+            if len(rows):
+                J = full[rows].reshape(-1, full.shape[2])
+                yield k, J.T @ J
+
+    def _summed(self, full: np.ndarray, g: int, v: int) -> np.ndarray:
+        """Sum the normal equations of all views, shape (n, n), with the points held."""
+        size = g + self.view_count * v
+        matrix = np.zeros((size, size))
+        if not v:
+            J = full.reshape(-1, g)
+            matrix += J.T @ J
+            return matrix
+        for k, gram in self._grams(full):
+            own = slice(g + k * v, g + (k + 1) * v)
+            matrix[:g, :g] += gram[:g, :g]
+            matrix[:g, own] = gram[:g, g:]
+            matrix[own, :g] = gram[g:, :g]
+            matrix[own, own] = gram[g:, g:]
+        return matrix
+
     def reduce(self, jac_shared: np.ndarray, jac_view: np.ndarray, jac_point: np.ndarray,
                residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
         """
@@ -166,24 +200,15 @@ class PointBlocks:
 
         """
         g, v, p = jac_shared.shape[2], jac_view.shape[2], jac_point.shape[2]
-        size = g + self.view_count * v
         full = np.concatenate([jac_shared, jac_view], axis=2) if v else jac_shared
-        matrix = np.zeros((size, size))
-        if not v:
-            J = full.reshape(-1, g)
-            matrix += J.T @ J
-        for k in range(self.view_count if v else 0):
-            rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
-            if not len(rows):
-                continue
-            J = full[rows].reshape(-1, g + v)
-            gram = J.T @ J
-            own = slice(g + k * v, g + (k + 1) * v)
-            matrix[:g, :g] += gram[:g, :g]
-            matrix[:g, own] = gram[:g, g:]
-            matrix[own, :g] = gram[g:, :g]
-            matrix[own, own] = gram[g:, g:]
-        diagonal = np.diag(matrix).copy()
+        matrix: np.ndarray | ChainMatrix
+        if self.chain is not None and v:
+            matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
+            for k, gram in self._grams(full):
+                matrix.add_gram(gram, place[k:k + 1])
+        else:
+            matrix = self._summed(full, g, v)
+        diagonal = matrix.diagonal().copy()
 
         if v:
             H, shared = self._products_of_few(jac_point, jac_shared)
@@ -198,202 +223,28 @@ class PointBlocks:
                           + 1e-300, np.eye(p))
         inverse_root = np.linalg.inv(np.linalg.cholesky(H))   # L⁻¹, H⁻¹ = L⁻ᵀ L⁻¹
         factors = []
-        for members, rows, slot, column, low, high in self._groups:
-            W = np.zeros((len(members), p, g + (high - low) * v))
+        for members, rows, slot, column, window in self._groups:
+            W = np.zeros((len(members), p, g + len(window) * v))
             W[..., :g] = shared[members]
             if v:
-                window = W[..., g:].reshape(len(members), p, high - low, v)
-                window[slot, :, column] = cross[rows]
+                W[..., g:].reshape(len(members), p, len(window), v)[slot, :, column] = cross[rows]
             M = (inverse_root[members] @ W).reshape(-1, W.shape[2])
             gram = M.T @ M
-            own = slice(g + low * v, g + high * v)
-            matrix[:g, :g] -= gram[:g, :g]
-            matrix[:g, own] -= gram[:g, g:]
-            matrix[own, :g] -= gram[g:, :g]
-            matrix[own, own] -= gram[g:, g:]
+            own: slice | np.ndarray
+            if isinstance(matrix, ChainMatrix):
+                matrix.add_gram(gram, window, -1.0)
+                own = matrix.rows_of(window)
+            else:
+                own = slice(g + window[0] * v, g + (window[-1] + 1) * v)
+                matrix[:g, :g] -= gram[:g, :g]
+                matrix[:g, own] -= gram[:g, g:]
+                matrix[own, :g] -= gram[g:, :g]
+                matrix[own, own] -= gram[g:, g:]
             factors.append((members, M, own))
         system = ReducedSystem(self, matrix, diagonal, residual, full, jac_point, inverse_root,
                                factors, g)
         system.gradient, system.half_b = system.right_hand_side(residual)
         return system
-
-
-@dataclass(frozen=True)
-class Elimination:
-    """
-    By what the eliminated points follow the rest: all that their covariance needs.
-
-    Attributes
-    ----------
-    inverse_root : ndarray, shape (P, p, p)
-        Inverse Cholesky factors of the points' blocks.
-    factors : list of (ndarray, ndarray, ndarray)
-        Groups of points: which, the coupling divided by the root of their blocks, and the
-        independent unknowns of the rest that it concerns.
-    size : int
-        k, independent unknowns of the rest.
-
-    """
-
-    inverse_root: np.ndarray
-    factors: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-    size: int
-
-    def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
-        """
-        Express a linear form of the points' steps by those of the rest.
-
-        Parameters
-        ----------
-        form : ndarray, shape (P, p)
-
-        Returns
-        -------
-        ndarray, shape (k,)
-            Its coefficients by the rest, where the points follow.
-        float
-            Its variance with the rest held.
-
-        """
-        half = np.einsum('pij,pj->pi', self.inverse_root, form)
-        carried = np.zeros(self.size)
-        for members, M, columns in self.factors:
-            # most forms are of a few points
-            if half[members].any():
-                carried[columns] -= M.T @ half[members].ravel()
-        return carried, float(np.sum(half**2))
-
-
-@dataclass
-class ReducedSystem:
-    """
-    Normal equations after the points are eliminated: matrix · step = -gradient.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (n, n)
-    diagonal : ndarray, shape (n,)
-        Diagonal before the elimination, which scales the damping.
-    residual : ndarray, shape (N, m)
-    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, p)
-    gradient : ndarray, shape (n,)
-    half_b : ndarray, shape (P, p)
-        The points' share of the right-hand side, divided by the root of their blocks.
-
-    """
-
-    blocks: PointBlocks
-    matrix: np.ndarray
-    diagonal: np.ndarray
-    residual: np.ndarray
-    jac_rest: np.ndarray
-    jac_point: np.ndarray
-    _inverse_root: np.ndarray
-    _factors: list[tuple[np.ndarray, np.ndarray, slice]]
-    _shared: int
-    gradient: np.ndarray = field(default_factory=lambda: np.empty(0))
-    half_b: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
-
-    def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Eliminate the points from Jᵀ r.
-
-        Parameters
-        ----------
-        residual : ndarray, shape (N, m)
-
-        Returns
-        -------
-        gradient : ndarray, shape (n,)
-        half_b : ndarray, shape (P, p)
-
-        """
-        g = self._shared
-        rest = np.einsum('nmk,nm->nk', self.jac_rest, residual)
-        gradient = np.empty(len(self.matrix))
-        gradient[:g] = rest[:, :g].sum(axis=0)
-        if len(gradient) > g:
-            gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
-        b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
-        half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
-        for members, M, own in self._factors:
-            part = M.T @ half_b[members].ravel()
-            gradient[:g] -= part[:g]
-            gradient[own] -= part[g:]
-        return gradient, half_b
-
-    def point_steps(self, step: np.ndarray, half_b: np.ndarray | None = None) -> np.ndarray:
-        """Back-substitute: steps (P, p) of the points for a step (n,) of the rest."""
-        half = np.array(self.half_b if half_b is None else half_b)
-        for members, M, own in self._factors:
-            local = np.concatenate([step[:self._shared], step[own]])
-            half[members] += (M @ local).reshape(len(members), -1)
-        steps: np.ndarray = -np.einsum('pji,pj->pi', self._inverse_root, half)
-        return steps
-
-    def influence(self, rows: np.ndarray) -> np.ndarray:
-        """
-        First-order effect of every observation's residual on linear forms of the unknowns.
-
-        Parameters
-        ----------
-        rows : ndarray, shape (k, n)
-            Linear forms times the inverse of `matrix`.
-
-        Returns
-        -------
-        ndarray, shape (N, k)
-            Their sum over the observations is the step -rows · gradient.
-
-        """
-        g = self._shared
-        rest = np.einsum('nmk,nm->nk', self.jac_rest, self.residual)
-        effect = rest[:, :g] @ rows[:, :g].T
-        if rest.shape[1] > g:
-            by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1)
-            effect += np.einsum('nv,nvk->nk', rest[:, g:],
-                                by_view.transpose(1, 2, 0)[self.blocks.view])
-        through_points = np.empty((*self.half_b.shape, len(rows)))
-        for members, M, own in self._factors:
-            local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
-            through_points[members] = (M @ local.T).reshape(len(members), -1, len(rows))
-        own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
-        half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
-        effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
-        influence: np.ndarray = -effect
-        return influence
-
-    def elimination(self, selection: csr_array) -> Elimination:
-        """
-        Tell by what the points follow the independent unknowns of the rest.
-
-        Parameters
-        ----------
-        selection : csr_array, shape (n, k)
-            Of `unknowns_of`.
-
-        Returns
-        -------
-        Elimination
-
-        """
-        factors, g = [], self._shared
-        for members, M, own in self._factors:
-            rows = selection[np.r_[:g, own.start:own.stop]]
-            columns = np.unique(rows.indices)
-            factors.append((members, M @ rows[:, columns], columns))
-        return Elimination(self._inverse_root, factors, selection.shape[1])
-
-    def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
-        """Change J · step of the residuals (N, m) to first order."""
-        g = self._shared
-        change: np.ndarray = (
-            self.jac_rest[:, :, :g] @ step[:g]
-            + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
-        if len(step) > g:
-            per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
-            change += np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
-        return change
 
 
 def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:
@@ -439,3 +290,26 @@ def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None,
         rows = np.r_[rows, np.full(len(others), balanced[-1])]
         column, value = np.r_[column, others], np.r_[value, np.full(len(others), -1.0)]
     return csr_array((value, (rows, column)), (len(free), len(kept)))
+
+
+def placed(selection: csr_array, places: np.ndarray, count: int) -> csr_array:
+    """
+    Relate more parameters to the independent unknowns of some of them; the others are held.
+
+    Parameters
+    ----------
+    selection : csr_array, shape (n, k)
+        Of `unknowns_of`.
+    places : ndarray of int, shape (n,)
+        Where its parameters stand among all.
+    count : int
+        m, how many there are.
+
+    Returns
+    -------
+    csr_array, shape (m, k)
+
+    """
+    of_row = csr_array((np.ones(len(places)), (places, np.arange(len(places)))),
+                       (count, len(places)))
+    return csr_array(of_row @ selection)

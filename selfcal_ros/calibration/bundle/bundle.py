@@ -26,7 +26,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.linalg.blas import dger
 
 from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
                                                         inverse_information, winsorised_square)
@@ -36,7 +35,9 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
                                                       straight_step)
-from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks, ReducedSystem
+from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
+from selfcal_ros.geometry.reduced_system import ReducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0
@@ -147,16 +148,15 @@ class Bundle:
         at = np.arange(len(self.unknowns)) if at is None else at
         _, gradient, diagonal = self.prior_terms(state)
         system.gradient[at] += weight * gradient
-        system.matrix[at, at] += weight * diagonal
+        system.add_diagonal(at, weight * diagonal)
         system.diagonal[at] += weight * diagonal
         coupled = self.model.couplings(self.unknowns)
         if coupled is not None:
-            places = at[coupled[0]]
-            system.matrix[np.ix_(places, places)] += weight * coupled[1]
+            system.add_block(at[coupled[0]], weight * coupled[1])
         if self.priors.population is not None:
             lens = at[self.unknowns.lens]
             _, _, matrix = self.priors.population.terms(*state.lens.named)
-            system.matrix[np.ix_(lens, lens)] += weight * matrix
+            system.add_block(lens, weight * matrix)
             system.diagonal[lens] += weight * np.diag(matrix)
 
     @property
@@ -218,8 +218,7 @@ class Bundle:
         if gauge is not None:
             path = self.unknowns.path
             weight = float(np.mean(system.diagonal[path][self.unknowns.free[path]]))
-            # in place, for the rows of a symmetric matrix are its columns
-            system.matrix = dger(weight, gauge, gauge, a=system.matrix.T, overwrite_a=1).T
+            system.add_gauge(weight, gauge)
         return system, root
 
     def optimise(self, state: Any, iterations: int = 50, tolerance: float = 1e-3) -> Any:
@@ -350,17 +349,17 @@ class Bundle:
         return Information(inverse * factor, influence, freedom / seen, freedom / tracks, system,
                            self.unknowns.lens)
 
-    def covariance(self, state: Any) -> np.ndarray:
+    def covariance(self, state: Any) -> np.ndarray | ChainInverse:
         """Covariance of what remains once a block is eliminated, for independent noise, (n, n)."""
         linearisation = self.linearise(state)
         system = self.normal_equations(state, linearisation=linearisation)
         return self.inverse(system) * self.loss_factors(linearisation)[0]
 
-    def ideal_covariance(self, state: Any) -> np.ndarray:
+    def ideal_covariance(self, state: Any) -> np.ndarray | ChainInverse:
         """Covariance (n, n) if the residuals were Gaussian noise of the stated sigma."""
         return self.inverse(self.normal_equations(state))
 
-    def inverse(self, system: ReducedSystem) -> np.ndarray:
+    def inverse(self, system: ReducedSystem) -> np.ndarray | ChainInverse:
         """Invert the normal matrix of this adjustment, or of a like one; shape (n, n)."""
         return inverse_information(system.matrix, self.unknowns.selection, system.diagonal)
 

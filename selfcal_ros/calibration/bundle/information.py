@@ -22,8 +22,12 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 from scipy.special import chdtr, chdtrc
 
-from selfcal_ros.geometry.levenberg_marquardt import places_of
-from selfcal_ros.geometry.optimise import huber_weights, ReducedSystem
+from selfcal_ros.geometry.chain_factor import (ChainFactor, ChainInverse,
+                                               largest_eigenvalue, NotPositive)
+from selfcal_ros.geometry.chain_matrix import ChainMatrix
+from selfcal_ros.geometry.levenberg_marquardt import places_of, restricted
+from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.reduced_system import ReducedSystem
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0
@@ -39,7 +43,7 @@ class Information:
 
     Attributes
     ----------
-    covariance : ndarray, shape (n, n)
+    covariance : ndarray or ChainInverse, shape (n, n)
         Of what remains once a block is eliminated, for independent noise; see `Unknowns`.
     influence : ndarray, shape (N, g)
         Part of every observation in the errors of the unknowns that all views share.
@@ -55,7 +59,7 @@ class Information:
 
     """
 
-    covariance: np.ndarray
+    covariance: np.ndarray | ChainInverse
     influence: np.ndarray
     freedom_fraction: float
     track_fraction: float
@@ -73,14 +77,14 @@ class Information:
         return self.influence[:, self.lens]
 
 
-def inverse_information(matrix: np.ndarray, selection: csr_array,
-                        diagonal: np.ndarray | None = None) -> np.ndarray:
+def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
+                        diagonal: np.ndarray | None = None) -> np.ndarray | ChainInverse:
     """
     Invert a normal matrix, directions without information made very large.
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, n)
+    matrix : ndarray or ChainMatrix, shape (n, n)
     selection : csr_array, shape (n, k)
         Of `Unknowns.selection`.
     diagonal : ndarray, shape (n,), optional
@@ -89,12 +93,14 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
 
     Returns
     -------
-    ndarray, shape (n, n)
+    ndarray or ChainInverse, shape (n, n)
         Zero rows for fixed parameters.
 
     """
     E, places = selection, places_of(selection)
-    H = E.T @ (E.T @ matrix).T if places is None else matrix[np.ix_(places, places)]
+    if isinstance(matrix, ChainMatrix):
+        return _inverse_of_chain(matrix, E, diagonal)
+    H = restricted(matrix, E)
     scale = np.maximum(np.diag(H), 1e-300)
     if diagonal is not None:
         scale = np.maximum(scale, RANK_TOLERANCE * (
@@ -117,6 +123,27 @@ def inverse_information(matrix: np.ndarray, selection: csr_array,
         spread = np.zeros_like(matrix)
         spread[np.ix_(places, places)] = inverse
     return spread
+
+
+def _inverse_of_chain(matrix: ChainMatrix, selection: csr_array, diagonal: np.ndarray | None,
+                      ) -> ChainInverse:
+    """Invert a chain of views, directions without information made very large."""
+    scale = np.maximum(matrix.folded_diagonal(selection), 1e-300)
+    if diagonal is not None:
+        scale = np.maximum(scale, RANK_TOLERANCE * (abs(selection).T @ diagonal))
+    root = np.sqrt(scale)
+    least = RANK_TOLERANCE * largest_eigenvalue(matrix, selection, root)
+    damping = 0.0
+    # rounding of a large matrix may be more than the least
+    while damping < least / RANK_TOLERANCE:
+        try:
+            factor = ChainFactor(matrix, selection, root, damping)
+            if damping or factor.least_eigenvalue() > least:
+                return ChainInverse(factor, selection, root)
+        except NotPositive:
+            pass
+        damping = 10 * damping or least
+    raise np.linalg.LinAlgError('The normal matrix is not positive.')
 
 
 def huber_factors(distance: np.ndarray, fraction: float, dimension: int = 2,

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.chain_factor import ChainInverse
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 
@@ -214,13 +215,13 @@ class Projection:
         return J
 
 
-def to_parameters(covariance: np.ndarray, lens: Lens) -> np.ndarray:
+def to_parameters(covariance: np.ndarray | ChainInverse, lens: Lens) -> np.ndarray:
     """
     Carry a covariance of `lens.names` to the parameters of the camera.
 
     Parameters
     ----------
-    covariance : ndarray, shape (n, n)
+    covariance : ndarray or ChainInverse, shape (n, n)
         Its first rows belong to `lens.names`; others are left out.
     lens : Lens
 

@@ -34,6 +34,7 @@ from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.geometry.chain_factor import ChainInverse
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.values.tracks import of_longest
 
@@ -200,7 +201,7 @@ class RobustFit:
         return self.bundle.information(self.state, self.linearisation)
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> np.ndarray | ChainInverse:
         """Covariance of lens and path for independent noise, (n, n)."""
         return self.information.covariance
 
@@ -304,7 +305,7 @@ def out_of_plane(fit: RobustFit) -> tuple[float, float]:
 
     Empirical Bayes: the mean of the squared estimates and of their variances.
     """
-    path, unknowns, variance = fit.state.path, fit.bundle.unknowns, np.diag(fit.covariance)
+    path, unknowns, variance = fit.state.path, fit.bundle.unknowns, fit.covariance.diagonal()
     tilt = np.sqrt(np.mean(path.tilt**2 + variance[unknowns.of_views('tilt_x', 'tilt_y')]))
     of_height = variance[unknowns.of_views('height')[1:, 0]]
     height = np.sqrt(np.mean(path.translation[1:, 2]**2 + of_height))

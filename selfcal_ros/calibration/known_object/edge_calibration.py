@@ -315,7 +315,8 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
     frames = views.frames
     if len(frames) < 3 * SEGMENTS:
         return nothing
-    base = bundle.ideal_covariance(state)
+    lens = bundle.unknowns.lens
+    base = bundle.ideal_covariance(state)[lens, lens]
     shifts, covariances = [], []
     for gone in np.array_split(frames, SEGMENTS):
         keep = ~np.isin(views.frame, gone)
@@ -324,7 +325,7 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
         own = replace(state, path=state.path.of_views(np.isin(frames, rest.frames)))
         moved = part.optimise(own, iterations=20, tolerance=1e-4)
         shifts.append(moved.lens.values - state.lens.values)
-        covariances.append(part.ideal_covariance(moved))
+        covariances.append(part.ideal_covariance(moved)[lens, lens])
     return jackknife_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
 
 

@@ -91,7 +91,7 @@ def unseen_heights(fit: RobustFit, overlap: Overlap, inflation: float,
     if not fit.motion.keeps_plane:
         return []
     path, places = fit.state.path, fit.bundle.unknowns.of_views('tilt_x', 'tilt_y')
-    feigned = np.sum(np.diag(fit.covariance)[places]) * inflation**2
+    feigned = np.sum(fit.covariance.diagonal()[places]) * inflation**2
     if np.sum(path.tilt**2) > ABOVE_NOISE * feigned:
         return []
     others = set(overlap.group.tolist()) - {int(overlap.group[0])}

@@ -30,7 +30,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import cho_factor, cho_solve, LinAlgError
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
@@ -39,7 +38,8 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (images_alike
                                                                     region_excess)
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
+from selfcal_ros.geometry.optimise import huber_weights, placed
 
 #: Degrees of the polynomials: the highest have waves of a quarter of the image.
 MIN_DEGREE, MAX_DEGREE = 2, 8
@@ -241,22 +241,19 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     bundle.add_priors(system, state, place, 1 / known)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
-        system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
-                                                * np.outer(gauge, gauge))
+        wide = np.zeros(len(system.matrix))
+        wide[place] = gauge
+        system.add_gauge(float(np.mean(system.diagonal[place])), wide)
 
-    E = unknowns.selection
-    matrix = E.T @ (E.T @ system.matrix[np.ix_(place, place)]).T
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    try:
-        factor = cho_factor(matrix / np.outer(scale, scale))
-    except (LinAlgError, ValueError):
+    factor = DampedFactor(system.matrix, system.diagonal, 0.0,
+                          placed(unknowns.selection, place, len(system.matrix)))
+    if not factor.usable:
         return None
     extra = np.r_[field, besides]
-    coupling = E.T @ system.matrix[np.ix_(place, extra)] / scale[:, None]
-    slope = E.T @ system.gradient[place] / scale
-    solved = cho_solve(factor, coupling)
-    own = system.matrix[np.ix_(extra, extra)] - coupling.T @ solved
-    pull = system.gradient[extra] - solved.T @ slope
+    coupling = system.columns(extra)
+    solved = factor.solve(coupling)
+    own = coupling[extra] - coupling.T @ solved
+    pull = system.gradient[extra] - solved.T @ system.gradient
     if rival is not None and _most_probable(
             *_eliminated(own, pull, count, rival.sigma), degree).gain < MIN_GAIN:
         return None
@@ -268,20 +265,17 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     posterior = size_px**2 / (1 + size_px**2 * values)
     coefficients = -vectors @ (posterior * (vectors.T @ pull))
 
-    step = np.zeros(len(system.matrix))
+    step = -factor.solve(system.gradient) - solved @ coefficients
     step[field] = coefficients
-    step[place] = -E @ ((cho_solve(factor, slope) + solved @ coefficients) / scale)
     points = system.point_steps(step)
     chosen = unknowns.free_lens
-    unit = np.zeros((len(scale), len(chosen)))
-    unit[np.arange(len(chosen)), np.arange(len(chosen))] = 1 / scale[:len(chosen)]
-    through = (solved[:len(chosen)] / scale[:len(chosen), None]) @ vectors
+    unit = np.zeros((len(system.matrix), len(chosen)))
+    unit[chosen, np.arange(len(chosen))] = 1
+    through = (solved[chosen] @ vectors) * posterior
     # rows of the joint covariance of the adjustment's unknowns and the field
     rows = np.zeros((len(state.lens), len(system.matrix)))
-    rows[np.ix_(chosen, place)] = (E @ ((cho_solve(factor, unit).T
-                                         + (through * posterior) @ (solved @ vectors).T)
-                                        / scale).T).T
-    rows[np.ix_(chosen, field)] = -(through * posterior) @ vectors.T
+    rows[chosen] = factor.solve(unit).T + through @ (solved @ vectors).T
+    rows[np.ix_(chosen, field)] = -through @ vectors.T
     inner = rows[:, unknowns.lens]
     found = bundle.moved(state, step[place], points)
     if not (np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1) < MAX_SHIFT).all():

@@ -24,8 +24,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
+from selfcal_ros.calibration.bundle.information import inverse_information
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL, MotionModel, PLANAR
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -34,6 +36,8 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.chain_matrix import ChainMatrix
+from selfcal_ros.geometry.levenberg_marquardt import restricted
 from selfcal_ros.geometry.rotation import (align_z, rotation_matrix, rotation_vector,
                                            swing_twist, twist_matrix)
 
@@ -143,8 +147,14 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
     if not with_facts:
         bundle.add_priors(system, state, weight=-1.0)
     E = bundle.unknowns.selection
-    matrix = E.T @ (E.T @ system.matrix).T
     inner = len(bundle.unknowns.free_lens)
+    if isinstance(system.matrix, ChainMatrix):
+        lens, rest = bundle.unknowns.free_lens, csr_array(E[:, inner:])
+        coupling = system.columns(lens)
+        follows = inverse_information(system.matrix, rest, system.diagonal) @ coupling
+        found: np.ndarray = coupling[lens] - coupling.T @ follows
+        return found
+    matrix = restricted(system.matrix, E)
     rest = matrix[inner:, inner:]
     scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
     inverse = np.linalg.pinv(rest * np.outer(scale, scale), 1e-11, hermitian=True)

@@ -25,7 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, LinAlgError
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.bundle import BEHIND_SIGMAS, Bundle
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
@@ -35,6 +35,7 @@ from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, Zoom
 from selfcal_ros.calibration.result import FocalCourse
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
 from selfcal_ros.geometry.optimise import huber_loss
 
 #: Least gain of log probability: half the square of four sigmas.
@@ -121,23 +122,21 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
     system = bundle.normal_equations(state)
     unknowns = bundle.unknowns
     E = unknowns.selection
-    matrix, slope = E.T @ (E.T @ system.matrix).T, E.T @ system.gradient
-    last = unknowns.of_views(VIEW_NAME)[:-1, 0]
-    of_zoom = np.isin(unknowns.members, last)
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    matrix, slope = matrix / np.outer(scale, scale), slope / scale
-    try:
-        factor = cho_factor(matrix[np.ix_(~of_zoom, ~of_zoom)])
-    except (LinAlgError, ValueError):
+    every = unknowns.of_views(VIEW_NAME)[:, 0]
+    of_zoom = np.isin(unknowns.members, every[:-1])
+    factor = DampedFactor(system.matrix, system.diagonal, 0.0, csr_array(E[:, ~of_zoom]))
+    if not factor.usable:
         return None
-    coupling = matrix[np.ix_(~of_zoom, of_zoom)]
-    solved = cho_solve(factor, coupling)
-    own = (matrix[np.ix_(of_zoom, of_zoom)] - coupling.T @ solved) / dependence
-    pull = (slope[of_zoom] - solved.T @ slope[~of_zoom]) / dependence
+    # the last view's follows from the others
+    tied = E[:, of_zoom][every].toarray()
+    coupling = system.columns(every)
+    solved = factor.solve(coupling)
+    own = tied.T @ (coupling[every] - coupling.T @ solved) @ tied / dependence
+    pull = tied.T @ (system.gradient[every] - solved.T @ system.gradient) / dependence
     # from log f of all views but the last to the steps between them, whose mean is zero
     level = np.tri(views, views - 1, -1)
     level -= level.mean(axis=0)
-    steps = level[:-1] * scale[of_zoom, None] * np.sqrt(replace(free, sigma=1.0).variances)
+    steps = level[:-1] * np.sqrt(replace(free, sigma=1.0).variances)
     own, pull = steps.T @ own @ steps, steps.T @ pull
     # about a constant focal length, not about that of the state
     there = np.diff(zoom.log_focal) / np.sqrt(replace(free, sigma=1.0).variances)

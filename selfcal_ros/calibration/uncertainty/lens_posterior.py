@@ -167,7 +167,7 @@ def _moved(fit: RobustFit, state: SceneState, step: np.ndarray, residual: np.nda
     bundle, information = fit.bundle, fit.information
     lens, covariance = bundle.unknowns.lens, information.covariance
     free = np.flatnonzero(bundle.unknowns.free[lens])
-    sigma = np.sqrt(np.diag(covariance)[lens][free])
+    sigma = np.sqrt(np.diag(covariance[lens, lens])[free])
     own = covariance[lens, lens][np.ix_(free, free)] / np.outer(sigma, sigma)
     along = np.linalg.lstsq(own, step[free] / sigma, rcond=None)[0]
     every = covariance[:, lens][:, free] @ (along / sigma)

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
+from selfcal_ros.geometry.chain_factor import ChainInverse
 
 #: Sigmas that the parameter is moved by; the quadratic rises by half their square.
 REACH = 2.0
@@ -110,8 +111,8 @@ def profile_likelihood_excess(fit: RobustFit, size: tuple[int, int], fraction: f
     return fit, excess * np.outer(free, free)
 
 
-def _beyond(fit: RobustFit, place: int, joint: np.ndarray, fraction: float,
-            ) -> np.ndarray | RobustFit:
+def _beyond(fit: RobustFit, place: int, joint: np.ndarray | ChainInverse,
+            fraction: float) -> np.ndarray | RobustFit:
     """Covariance (k, k) along the way of one parameter, less that to first order."""
     lens = fit.state.lens
     name, inner = lens.names[place], fit.bundle.unknowns.lens

@@ -36,7 +36,7 @@ from scipy.sparse import block_diag, csr_array, eye_array
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS, inverse_information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.geometry.chances import chi2_chance, normal_limit
-from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.optimise import huber_weights, placed
 
 #: Directions of which the elimination leaves less than this share are what the estimate has
 #: already, and cannot be tested.
@@ -304,9 +304,10 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     bundle.add_priors(system, state, place)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
-        system.matrix[np.ix_(place, place)] += (np.mean(system.diagonal[place])
-                                                * np.outer(gauge, gauge))
-    system.matrix[aside, aside] += 1 / np.square(nuisance_sigma)
+        wide = np.zeros(len(system.matrix))
+        wide[place] = gauge
+        system.add_gauge(float(np.mean(system.diagonal[place])), wide)
+    system.add_diagonal(aside, np.broadcast_to(1 / np.square(nuisance_sigma), aside.shape))
 
     places, next_common, next_own = {}, aside.size + first, linearisation.view.shape[2]
     for one in common:
@@ -321,14 +322,14 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
 
     rest = np.r_[place, aside]
     selection = csr_array(block_diag([unknowns.selection, eye_array(len(aside))]))
-    inverse = inverse_information(system.matrix[np.ix_(rest, rest)], selection,
-                                  system.diagonal[rest])
-    coupling = system.matrix[np.ix_(rest, further)]
-    follows = -inverse @ coupling
-    information = system.matrix[np.ix_(further, further)] + coupling.T @ follows
+    inverse = inverse_information(system.matrix, placed(selection, rest, len(system.matrix)),
+                                  system.diagonal)
+    coupling = system.columns(further)
+    follows = -(inverse @ coupling)
+    information = coupling[further] + coupling.T @ follows
     factor, pull = bundle.loss_factors(linearisation)
     return JointInformation(
-        tuple(suppositions), system.gradient[further] + follows.T @ system.gradient[rest],
+        tuple(suppositions), system.gradient[further] + follows.T @ system.gradient,
         (information + information.T) / 2, system.diagonal[further],
         follows[unknowns.lens], {name: number[where] for name, where in places.items()},
         factor, pull)

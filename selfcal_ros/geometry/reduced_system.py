@@ -1,0 +1,236 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Normal equations once the points are eliminated, and by what the points follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg.blas import dger
+from scipy.sparse import csr_array
+
+from selfcal_ros.geometry.chain_matrix import ChainMatrix
+
+if TYPE_CHECKING:
+    from selfcal_ros.geometry.optimise import PointBlocks
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """
+    By what the eliminated points follow the rest: all that their covariance needs.
+
+    Attributes
+    ----------
+    inverse_root : ndarray, shape (P, p, p)
+        Inverse Cholesky factors of the points' blocks.
+    factors : list of (ndarray, ndarray, ndarray)
+        Groups of points: which, the coupling divided by the root of their blocks, and the
+        independent unknowns of the rest that it concerns.
+    size : int
+        k, independent unknowns of the rest.
+
+    """
+
+    inverse_root: np.ndarray
+    factors: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    size: int
+
+    def point_form(self, form: np.ndarray) -> tuple[np.ndarray, float]:
+        """
+        Express a linear form of the points' steps by those of the rest.
+
+        Parameters
+        ----------
+        form : ndarray, shape (P, p)
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Its coefficients by the rest, where the points follow.
+        float
+            Its variance with the rest held.
+
+        """
+        half = np.einsum('pij,pj->pi', self.inverse_root, form)
+        carried = np.zeros(self.size)
+        for members, M, columns in self.factors:
+            # most forms are of a few points
+            if half[members].any():
+                carried[columns] -= M.T @ half[members].ravel()
+        return carried, float(np.sum(half**2))
+
+
+@dataclass
+class ReducedSystem:
+    """
+    Normal equations after the points are eliminated: matrix · step = -gradient.
+
+    Attributes
+    ----------
+    matrix : ndarray or ChainMatrix, shape (n, n)
+    diagonal : ndarray, shape (n,)
+        Diagonal before the elimination, which scales the damping.
+    residual : ndarray, shape (N, m)
+    jac_rest, jac_point : ndarray, shape (N, m, g + v), (N, m, p)
+    gradient : ndarray, shape (n,)
+    half_b : ndarray, shape (P, p)
+        The points' share of the right-hand side, divided by the root of their blocks.
+
+    """
+
+    blocks: PointBlocks
+    matrix: np.ndarray | ChainMatrix
+    diagonal: np.ndarray
+    residual: np.ndarray
+    jac_rest: np.ndarray
+    jac_point: np.ndarray
+    _inverse_root: np.ndarray
+    _factors: list[tuple[np.ndarray, np.ndarray, slice | np.ndarray]]
+    _shared: int
+    gradient: np.ndarray = field(default_factory=lambda: np.empty(0))
+    half_b: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def add_diagonal(self, at: np.ndarray, values: np.ndarray) -> None:
+        """Add values (k,) on the diagonal of the matrix, at these rows (k,)."""
+        if isinstance(self.matrix, ChainMatrix):
+            self.matrix.add_diagonal(at, values)
+        else:
+            self.matrix[at, at] += values
+
+    def add_block(self, at: np.ndarray, block: np.ndarray) -> None:
+        """Add a symmetric block (k, k) to the matrix, at these rows (k,)."""
+        if isinstance(self.matrix, ChainMatrix):
+            if self.matrix.add_block(at, block):
+                return
+            self.matrix = np.asarray(self.matrix)
+        self.matrix[np.ix_(at, at)] += block
+
+    def add_gauge(self, weight: float, direction: np.ndarray) -> None:
+        """Hold a direction (n,) of unit length that no measurement determines."""
+        if isinstance(self.matrix, ChainMatrix):
+            self.matrix.add_gauge(weight, direction)
+        else:
+            # in place, for the rows of a symmetric matrix are its columns
+            self.matrix = dger(weight, direction, direction, a=self.matrix.T, overwrite_a=1).T
+
+    def columns(self, places: np.ndarray) -> np.ndarray:
+        """Return some columns of the matrix, shape (n, k)."""
+        if isinstance(self.matrix, ChainMatrix):
+            return self.matrix.columns(places)
+        return self.matrix[:, places]
+
+    def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Eliminate the points from Jᵀ r.
+
+        Parameters
+        ----------
+        residual : ndarray, shape (N, m)
+
+        Returns
+        -------
+        gradient : ndarray, shape (n,)
+        half_b : ndarray, shape (P, p)
+
+        """
+        g = self._shared
+        rest = np.einsum('nmk,nm->nk', self.jac_rest, residual)
+        gradient = np.empty(len(self.matrix))
+        gradient[:g] = rest[:, :g].sum(axis=0)
+        if len(gradient) > g:
+            gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
+        b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
+        half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
+        for members, M, own in self._factors:
+            part = M.T @ half_b[members].ravel()
+            gradient[:g] -= part[:g]
+            gradient[own] -= part[g:]
+        return gradient, half_b
+
+    def point_steps(self, step: np.ndarray, half_b: np.ndarray | None = None) -> np.ndarray:
+        """Back-substitute: steps (P, p) of the points for a step (n,) of the rest."""
+        half = np.array(self.half_b if half_b is None else half_b)
+        for members, M, own in self._factors:
+            local = np.concatenate([step[:self._shared], step[own]])
+            half[members] += (M @ local).reshape(len(members), -1)
+        steps: np.ndarray = -np.einsum('pji,pj->pi', self._inverse_root, half)
+        return steps
+
+    def influence(self, rows: np.ndarray) -> np.ndarray:
+        """
+        First-order effect of every observation's residual on linear forms of the unknowns.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (k, n)
+            Linear forms times the inverse of `matrix`.
+
+        Returns
+        -------
+        ndarray, shape (N, k)
+            Their sum over the observations is the step -rows · gradient.
+
+        """
+        g = self._shared
+        rest = np.einsum('nmk,nm->nk', self.jac_rest, self.residual)
+        effect = rest[:, :g] @ rows[:, :g].T
+        if rest.shape[1] > g:
+            by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1)
+            effect += np.einsum('nv,nvk->nk', rest[:, g:],
+                                by_view.transpose(1, 2, 0)[self.blocks.view])
+        through_points = np.empty((*self.half_b.shape, len(rows)))
+        for members, M, own in self._factors:
+            local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
+            through_points[members] = (M @ local.T).reshape(len(members), -1, len(rows))
+        own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
+        half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
+        effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
+        influence: np.ndarray = -effect
+        return influence
+
+    def elimination(self, selection: csr_array) -> Elimination:
+        """
+        Tell by what the points follow the independent unknowns of the rest.
+
+        Parameters
+        ----------
+        selection : csr_array, shape (n, k)
+            Of `unknowns_of`.
+
+        Returns
+        -------
+        Elimination
+
+        """
+        factors, g = [], self._shared
+        for members, M, own in self._factors:
+            every = np.arange(selection.shape[0])
+            rows = selection[np.r_[:g, every[own]]]
+            columns = np.unique(rows.indices)
+            factors.append((members, M @ rows[:, columns], columns))
+        return Elimination(self._inverse_root, factors, selection.shape[1])
+
+    def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
+        """Change J · step of the residuals (N, m) to first order."""
+        g = self._shared
+        change: np.ndarray = (
+            self.jac_rest[:, :, :g] @ step[:g]
+            + np.einsum('nmk,nk->nm', self.jac_point, point_steps[self.blocks.point]))
+        if len(step) > g:
+            per_view = step[g:].reshape(self.blocks.view_count, -1)[self.blocks.view]
+            change += np.einsum('nmk,nk->nm', self.jac_rest[:, :, g:], per_view)
+        return change
