@@ -24,6 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.mount import mount_rotation
 from selfcal_ros.calibration.reconstruction import PosePrecision, Reconstruction
@@ -138,7 +139,8 @@ def calibrated(rng: np.random.Generator, world: World, turn_sigma: float = TURN_
     f, cx, cy = np.array([FOCAL, WIDTH / 2, HEIGHT / 2]) - draw[:3]
     camera = Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (), WIDTH, HEIGHT)
     precision = PosePrecision(camera, ('f', 'cx', 'cy'),
-                              in_the_world(poses, turns, moves, world.planar), C)
+                              in_the_world(poses, *(csr_array(one.reshape(3 * views, -1))
+                                                    for one in (turns, moves)), world.planar), C)
     names = camera.parameter_names
     covariance = np.zeros((len(names), len(names)))
     covariance[np.ix_([0, 1], [0, 1])] = LENS_SIGMA[0]**2

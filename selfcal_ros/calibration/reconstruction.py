@@ -23,6 +23,9 @@ import numpy as np
 from selfcal_ros.geometry.camera import Camera
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from selfcal_ros.geometry.chain_inverse import ChainInverse
     from selfcal_ros.geometry.reduced_system import Elimination
 
 
@@ -56,7 +59,7 @@ class StructurePrecision:
         Where it put the points, unit homogeneous coordinates.
     lens : tuple of str
         Unknowns of the lens that were estimated.
-    covariance : ndarray, shape (k, k)
+    covariance : ndarray or ChainInverse, shape (k, k)
         Of the independent unknowns of lens and path, for independent noise; those of `lens` come
         first.
     elimination : Elimination
@@ -69,7 +72,7 @@ class StructurePrecision:
     camera: Camera
     points: np.ndarray
     lens: tuple[str, ...]
-    covariance: np.ndarray
+    covariance: np.ndarray | ChainInverse
     elimination: Elimination
     noise_factor: float
 
@@ -89,10 +92,10 @@ class PosePrecision:
         Of the adjustment.
     lens : tuple of str
         Unknowns of the lens that were estimated.
-    by_unknowns : ndarray, shape (V, 6, k)
+    by_unknowns : csr_array, shape (6 V, k)
         Changes of the poses by the independent unknowns of the adjustment; those of `lens` come
         first.
-    covariance : ndarray, shape (k, k)
+    covariance : ndarray or ChainInverse, shape (k, k)
         Of these unknowns, for independent noise.
     own : ndarray, shape (V, 6, 6), optional
         Covariance of the poses while these unknowns are held, where poses are none of them.
@@ -101,8 +104,8 @@ class PosePrecision:
 
     camera: Camera
     lens: tuple[str, ...]
-    by_unknowns: np.ndarray
-    covariance: np.ndarray
+    by_unknowns: csr_array
+    covariance: np.ndarray | ChainInverse
     own: np.ndarray | None = None
 
 

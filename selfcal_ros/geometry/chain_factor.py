@@ -20,8 +20,6 @@ selected inverse (Takahashi et al. 1973).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.sparse import csc_array, csr_array
@@ -184,87 +182,6 @@ def largest_eigenvalue(matrix: ChainMatrix, selection: csr_array, root: np.ndarr
         x /= np.linalg.norm(x)
         x = selection.T @ (matrix @ (selection @ (x / root))) / root
     return float(np.linalg.norm(x))
-
-
-class ChainInverse:
-    """
-    Inverse of the normal matrix of a chain of views: numbers of it are solved for when asked for.
-
-    It takes the place of an array (n, n) wherever parts of that are read.
-
-    Parameters
-    ----------
-    factor : ChainFactor
-    selection : csr_array, shape (n, k)
-    root : ndarray, shape (k,)
-        Of the factor.
-    times : float
-        What the inverse is multiplied by.
-
-    """
-
-    ndim = 2
-    __array_ufunc__ = None
-
-    def __init__(self, factor: ChainFactor, selection: csr_array, root: np.ndarray,
-                 times: float = 1.0):
-        self._factor, self._selection, self._root, self._times = factor, selection, root, times
-        n = selection.shape[0]
-        self.shape = n, n
-
-    def __len__(self) -> int:
-        """Count the rows."""
-        return int(self.shape[0])
-
-    def __mul__(self, times: float) -> ChainInverse:
-        """Multiply by a number."""
-        return ChainInverse(self._factor, self._selection, self._root, self._times * times)
-
-    __rmul__ = __mul__
-
-    def __neg__(self) -> ChainInverse:
-        """Change the sign."""
-        return self * -1.0
-
-    def __matmul__(self, X: np.ndarray) -> np.ndarray:
-        """Multiply a vector (n,) or columns (n, k)."""
-        columns = (self._selection.T @ X.reshape(len(X), -1)) / self._root[:, None]
-        solved = self._factor.solve(columns) / self._root[:, None]
-        product: np.ndarray = self._times * (self._selection @ solved)
-        return product.reshape(X.shape)
-
-    def __getitem__(self, places: Any) -> Any:
-        """Read rows, or rows and columns, as of an array."""
-        rows, columns = places if isinstance(places, tuple) else (places, slice(None))
-        numbers = np.arange(len(self))
-        shape = np.broadcast_shapes(np.shape(rows), np.shape(columns))
-        if isinstance(rows, slice) or isinstance(columns, slice):
-            shape = (*np.shape(numbers[rows]), *np.shape(numbers[columns]))
-        elif np.ndim(rows) < 2 and np.ndim(columns) < 2 and np.size(rows) > 1:
-            raise IndexError('Pairs of rows and columns are not read.')
-        at, along = np.ravel(numbers[rows]), np.ravel(numbers[columns])
-        if len(at) > len(along):
-            return self._columns(along)[at].reshape(shape)
-        return self._columns(at)[along].T.reshape(shape)
-
-    def _columns(self, places: np.ndarray) -> np.ndarray:
-        unit = np.zeros((len(self), len(places)))
-        unit[places, np.arange(len(places))] = 1
-        return self @ unit
-
-    def diagonal(self) -> np.ndarray:
-        """Return the variances, shape (n,)."""
-        squares = self._selection.power(2)
-        variances: np.ndarray = self._times * (
-            squares @ (self._factor.variances() / self._root**2))
-        # what follows several unknowns at once
-        for row in np.flatnonzero(np.diff(self._selection.indptr) > 1):
-            variances[row] = self[row, row]
-        return variances
-
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
-        """Write all of it out, (n, n)."""
-        return self._columns(np.arange(len(self)))
 
 
 def _root(block: np.ndarray) -> np.ndarray:

@@ -121,7 +121,8 @@ def test_slopes_of_the_poses_are_their_differences():
     path = AxisPath(rotation_matrix(rng.normal(size=3)), rng.normal(size=4),
                     0.3 * rng.normal(size=(4, 2)), rng.normal(size=(4, 3)))
     unknowns = path_unknowns(GENERAL, 4, ('f',))
-    slopes = in_the_world(path.cam_from_world(), *path_slopes(path, unknowns), False)
+    slopes = in_the_world(path.cam_from_world(), *path_slopes(path, unknowns),
+                          False).toarray().reshape(4, 6, -1)
     axes = world_and_scale(path.cam_from_world(), False)[0][:, :3]
     first = axes @ path.cam_from_world()[0, :, :3].T
     R, centres = placed(path.cam_from_world())

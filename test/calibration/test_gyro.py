@@ -103,7 +103,8 @@ def test_the_stated_covariance_is_true(waved):
     rng, squared = np.random.default_rng(3), []
     R = camera_path(result).rotation
     for _ in range(12):
-        off = precision.by_unknowns[:, 3:] @ (spread @ rng.standard_normal(len(spread)))
+        off = (precision.by_unknowns @ (spread @ rng.standard_normal(len(spread)))).reshape(
+            -1, 6)[:, 3:]
         mount = mount_by_gyro(result, gyro_of(rotation_matrix(off) @ R, rng),
                               stamps(10, -0.11)).mount
         error = np.append(rotation_vector(mount.T_body_camera[:3, :3] @ BODY_FROM_CAMERA.T),

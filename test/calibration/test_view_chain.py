@@ -15,11 +15,12 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.information import inverse_information, RANK_TOLERANCE
 from selfcal_ros.geometry import optimise
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import carried_blocks, ChainInverse
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
 from selfcal_ros.geometry.optimise import PointBlocks, unknowns_of
@@ -150,6 +151,29 @@ def test_steps_and_inverse_are_those_of_the_dense_matrix(monkeypatch, closed, se
     at = np.ix_([1, 400], [2, 3, 17])
     np.testing.assert_allclose(inverse[at], expected[at], atol=limit)
     np.testing.assert_allclose(-inverse @ right, -expected @ right, rtol=1e-9, atol=limit)
+
+
+@pytest.mark.parametrize('selection', held(), ids=['fixed', 'tied', 'balanced'])
+def test_covariances_of_poses_are_those_of_the_dense_matrix(monkeypatch, selection):
+    chained, dense = systems(monkeypatch, True)
+    inverse, expected = (inverse_information(system.matrix, selection, system.diagonal)
+                         for system in (chained, dense))
+    rng = np.random.default_rng(5)
+    rows = np.zeros((VIEWS, 4, len(dense.matrix)))
+    # of its own view, of what all share, and of the views that set the world and its unit
+    common = [*range(SHARED), *range(SHARED, SHARED + 9), *range(SHARED + 300, SHARED + 312)]
+    rows[:, :, common] = rng.standard_normal((VIEWS, 4, len(common)))
+    for view in range(VIEWS):
+        own = slice(SHARED + OF_VIEW * view, SHARED + OF_VIEW * (view + 1))
+        rows[view, :, own] += rng.standard_normal((4, OF_VIEW))
+
+    found = carried_blocks(csr_array(rows.reshape(4 * VIEWS, -1)), inverse, 4)
+
+    wanted = rows @ expected @ np.swapaxes(rows, 1, 2)
+    np.testing.assert_allclose(found, wanted, atol=1e-9 * np.abs(wanted).max())
+    independent = np.asarray(inverse.of_independent())
+    np.testing.assert_allclose(selection @ independent @ selection.T.toarray(), expected,
+                               atol=1e-9 * np.abs(expected).max())
 
 
 def test_the_scale_is_held_where_it_moves_most(monkeypatch):

@@ -35,7 +35,7 @@ from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
                                                       straight_step)
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 

@@ -22,8 +22,8 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotri
 from scipy.sparse import csr_array
 from scipy.special import chdtr, chdtrc
 
-from selfcal_ros.geometry.chain_factor import (ChainFactor, ChainInverse,
-                                               largest_eigenvalue, NotPositive)
+from selfcal_ros.geometry.chain_factor import ChainFactor, largest_eigenvalue, NotPositive
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.levenberg_marquardt import places_of, restricted
 from selfcal_ros.geometry.optimise import huber_weights

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 

@@ -34,7 +34,7 @@ from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.values.tracks import of_longest
 
@@ -204,6 +204,15 @@ class RobustFit:
     def covariance(self) -> np.ndarray | ChainInverse:
         """Covariance of lens and path for independent noise, (n, n)."""
         return self.information.covariance
+
+    @property
+    def independent_covariance(self) -> np.ndarray | ChainInverse:
+        """Covariance of the independent unknowns of lens and path, (k, k)."""
+        if isinstance(self.covariance, ChainInverse):
+            return self.covariance.of_independent()
+        members = self.bundle.unknowns.members
+        independent: np.ndarray = self.covariance[np.ix_(members, members)]
+        return independent
 
     @property
     def lens_covariance(self) -> np.ndarray:

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
@@ -60,7 +61,8 @@ def pose_precision(bundle: Bundle, state: ObjectState, extent: float) -> PosePre
             by_lens[view, step], _ = elimination.point_form(form)
     half = elimination.inverse_root @ np.swapaxes(slopes, 1, 2)
     return PosePrecision(
-        state.camera(), unknowns.free_lens_names, by_lens,
+        state.camera(), unknowns.free_lens_names,
+        csr_array(by_lens.reshape(views * steps, -1)),
         information.covariance[np.ix_(unknowns.members, unknowns.members)],
         factor * np.swapaxes(half, 1, 2) @ half)
 

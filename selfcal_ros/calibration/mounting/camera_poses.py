@@ -140,9 +140,9 @@ def poses_of_fit(frames: np.ndarray, fit: RobustFit, spread: float) -> CameraPos
     world, scale = world_and_scale(poses, False)
     centre = scale * (centre - centre[0]) @ world[:, :3].T
     precision = pose_precision(fit, False)
-    root = np.sqrt(spread) * _root(precision.covariance)
+    root = np.sqrt(spread) * _root(np.asarray(precision.covariance))
     return CameraPoses(np.asarray(frames), world[:, :3] @ rotation, centre,
-                       _in_a_middle_world(precision.by_unknowns @ root, centre),
+                       _in_a_middle_world(_by_root(precision, root), centre),
                        np.zeros((0, root.shape[1])), False, True)
 
 
@@ -151,8 +151,8 @@ def _roots(precision: PosePrecision, stated: np.ndarray,
     """Return roots of the poses (V, 6, k) and of the lens (n, k)."""
     root = _root(with_shared_errors(precision, stated))
     known, places = len(precision.lens), Lens.of(precision.camera).places(precision.lens)
-    views = len(precision.by_unknowns)
-    roots = (precision.by_unknowns.reshape(6 * views, -1) @ root).reshape(views, 6, -1)
+    roots = _by_root(precision, root)
+    views = len(roots)
     lens_root = np.zeros((count, root.shape[1]))
     lens_root[places] = root[:known]
     if precision.own is not None:
@@ -161,6 +161,12 @@ def _roots(precision: PosePrecision, stated: np.ndarray,
         roots = np.concatenate([roots, own.reshape(views, 6, 6 * views)], axis=2)
         lens_root = np.concatenate([lens_root, np.zeros((count, 6 * views))], axis=1)
     return roots, lens_root
+
+
+def _by_root(precision: PosePrecision, root: np.ndarray) -> np.ndarray:
+    """Return roots (V, 6, m) of the poses by those of the unknowns (k, m)."""
+    roots: np.ndarray = (precision.by_unknowns @ root).reshape(-1, 6, root.shape[1])
+    return roots
 
 
 def _in_a_middle_world(roots: np.ndarray, centre: np.ndarray) -> np.ndarray:

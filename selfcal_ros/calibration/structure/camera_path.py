@@ -35,6 +35,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import (
     IN_A_PLANE, metres_a_step, world_and_scale)
 from selfcal_ros.calibration.structure.structure_measurement import regression
+from selfcal_ros.geometry.chain_inverse import carried_blocks
 
 #: Motion before a known object, and without a path.
 OF_AN_OBJECT, TURNING = 'known-object', 'rotation'
@@ -138,13 +139,12 @@ def pose_covariances(precision: PosePrecision, stated: np.ndarray) -> np.ndarray
 
     """
     J, C = precision.by_unknowns, precision.covariance
-    views, _, count = J.shape
-    shared = (J.reshape(-1, count) @ C).reshape(J.shape)
-    covariance = np.einsum('vik,vjk->vij', shared, J)
+    views = J.shape[0] // 6
+    covariance = carried_blocks(J, C, 6)
     lens = Lens.of(precision.camera)
     known, places = len(precision.lens), lens.places(precision.lens)
     inner = C[:known, :known]
-    pull = regression(inner, shared[:, :, :known].reshape(-1, known).T).T.reshape(views, 6, known)
+    pull = regression(inner, (J @ C[:known].T).T).T.reshape(views, 6, known)
     more = to_intrinsics(stated, lens)[np.ix_(places, places)] - inner
     covariance += np.einsum('vik,kl,vjl->vij', pull, more, pull)
     if precision.own is not None:
@@ -168,7 +168,7 @@ def with_shared_errors(precision: PosePrecision, stated: np.ndarray) -> np.ndarr
         What the lens gains the other unknowns follow, as they follow the lens.
 
     """
-    C = precision.covariance
+    C = np.asarray(precision.covariance)
     lens = Lens.of(precision.camera)
     known, places = len(precision.lens), lens.places(precision.lens)
     pull = regression(C[:known, :known], C[:known]).T

@@ -22,6 +22,7 @@ way its axes point is a choice that was made once, and not an estimate.
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import block_diag, csr_array, vstack
 
 from selfcal_ros.calibration.bundle.path import AxisPath, SHARED_NAMES
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
@@ -51,50 +52,48 @@ def pose_precision(fit: RobustFit, planar: bool) -> PosePrecision:
     unknowns = fit.bundle.unknowns
     turns, moves = path_slopes(fit.state.path, unknowns)
     slopes = in_the_world(fit.state.path.cam_from_world(), turns, moves, planar)
-    views, n = len(fit.state.path), len(unknowns)
-    independent = (unknowns.selection.T @ slopes.reshape(6 * views, n).T).T
     lens, _, _, free = fit.lenses()[0]
     return PosePrecision(lens.camera(), tuple(name for name in lens.names if name in free),
-                         independent.reshape(views, 6, -1),
-                         fit.covariance[np.ix_(unknowns.members, unknowns.members)])
+                         csr_array(slopes @ unknowns.selection), fit.independent_covariance)
 
 
-def path_slopes(path: AxisPath, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+def path_slopes(path: AxisPath, unknowns: Unknowns) -> tuple[csr_array, csr_array]:
     """
     Differentiate the poses by all unknowns, in the world of the adjustment.
 
     Returns
     -------
-    turns : ndarray, shape (V, 3, n)
+    turns : csr_array, shape (3 V, n)
         Small turns of the cameras about the axes of the world.
-    moves : ndarray, shape (V, 3, n)
+    moves : csr_array, shape (3 V, n)
         Of the camera centres.
 
     """
     views, R = len(path), path.rotations()
     R_back = np.swapaxes(R, 1, 2)
-    turns, moves = np.zeros((2, views, 3, len(unknowns)))
-    rows = np.arange(views)
     # the mount turns all cameras and moves none
-    turns[:, :, unknowns.places(SHARED_NAMES)] = -R_back[:, :, :2]
-    place = {name: unknowns.of_views(name)[:, 0]
-             for name in ('angle', 'tilt_x', 'tilt_y', 'x', 'y', 'height')}
+    axis = np.broadcast_to(unknowns.places(SHARED_NAMES), (views, 2))
+    own = unknowns.of_views('angle', 'tilt_x', 'tilt_y', 'x', 'y', 'height')
+    turns, moves = np.zeros((2, views, 3, 8))
+    turns[:, :, :2] = -R_back[:, :, :2]
     up = np.array([0.0, 0.0, 1.0])
-    turns[rows, :, place['angle']] = -up
-    moves[rows, :, place['angle']] = -np.cross(up, path.centres())
+    turns[:, :, 2] = -up
+    moves[:, :, 2] = -np.cross(up, path.centres())
     swings = left_jacobian(pad(path.tilt))
-    for axis, name in enumerate(('tilt_x', 'tilt_y')):
-        swing = swings[:, :, axis]
-        turns[rows, :, place[name]] = -np.einsum('vij,vj->vi', R_back, swing)
-        moves[rows, :, place[name]] = np.einsum(
-            'vij,vj->vi', R_back, np.cross(swing, path.translation))
-    for axis, name in enumerate(('x', 'y', 'height')):
-        moves[rows, :, place[name]] = -R_back[:, :, axis]
-    return turns, moves
+    for k in range(2):
+        swing = swings[:, :, k]
+        turns[:, :, 3 + k] = -np.einsum('vij,vj->vi', R_back, swing)
+        moves[:, :, 3 + k] = np.einsum('vij,vj->vi', R_back, np.cross(swing, path.translation))
+    moves[:, :, 5:] = -R_back
+    columns = np.repeat(np.hstack([axis, own])[:, None], 3, axis=1).ravel()
+    rows = np.repeat(np.arange(3 * views), 8)
+    by_turns, by_moves = (csr_array((one.ravel(), (rows, columns)), (3 * views, len(unknowns)))
+                          for one in (turns, moves))
+    return by_turns, by_moves
 
 
-def in_the_world(poses: np.ndarray, turns: np.ndarray, moves: np.ndarray,
-                 planar: bool) -> np.ndarray:
+def in_the_world(poses: np.ndarray, turns: csr_array, moves: csr_array,
+                 planar: bool) -> csr_array:
     """
     Carry derivatives of poses to the world and the unit of `metric_structure`.
 
@@ -102,29 +101,39 @@ def in_the_world(poses: np.ndarray, turns: np.ndarray, moves: np.ndarray,
     ----------
     poses : ndarray, shape (V, 3, 4)
         [R | t] in the world of the adjustment.
-    turns, moves : ndarray, shape (V, 3, n)
+    turns, moves : csr_array, shape (3 V, n)
         See `path_slopes`.
     planar : bool
 
     Returns
     -------
-    ndarray, shape (V, 6, n)
+    csr_array, shape (6 V, n)
         Of centre and turn.
 
     """
+    views = len(poses)
     world, scale = world_and_scale(poses, planar)
     W = world[:, :3]
     centres = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
     placed = scale * (centres - centres[0]) @ W.T
     # the world turns with the first view
-    of_world = -W @ turns[0]
+    of_world = csr_array(-W) @ turns[:3]
     # and the unit of length goes with the middle step
-    shrinks = np.zeros(turns.shape[2])
+    shrinks = csr_array((1, turns.shape[1]))
     steps = middle_steps(centres)
     for k in steps:
         along = centres[k + 1] - centres[k]
-        shrinks -= scale * (along / np.linalg.norm(along)) @ (moves[k + 1] - moves[k]) / len(steps)
-    turned = of_world + W @ turns
-    moved = (scale * W @ (moves - moves[0]) + placed[:, :, None] * shrinks
-             - cross_matrix(placed) @ of_world)
-    return np.concatenate([moved, turned], axis=1)
+        along = scale * along / np.linalg.norm(along) / len(steps)
+        shrinks -= csr_array(along[None]) @ (moves[3 * k + 3:3 * k + 6] - moves[3 * k:3 * k + 3])
+    turned = _for_all(views, np.eye(3)) @ of_world + block_diag([W] * views) @ turns
+    moved = (scale * (block_diag([W] * views) @ moves - _for_all(views, W) @ moves[:3])
+             + csr_array(placed.reshape(-1, 1)) @ shrinks
+             - csr_array(cross_matrix(placed).reshape(-1, 3)) @ of_world)
+    # of every view, the centre comes before the turn
+    place = np.arange(6 * views).reshape(2, views, 3).swapaxes(0, 1).ravel()
+    return csr_array(vstack([moved, turned], format='csr')[place])
+
+
+def _for_all(views: int, matrix: np.ndarray) -> csr_array:
+    """Stack a matrix (3, 3) once for every view, (3 V, 3)."""
+    return csr_array(np.tile(matrix, (views, 1)))

@@ -162,7 +162,7 @@ def precision_of(fit: RobustFit) -> StructurePrecision:
     factor, _ = fit.bundle.loss_factors(fit.linearisation)
     return StructurePrecision(
         fit.state.camera(), fit.state.points, unknowns.free_lens_names,
-        fit.covariance[np.ix_(unknowns.members, unknowns.members)],
+        fit.independent_covariance,
         system.elimination(unknowns.selection), factor)
 
 

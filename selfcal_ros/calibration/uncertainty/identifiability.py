@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits
 from selfcal_ros.calibration.result import Identifiability
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 
 #: Facts that may be stated, and the unknowns of the lens that each is about.
 FACTS = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}

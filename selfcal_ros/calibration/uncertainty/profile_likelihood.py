@@ -31,7 +31,7 @@ from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
-from selfcal_ros.geometry.chain_factor import ChainInverse
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 
 #: Sigmas that the parameter is moved by; the quadratic rises by half their square.
 REACH = 2.0
