@@ -232,7 +232,7 @@ def affine_structure(tracks: Tracks, translated, refine: bool = True):
     covariance = np.einsum('iab,ibjc,jdc->iajd', slope,
                            adjusted.covariance.reshape(n, 9, n, 9), slope, optimize=True)
     return AffineReconstruction(frames, ~free, adjusted.cameras, ids, adjusted.points,
-                                InfiniteHomographies(H, covariance.reshape(9 * n, 9 * n)),
+                                InfiniteHomographies(H, covariance.reshape(1, 9 * n, 9 * n)),
                                 adjusted.sigma_px)
 
 

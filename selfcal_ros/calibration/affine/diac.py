@@ -46,8 +46,8 @@ class InfiniteHomographies:
     ----------
     H : ndarray, shape (n, 3, 3)
         Pixels, determinant 1.
-    covariance : ndarray, shape (9 n, 9 n)
-        Of the row-wise entries of all; zero where unknown.
+    covariance : ndarray, shape (n / m, 9 m, 9 m)
+        Of the row-wise entries, for independent groups of m views each; zero where unknown.
 
     """
 

@@ -80,7 +80,7 @@ class _Constraints:
 
     def __init__(self, H, covariance):
         self.H = H
-        self.covariance = covariance + ROUNDING**2 * np.eye(len(covariance))
+        self.covariance = covariance + ROUNDING**2 * np.eye(covariance.shape[1])
 
     @staticmethod
     def K(theta):
@@ -96,13 +96,17 @@ class _Constraints:
                          2 * S[..., 0, 1], 2 * S[..., 0, 2], 2 * S[..., 1, 2]], axis=-1)
 
     def residuals(self, theta):
-        """R R^T - I of all views, shape (5 n,)."""
+        """R R^T - I of all views, by independent groups, shape (n / m, 5 m)."""
         K = self.K(theta)
         R = np.linalg.inv(K) @ self.H @ K
-        return self.select(R @ np.swapaxes(R, 1, 2)).ravel()
+        return self.select(R @ np.swapaxes(R, 1, 2)).reshape(len(self.covariance), -1)
 
     def evaluate(self, theta):
-        """Residuals (5 n,), slopes (5 n, 5) and the inverse of their covariance (5 n, 5 n)."""
+        """
+        Return residuals, slopes and the inverse covariance of residuals, by independent groups.
+
+        Shapes (n / m, 5 m), (n / m, 5 m, 5) and (n / m, 5 m, 5 m).
+        """
         K = self.K(theta)
         inverse = np.linalg.inv(K)
         R = inverse @ self.H @ K
@@ -118,15 +122,16 @@ class _Constraints:
         unit = np.einsum('ia,bj->abij', inverse, K).reshape(9, 3, 3)
         half = unit @ Rt[:, None]
         by_entry = self.select(half + np.swapaxes(half, 2, 3))          # (n, 9, 5)
-        n = len(r)
-        spread = np.einsum('iac,iajb,jbd->icjd', by_entry,
-                           self.covariance.reshape(n, 9, n, 9), by_entry, optimize=True)
-        spread = spread.reshape(5 * n, 5 * n)
+        groups, m = len(self.covariance), self.covariance.shape[1] // 9
+        by_entry = by_entry.reshape(groups, m, 9, 5)
+        spread = np.einsum('giac,giajb,gjbd->gicjd', by_entry,
+                           self.covariance.reshape(groups, m, 9, m, 9), by_entry, optimize=True)
+        spread = spread.reshape(groups, 5 * m, 5 * m)
         # scaled to a unit diagonal; what is known least must not make it singular
-        root = np.sqrt(np.diag(spread))
-        unit = spread / np.outer(root, root) + 1e-12 * np.eye(5 * n)
-        weight = np.linalg.inv(unit) / np.outer(root, root)
-        return r.ravel(), np.swapaxes(slope, 1, 2).reshape(-1, 5), weight
+        root = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+        scale = root[:, :, None] * root[:, None]
+        weight = np.linalg.inv(spread / scale + 1e-12 * np.eye(5 * m)) / scale
+        return (r.reshape(groups, -1), np.swapaxes(slope, 1, 2).reshape(groups, -1, 5), weight)
 
 
 def _solve(constraints, theta, free, facts_terms, iterations=30):
@@ -139,15 +144,14 @@ def _solve(constraints, theta, free, facts_terms, iterations=30):
     def total(t, W):
         r = constraints.residuals(t)
         fact = (t - targets) / sigmas
-        return (r @ W @ r + np.sum(fact[np.isfinite(sigmas)]**2)
+        return (_square(r, W) + np.sum(fact[np.isfinite(sigmas)]**2)
                 + np.sum((t / wide)[free]**2))
 
     damping = 1e-3
     for _ in range(iterations):
         r, J, W = constraints.evaluate(theta)
         cost = total(theta, W)
-        JW = J.T @ W
-        H, g = JW @ J, JW @ r
+        H, g = _normal(r, J, W)
         H[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0) + 1 / wide**2
         g += np.where(np.isfinite(sigmas), (theta - targets) / sigmas**2, 0)
         g += theta / wide**2
@@ -168,12 +172,23 @@ def _solve(constraints, theta, free, facts_terms, iterations=30):
             break
     r, J, W = constraints.evaluate(theta)
     fact = ((theta - targets) / sigmas)[np.isfinite(sigmas)]
-    misfit = float(r @ W @ r + fact @ fact)
+    misfit = float(_square(r, W) + fact @ fact)
     # small residuals with a wide covariance come from K that blow the weights up, too
-    log_weight = float(np.linalg.slogdet(W)[1])
-    information = J.T @ W @ J
+    log_weight = float(np.linalg.slogdet(W)[1].sum())
+    information, _ = _normal(r, J, W)
     information[np.diag_indices(5)] += np.where(np.isfinite(sigmas), 1 / sigmas**2, 0)
     return theta, misfit - log_weight, misfit, information
+
+
+def _square(r, W) -> float:
+    """Sum r W r over independent groups."""
+    return float(np.sum((r[:, None] @ W)[:, 0] * r))
+
+
+def _normal(r, J, W):
+    """Sum the normal equations of independent groups: J^T W J, J^T W r."""
+    JW = np.swapaxes(J, 1, 2) @ W
+    return (JW @ J).sum(axis=0), (JW @ r[:, :, None])[:, :, 0].sum(axis=0)
 
 
 def _theta(K):
@@ -211,12 +226,13 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
     T = np.array([[1 / scale, 0, -middle[0] / scale], [0, 1 / scale, -middle[1] / scale],
                   [0, 0, 1]])
     inverse = np.linalg.inv(T)
-    carry = np.kron(np.eye(len(homographies.H)), np.kron(T, inverse.T))
+    groups, entries, _ = homographies.covariance.shape
+    carry = np.kron(np.eye(entries // 9), np.kron(T, inverse.T))
     H = T @ homographies.H @ inverse
     constraints = _Constraints(H, carry @ homographies.covariance @ carry.T)
     if _is_identity(H, constraints.covariance):
         return _nothing(facts, 'views_rotated_within_noise')
-    noise = float(np.sqrt(np.trace(constraints.covariance) / len(carry)))
+    noise = float(np.sqrt(np.einsum('gii->', constraints.covariance) / (groups * entries)))
     scaled = _scaled_facts(facts, scale, middle)
     candidates, family = linear_conic(H, noise, scaled)
     free, start, terms = _fact_terms(scaled)
@@ -260,8 +276,8 @@ def camera_from_homographies(homographies: InfiniteHomographies, size: tuple[int
 
 def _is_identity(H, covariance) -> bool:
     """Tell whether homographies differ from no rotation by no more than their noise."""
-    offset = (H - np.eye(3)).ravel()
-    statistic = offset @ np.linalg.pinv(covariance, rcond=1e-9, hermitian=True) @ offset
+    offset = (H - np.eye(3)).reshape(len(covariance), -1)
+    statistic = _square(offset, np.linalg.pinv(covariance, rcond=1e-9, hermitian=True))
     # eight degrees of freedom each; the noise level itself is known to some 10 percent only
     return bool(statistic < _IDENTITY_SLACK * chi2_limit(0.001, 8 * len(H)))
 

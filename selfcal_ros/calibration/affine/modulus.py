@@ -239,8 +239,7 @@ def calibrate_modulus(tracks: Tracks, size: tuple[int, int], facts: CameraFacts 
         roots.append(plane)
         pixels = T.T @ plane
         H = unit_determinant(cameras[1:, :, :3] - cameras[1:, :, 3:] * pixels)[0]
-        n = len(H)
-        homographies = InfiniteHomographies(H, np.zeros((9 * n, 9 * n)))
+        homographies = InfiniteHomographies(H, np.zeros((len(H), 9, 9)))
         conic = camera_from_homographies(homographies, size, facts)
         if isinstance(conic, NoEstimate):
             last = conic

@@ -72,6 +72,8 @@ MAX_SKEW_FRACTION = 0.2
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
 #: Starts whose costs differ by less than this share led to one optimum.
 SAME_COST = 0.01
+#: Views of a stretch that tells whether there is any hope of a rotation.
+STRETCH = 24
 #: Refusals that say that there was no rotation.
 _NOT_ROTATED = ('views_not_rotated', 'views_rotated_within_noise')
 
@@ -161,11 +163,19 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     """
     Explain views by rotations alone; see `calibrate_rotating`.
 
-    Where the first start leaves more than `hopeless_px` no other is tried.
+    Where the first start leaves more than `hopeless_px` no other is tried. Nor is it where a
+    stretch of the views leaves so much.
     """
     tracks = tracks.with_at_least(2)
     if len(tracks.frames) < 2:
         return NoEstimate('too_few_images_share_points')
+    middle = len(tracks.frames) // 2
+    if hopeless_px < np.inf and middle >= STRETCH:
+        # a stretch of a long recording tells as much, and sooner
+        stretch = tracks.in_frames(tracks.frames[middle - STRETCH // 2:middle + STRETCH // 2])
+        few = fit_rotations(stretch, size, facts, hopeless_px, varying)
+        if isinstance(few, NoEstimate) and few.kind == 'moved_not_rotated':
+            return few
     frames, homographies, sigma_px = rotation_homographies(tracks)
     if len(frames) < 2:
         return NoEstimate('no_homography_pair', needed=MIN_MATCHES)

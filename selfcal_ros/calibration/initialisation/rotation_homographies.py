@@ -15,7 +15,10 @@
 
 from __future__ import annotations
 
+from heapq import heapify, heappop, heappush
+
 import numpy as np
+from scipy.sparse import csr_array, triu
 
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.geometry.homography import homography
@@ -44,41 +47,42 @@ def rotation_homographies(tracks: Tracks):
         Median over the pairs of the noise of a coordinate.
 
     """
-    frames = tracks.frames
-    matches = {}
-    for i, a in enumerate(frames):
-        for b in frames[i + 1:]:
-            _, xy_a, xy_b = tracks.matches(int(a), int(b))
-            if len(xy_a) >= MIN_MATCHES:
-                matches[int(a), int(b)] = (xy_a, xy_b)
-    shared = {int(f): sum(len(m[0]) for pair, m in matches.items() if f in pair) for f in frames}
-    reference = max(shared, key=lambda f: (shared[f], -f))
+    frames, view = np.unique(tracks.frame, return_inverse=True)
+    _, point = np.unique(tracks.track, return_inverse=True)
+    seen = csr_array((np.ones(len(view), np.int32), (view, point)))
+    common = triu(seen @ seen.T, 1, format='coo')
+    enough = common.data >= MIN_MATCHES
+    pairs = frames[np.column_stack([common.row, common.col])[enough]].tolist()
+    counts = common.data[enough].tolist()
+    links: dict[int, list[tuple[int, int, int]]] = {int(frame): [] for frame in frames}
+    for count, (a, b) in zip(counts, pairs):
+        links[a].append((-count, a, b))
+        links[b].append((-count, a, b))
+    reference = max(links, key=lambda frame: (-sum(link[0] for link in links[frame]), -frame))
     found, spread, sigmas = {reference: np.eye(3)}, {reference: np.zeros((9, 9))}, []
-    while True:
-        # the surest link first: direct ones, then those with many matches
-        links = [(len(m[0]), pair) for pair, m in matches.items()
-                 if (pair[0] in found) != (pair[1] in found)]
-        links.sort(key=lambda link: (reference in link[1], link[0]), reverse=True)
-        for _, (a, b) in links:
-            old, new = (a, b) if a in found else (b, a)
-            xy_old, xy_new = matches[a, b] if a in found else matches[a, b][::-1]
-            step = homography(xy_old, xy_new)
-            if step:
-                H, slope = unit_determinant(step.H)
-                found[new] = H @ found[old]
-                left, right = np.kron(np.eye(3), found[old].T), np.kron(H, np.eye(3))
-                spread[new] = (left @ slope @ step.covariance @ slope.T @ left.T
-                               + right @ spread[old] @ right.T)
-                sigmas.append(step.sigma_px)
-                break
-            del matches[a, b]
-        else:
-            break
+    # the surest link first: direct ones, then those with many matches
+    waiting = [(False, *link) for link in links[reference]]
+    heapify(waiting)
+    while waiting:
+        _, _, a, b = heappop(waiting)
+        if a in found and b in found:
+            continue
+        old, new = (a, b) if a in found else (b, a)
+        _, xy_old, xy_new = tracks.matches(old, new)
+        step = homography(xy_old, xy_new)
+        if not step:
+            continue
+        H, slope = unit_determinant(step.H)
+        found[new] = H @ found[old]
+        left, right = np.kron(np.eye(3), found[old].T), np.kron(H, np.eye(3))
+        spread[new] = (left @ slope @ step.covariance @ slope.T @ left.T
+                       + right @ spread[old] @ right.T)
+        sigmas.append(step.sigma_px)
+        for link in links[new]:
+            heappush(waiting, (True, *link))
     order = [reference, *(int(f) for f in frames if f in found and f != reference)]
-    n = len(order) - 1
-    covariance = np.zeros((n, 9, n, 9))
-    for k, frame in enumerate(order[1:]):
-        covariance[k, :, k] = spread[frame]
-    H = np.array([found[f] for f in order[1:]]).reshape(n, 3, 3)
-    return (np.array(order), InfiniteHomographies(H, covariance.reshape(9 * n, 9 * n)),
-            float(np.median(sigmas)) if sigmas else np.nan)
+    # views of one chain share links, but are taken as independent
+    homographies = InfiniteHomographies(
+        np.array([found[f] for f in order[1:]]).reshape(-1, 3, 3),
+        np.array([spread[f] for f in order[1:]]).reshape(-1, 9, 9))
+    return np.array(order), homographies, float(np.median(sigmas)) if sigmas else np.nan
