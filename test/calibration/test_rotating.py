@@ -15,14 +15,15 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.estimators import acceptance
-from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
+from selfcal_ros.calibration.estimators import acceptance, rotation
+from selfcal_ros.calibration.estimators.rotation import calibrate_rotating, fit_rotations
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.homography import homography
 from selfcal_ros.geometry.projective import transform_points
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import observe
+from selfcal_ros.synthetic.special_scenes import drive
 
 SIZE = (1280, 720)
 STRAIGHT = CameraFacts(distortion='none')
@@ -142,3 +143,27 @@ def test_views_that_do_not_overlap_the_reference_are_chained():
     K = wide.camera.K
     true = K @ R[frames[1:]] @ R[frames[0]].T @ np.linalg.inv(K)
     assert np.allclose(homographies.H, true, atol=1e-6 * np.abs(true).max())
+
+
+def test_homographies_of_a_long_drive_are_of_each_view_alone():
+    tracks = drive(np.random.default_rng(2), 0.1, 120, 1500, 8).tracks
+    frames, homographies, _ = rotation_homographies(tracks)
+    assert len(frames) == 120
+    assert homographies.covariance.shape == (119, 9, 9)
+
+
+@pytest.mark.parametrize('shift, hopeless', [(0.0, False), (0.5, True)])
+def test_a_stretch_of_a_long_recording_tells_whether_it_turns(monkeypatch, shift, hopeless):
+    """Only where it may turn are all views ever looked at."""
+    looked_at = []
+    whole = rotation.rotation_homographies
+    monkeypatch.setattr(rotation, 'rotation_homographies', lambda tracks: (
+        looked_at.append(len(tracks.frames)), whole(tracks))[1])
+    tracks = _head(5, shift=shift, views=60).tracks
+
+    found = fit_rotations(tracks, SIZE, CameraFacts(skew=0.0, distortion='none'), 20 * 0.2)
+
+    assert looked_at == [rotation.STRETCH] + [60] * (not hopeless)
+    assert bool(found) is not hopeless
+    if not hopeless:
+        assert len(found.frames) == 60
