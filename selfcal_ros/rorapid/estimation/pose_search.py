@@ -125,6 +125,13 @@ class PoseSearch:
                 return other, better
         return state, support
 
+    def turned_rival(self, image: np.ndarray, found: ObjectPose, spread: np.ndarray) -> float:
+        """Share of the length seen of the best pose that is turned from what was found."""
+        starts = turned(found)
+        return max((support.length for pose, support in self.ranked(
+            image, starts[:len(starts) // 2], spread) if turned_by(pose, found) > OTHER_RAD),
+            default=0.0)
+
     def ranked(self, image: np.ndarray, starts: list[ObjectPose],
                spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """

@@ -116,6 +116,10 @@ class StartSearch:
                 support, other = check.support(image, measured.state), True
         self.tries += 1
         self._held = 0 if other or not check.sure(support) else self._held + 1
+        if self._held == self._images > 1 and method.search.turned_rival(
+                image, measured.state, wide) > support.length - _BETTER:
+            # no other image told where the object is: this one must not show it turned, too
+            self._held = 0
         self.support = support
         return measured, other
 
