@@ -37,7 +37,7 @@ from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, proposed_spread, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.camera_models import Projection
 from selfcal_ros.rorapid.region.region_of_interest import checked_grey
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
@@ -219,37 +219,6 @@ class RorapidTracker:
     def centre(self) -> np.ndarray:
         """Middle of the object in its own frame, (3,): what states are about."""
         return self._control.centre
-
-    def follow_from(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray,
-                    stamp_ns: int | None, searches: bool) -> None:
-        """
-        Go on from where other cameras saw the object.
-
-        Parameters
-        ----------
-        state : ObjectPose
-            Of the object's middle, at `stamp_ns`.
-        velocity, covariance : ndarray, shape (6,) and (12, 12)
-            As of `ConstantVelocityFilter`.
-        stamp_ns : int or None
-        searches : bool
-            The object is sought around there, not only measured.
-
-        """
-        if self._kalman is None:
-            self.start(state.rotation, state.translation - state.rotation @ self.centre, lost=True)
-        self._stamp_ns, self._led = stamp_ns, not searches
-        if searches:
-            self._standing.state = TrackerState.LOST
-            self._filter.restart(state, self._wide(state))
-            return
-        kalman = self._filter
-        kalman.state, kalman.velocity, kalman.covariance = state, velocity, covariance
-        self._standing.follow()
-
-    def doubted(self) -> np.ndarray:
-        """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
-        return self._doubts.covariance(self._filter.state, self._basis)
 
     def _start_filter(self, state, spread) -> None:
         """Start the Kalman filter at a state with a covariance of (theta, Delta)."""

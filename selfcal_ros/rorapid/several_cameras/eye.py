@@ -27,8 +27,8 @@ import numpy as np
 
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.several_cameras.led_tracker import LedTracker
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.values.camera_rig import PlacedCamera
 
 #: A camera that sees nothing where the others see the object searches by itself in these images
@@ -84,7 +84,7 @@ class Eye:
 
     Attributes
     ----------
-    tracker : RorapidTracker
+    tracker : LedTracker
     placed : PlacedCamera
     is_apart : bool
         It contradicts the others, and follows what it sees by itself until it loses that.
@@ -94,7 +94,7 @@ class Eye:
     def __init__(self, model, placed: PlacedCamera, options: TrackerOptions, rng):
         """Prepare the camera."""
         self.placed = placed
-        self.tracker = RorapidTracker(model, placed.camera, options, rng)
+        self.tracker = LedTracker(model, placed.camera, options, rng)
         self._turn = placed.T_rig_camera[:3, :3]
         self._shift = placed.T_rig_camera[:3, 3]
         self._both = np.kron(np.eye(2), self._turn)
