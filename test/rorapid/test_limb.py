@@ -39,14 +39,14 @@ def edges(image, radius_px, places=90):
     out = np.column_stack([np.cos(angle), np.sin(angle)])
     profiles = sample_normals(image, CENTRE + radius_px * out, out, 8)
     found = find_edgels(profiles)
-    return found.offset[:, 0], limb_shift(profiles, found.offset, found.contrast,
-                                          -np.ones(places))[:, 0]
+    shift, worse = limb_shift(profiles, found.offset, found.contrast, -np.ones(places))
+    return found.offset[:, 0], shift[:, 0], worse[:, 0]
 
 
 def test_shading_draws_the_edge_inwards_and_the_shift_takes_it_back():
     raw, mended = [], []
     for radius_px, light in product((20, 35, 60), ((0, 0, 1), (-0.4, -0.6, 0.7), (0.8, 0.1, 0.6))):
-        offset, shift = edges(ball(radius_px, light), radius_px)
+        offset, shift, _ = edges(ball(radius_px, light), radius_px)
         raw.append(-offset.mean())
         mended.append(np.abs(offset - shift).mean())
     assert min(raw) > 0.05                 # pixels, inwards
@@ -57,14 +57,23 @@ def test_shading_draws_the_edge_inwards_and_the_shift_takes_it_back():
 def test_a_flat_disc_is_left_alone():
     x, y = np.meshgrid(np.arange(200) - CENTRE[0], np.arange(200) - CENTRE[1])
     image = np.where(np.hypot(x, y) < 40, 160, 60).astype(np.uint8)
-    _, shift = edges(image, 40)
+    _, shift, worse = edges(image, 40)
     assert np.abs(shift).max() < 0.02
+    assert worse.max() < 1.2
 
 
 def test_an_edge_of_a_pattern_beside_the_limb_is_no_shading():
     image = ball(40, (0, 0, 1))
     x, y = np.meshgrid(np.arange(200) - CENTRE[0], np.arange(200) - CENTRE[1])
     image[(np.hypot(x, y) < 36.8)] = 250
-    offset, shift = edges(image, 40)
+    offset, shift, _ = edges(image, 40)
     outer = np.abs(offset) < 2
     assert np.abs(shift[outer]).max(initial=0.0) < 0.2
+
+
+def test_an_edge_with_another_beside_it_is_located_worse():
+    x, y = np.meshgrid(np.arange(200) - CENTRE[0], np.arange(200) - CENTRE[1])
+    away = np.hypot(x, y)
+    image = np.where(away < 37, 200, np.where(away < 40, 110, 60)).astype(np.uint8)
+    _, _, worse = edges(image, 40)
+    assert worse.min() > 1.5

@@ -267,17 +267,18 @@ class EdgeSearch:
             edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
             # the outer lanes meet a curve where it has bent away
             offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
-            contrast = edgels.contrast
+            contrast, worse = edgels.contrast, np.ones(offset.shape)
             limb = np.flatnonzero(view.primitive[at] >= view.limb)
             if len(limb):
-                offset[limb] -= limb_shift(profiles[limb], edgels.offset[limb], contrast[limb],
-                                           view.inside[at[limb]])
+                shift, worse[limb] = limb_shift(profiles[limb], edgels.offset[limb],
+                                                contrast[limb], view.inside[at[limb]])
+                offset[limb] -= shift
             further = contrast_penalty(contrast, wanted)
             if self._greys is not None:
                 further += self._greys.penalty(
                     profiles, view.projected.pixels[at], view.inside[at], offset)
         else:
-            offset = contrast = further = np.zeros((0, options.candidates))
+            offset = contrast = further = worse = np.zeros((0, options.candidates))
             profiles = np.zeros((0, 1))
         missing = ~np.isfinite(offset)
         offset = np.where(missing, 1e6, offset)
@@ -290,7 +291,7 @@ class EdgeSearch:
         q = np.zeros(m)
         line = np.arange(len(at))
         sigma: np.ndarray | float
-        for limit in limits:
+        for step, limit in enumerate(limits):
             along = rows @ q
             distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further
             best = distance.argmin(axis=1) if len(at) else line
@@ -307,6 +308,9 @@ class EdgeSearch:
                 sigma = max(limit / 3, 0.5)
             off = distance[line, best] / limit
             w = weights * tukey_weight(off, 1.0) / sigma**2
+            if step + 1 == len(limits):
+                # not before: from afar every edge is needed to draw the pose near
+                w = w / worse[line, best]**2
             H = (rows * w[:, None]).T @ rows
             g = rows.T @ (w * np.where(near, chosen, 0.0))
             information = H + corner_H + prior
