@@ -29,7 +29,7 @@ GAP_STEPS = 5.0
 FLAT_M, FLAT_RAD = 1e-6, 1e-6
 #: Rates are taken over so many usual steps to both sides: noise of the poses must not pass for
 #: speed. That of odometry adds up, however short its steps are: so long at least, seconds.
-_RATE_STEPS, _ODOMETRY_RATE_S = 2.5, 0.25
+_RATE_STEPS, _ODOMETRY_RATE_S = 2.5, 0.4
 
 
 @dataclass(frozen=True)
@@ -194,6 +194,27 @@ class BodyTrack:
         base = self._poses.rotation[k]
         turns = rotation_vector(np.swapaxes(base, 1, 2)[:, None] @ self._poses.rotation[nodes])
         return base @ rotation_matrix(np.einsum('vn,vni->vi', weights, turns)), position
+
+    def feigned_information(self, rows: np.ndarray, keep: np.ndarray) -> float:
+        """
+        Return the information on the offset of the clocks that noise of odometry feigns, 1/s².
+
+        Rates tell the offset. Errors that add up along the way make rates of 2 w seconds differ
+        by chance. Over a step of s seconds that is 1 / (w s), whatever the size of the errors; s
+        counts as 2 w at least, where both rates are of the same errors in part.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (V,)
+        keep : ndarray of bool, shape (V - 1,)
+            Which steps count.
+
+        """
+        if not (self.timed and self.odometry):
+            return 0.0
+        steps = np.diff(self._instants[rows])[keep]
+        return (3 if self.flat else 6) * float(np.sum(
+            1 / (self._rate_step * np.maximum(steps, 2 * self._rate_step))))
 
     def way_errors(self, offset: float, rows: np.ndarray) -> np.ndarray:
         """

@@ -42,6 +42,8 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.body_poses import BodyPoses
 
+#: Share of what tells the offset of the clocks that is no noise, at least.
+LEAST_TRUE = 0.25
 #: Images keep their poses while the offset moves by this, seconds.
 _MARGIN_S = 0.05
 #: A body that moved and turned by less than this, stood still: metres, radians.
@@ -224,6 +226,11 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
         status = without_sense(status, either)
     columns = np.r_[T, TURN, SCALE, OFFSET]
     total = optimum.covariance.copy()
+    # rates that noise made up tell nothing
+    feigned = track.feigned_information(rows, optimum.keep) * total[OFFSET, OFFSET]
+    wider = 1 / max(1 - feigned, LEAST_TRUE)
+    total[OFFSET] *= wider
+    total[:, OFFSET] *= wider
     # the turns' clock is taken; that of the places may be the right one
     total[OFFSET, OFFSET] += state.lag**2
     # a factor of the poses' metres goes to the scale and the place alike, as the state has it
