@@ -26,6 +26,12 @@ REMARKS: dict[str, Phrase] = {
         '{text}',
         'A sentence from an older result file, or from outside of the package.',
         'Read it.'),
+    'path_torn': Phrase(
+        'The path may be two parts of different scale, at frame {frame}: {kept_percent:.0f} '
+        '% of the tracks that pass it are explained.',
+        'The calibration rests on both parts and is not concerned. The path, the structure, and '
+        'where the camera sits on a robot are.',
+        'Record slower there, so that more of the scene stays in view; or leave one part out.'),
     # errors that are shared
     'errors_within_track': Phrase(
         'Errors are shared within a track, as when its patch drifts: sigmas are {ratio:.1f} '

@@ -22,7 +22,8 @@ from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
-from selfcal_ros.calibration.estimators.torn_path import is_torn, mended, passing_shares
+from selfcal_ros.calibration.estimators.torn_path import (is_torn, mended, passing_shares,
+                                                          torn_findings)
 from selfcal_ros.calibration.initialisation.multi_start import starts
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.synthetic.special_scenes import drive
@@ -79,3 +80,18 @@ def test_a_path_that_holds_together_is_left_alone(scene):
     assert mended(fit, problem.observations, problem) is fit
     shares = passing_shares(problem.observations, fit.observations, VIEWS)
     assert np.isnan(shares[[0, -1]]).all() and shares[1:-1].min() > 0.8
+
+
+def test_what_stays_torn_is_said(scene):
+    _, problem, _ = scene
+    tried = problem.observations
+    frames = np.arange(VIEWS) * 3
+    assert torn_findings(tried, tried, frames) == ()
+    # of each track that passes a view all is lost beyond it
+    at = 4
+    kept = tried.select(~(np.isin(tried.point, np.flatnonzero(
+        np.bincount(tried.point[tried.view < at], minlength=len(tried.track)))) & (
+            tried.view > at)))[0]
+    found, = torn_findings(tried, kept, frames)
+    assert found.kind == 'path_torn' and found.values['frame'] == 12
+    assert found.values['kept_percent'] == 0

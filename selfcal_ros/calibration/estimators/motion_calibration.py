@@ -43,7 +43,7 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
                                                              widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
-from selfcal_ros.calibration.estimators.torn_path import mended
+from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
@@ -270,6 +270,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         return _parted_or_zooming(known, graph, proposals, first, model.fit)
     if not result or isinstance(whole, NoEstimate):
         return result
+    findings += torn_findings(known.observations, whole.observations, np.array(graph.frames))
     return _unbent(whole, replace(result, findings=(*findings, *result.findings)), known, graph)
 
 

@@ -27,14 +27,17 @@ from selfcal_ros.calibration.estimators.model_selection import first_fit
 from selfcal_ros.calibration.estimators.zoom_selection import nearer
 from selfcal_ros.calibration.initialisation.multi_start import starts
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.findings.finding import Finding
 
 #: Of the tracks that pass a view, a sound fit keeps half at least, and a torn one hardly any.
 TORN_SHARE = 0.25
-#: So many tracks pass a view, or nothing is said of it. A false alarm costs time alone.
-LEAST_TRACKS = 3
+#: So many tracks pass a view, or nothing is said of it: before a fit is begun anew, where a false
+#: alarm costs time alone, and before a user is told.
+LEAST_TRACKS, LEAST_TOLD = 3, 12
 
 
-def passing_shares(tried: Observations, kept: Observations, views: int) -> np.ndarray:
+def passing_shares(tried: Observations, kept: Observations, views: int,
+                   least: int = LEAST_TRACKS) -> np.ndarray:
     """
     Tell how many of the tracks that pass each view a fit has kept on both sides of it.
 
@@ -43,11 +46,13 @@ def passing_shares(tried: Observations, kept: Observations, views: int) -> np.nd
     tried, kept : Observations
         What a fit began with, and what it did not set aside.
     views : int
+    least : int
+        Of the tracks that pass a view.
 
     Returns
     -------
     ndarray, shape (views,)
-        Shares; NaN at both ends, and where fewer than `LEAST_TRACKS` pass.
+        Shares; NaN at both ends, and where too few pass.
 
     """
     count = int(tried.track.max(initial=-1)) + 1
@@ -60,7 +65,7 @@ def passing_shares(tried: Observations, kept: Observations, views: int) -> np.nd
         at = np.arange(views)[:, None]
         passing.append((first < at) & (last > at))
     before, after = passing[0].sum(axis=1), (passing[0] & passing[1]).sum(axis=1)
-    enough = before >= LEAST_TRACKS
+    enough = before >= least
     return np.where(enough, after / np.maximum(before, 1), np.nan)
 
 
@@ -94,3 +99,12 @@ def mended(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem)
         if state is not None:
             fit = nearer(fit, first_fit(problem, tried, state), tried)
     return fit
+
+
+def torn_findings(tried: Observations, kept: Observations, frames: np.ndarray,
+                  ) -> tuple[Finding, ...]:
+    """Tell the frames at which a path is torn all the same."""
+    shares = passing_shares(tried, kept, len(frames), LEAST_TOLD)
+    torn = np.flatnonzero(shares < TORN_SHARE)
+    return (Finding('path_torn', frame=int(frames[torn[0]]), count=len(torn),
+                    kept_percent=100 * float(shares[torn[0]])),) if len(torn) else ()

@@ -42,9 +42,9 @@ FALSE_ALARM = 0.02
 _ROUNDS, _STEPS = 20, 30
 #: Variances that change by less (relative) are found; a cost that falls by less is least.
 _SETTLED, _LEVEL = 1e-2, 1e-6
-#: Degrees of freedom of the wide-tailed law by which wrong poses are found first (Cauchy's): of
-#: more, three slips in twenty steps pass for the rule.
-_TAIL = 1.0
+#: Degrees of freedom of the wide-tailed law by which wrong poses are found first. Of odometry it
+#: is Cauchy's: of more, three slips in twenty steps pass for the rule.
+_TAIL, _ODOMETRY_TAIL = 3.0, 1.0
 
 
 class Adjustment:
@@ -75,6 +75,7 @@ class Adjustment:
         self._stated = facts.stated
         # of what a pose in a plane does not measure there is no misfit
         self._size = 3 if track.flat else 6
+        self._tail = _ODOMETRY_TAIL if track.odometry else _TAIL
         k = camera.roots.shape[2]
         free = np.ones(COUNT + k, bool)
         if not camera.has_path:
@@ -238,7 +239,7 @@ class Adjustment:
             squares = self._distances(prediction, errors)
             facts = self._priors(one)[0]
             if keep is None:
-                poses = (_TAIL + self._size) * np.log1p(squares / _TAIL).sum()
+                poses = (self._tail + self._size) * np.log1p(squares / self._tail).sum()
             else:
                 poses = (errors.independent(errors.whitening()[keep]
                                             @ prediction.residual[keep][:, :, None])**2).sum()
@@ -289,7 +290,10 @@ class Adjustment:
         """
         count = len(self.predict(state).residual)
         limit = float(chdtri(self._size, FALSE_ALARM / max(count, 1)))
-        state, errors, cost = self._with_wide_tails(state, errors)
+        if self._track.odometry:
+            state, errors, cost = self._with_wide_tails(state, errors)
+        else:
+            cost = self.descend(state, errors)[1]
         keep = self._distances(self.predict(state), errors) < limit
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
@@ -316,6 +320,9 @@ class Adjustment:
         """
         Estimate state and errors by a law with wide tails, in which no few poses pass for many.
 
+        Slips are many times the errors of other steps. Poses of an arm err more alike: there the
+        law costs up to a tenth of the accuracy.
+
         Returns
         -------
         state : State
@@ -338,7 +345,8 @@ class Adjustment:
 
     def _tail_weights(self, prediction: Prediction, errors: PoseErrors) -> np.ndarray:
         """Return the weights of misfits (m,) under the law with wide tails."""
-        return np.asarray((_TAIL + self._size) / (_TAIL + self._distances(prediction, errors)))
+        squares = self._distances(prediction, errors)
+        return np.asarray((self._tail + self._size) / (self._tail + squares))
 
     def _spread(self, state: State, prediction: Prediction, errors: PoseErrors,
                 weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
