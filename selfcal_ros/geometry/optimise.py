@@ -23,6 +23,7 @@ then a "point" is a view, and v is zero.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array, csr_matrix
@@ -31,9 +32,37 @@ from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 from selfcal_ros.geometry.view_chain import chain_of_views
 
-#: Points are reduced in groups that share a window of views, so that the cost grows with the
-#: length of the tracks and not with that of the sequence.
-GROUP_POINTS = 192
+#: Points are reduced in groups that share a few views, so that the cost grows with the length of
+#: the tracks and not with that of the sequence. Large groups take fewer calls, smaller ones fewer
+#: products: where they need less than this share, they are taken.
+GROUP_POINTS, PART_POINTS, WORTH_SPLITTING = 192, 64, 0.7
+
+
+class _Group(NamedTuple):
+    """
+    Points that are eliminated together.
+
+    Attributes
+    ----------
+    members : ndarray of int, shape (m,)
+    rows, slot, column : ndarray of int, shape (c,)
+        What is known of them in one view each: where among all, of which member, and in which
+        of these views.
+    window : ndarray of int, shape (w,)
+        Views that any of them is seen in, ascending.
+
+    """
+
+    members: np.ndarray
+    rows: np.ndarray
+    slot: np.ndarray
+    column: np.ndarray
+    window: np.ndarray
+
+    @property
+    def products(self) -> int:
+        """Tell how the work of the elimination grows."""
+        return len(self.members) * len(self.window)**2
 
 
 class PointBlocks:
@@ -65,24 +94,29 @@ class PointBlocks:
         last = np.maximum.reduceat(place, self.first)
         begin = np.minimum.reduceat(place, self.first)
         order = np.lexsort((last, begin))
-        self._groups = []
         # observations of one point in one view are added up before the points are eliminated
         self._cells = np.flatnonzero(np.r_[True, (np.diff(point) != 0) | (np.diff(view) != 0)])
         first = np.searchsorted(self._cells, self.first)
         cells = np.diff(np.r_[first, len(self._cells)])
         cell_place = place[self._cells]
-        for start in range(0, self.point_count, GROUP_POINTS):
-            members = order[start:start + GROUP_POINTS]
+
+        def group(members: np.ndarray) -> _Group:
             lengths = cells[members]
             rows = np.repeat(first[members], lengths) + (
                 np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths))
             slot = np.repeat(np.arange(len(members)), lengths)
-            low, high = int(begin[members].min()), int(last[members].max()) + 1
-            window = np.arange(low, high)
-            if self.chain is not None:
-                window = np.unique(cell_place[rows])
-            self._groups.append((members, rows, slot,
-                                 np.searchsorted(window, cell_place[rows]), window))
+            seen = np.zeros(self.view_count, bool)
+            seen[cell_place[rows]] = True
+            return _Group(members, rows, slot, (np.cumsum(seen) - 1)[cell_place[rows]],
+                          np.flatnonzero(seen))
+
+        self._groups: list[_Group] = []
+        for start in range(0, self.point_count, GROUP_POINTS):
+            whole = group(order[start:start + GROUP_POINTS])
+            parts = [group(whole.members[at:at + PART_POINTS])
+                     for at in range(0, len(whole.members), PART_POINTS)]
+            split = sum(part.products for part in parts) < WORTH_SPLITTING * whole.products
+            self._groups += parts if split else [whole]
 
     def sum_over_points(self, values: np.ndarray) -> np.ndarray:
         """Add rows (N, ...) of each point: (P, ...)."""
@@ -235,16 +269,35 @@ class PointBlocks:
                 matrix.add_gram(gram, window, -1.0)
                 own = matrix.rows_of(window)
             else:
-                own = slice(g + window[0] * v, g + (window[-1] + 1) * v)
-                matrix[:g, :g] -= gram[:g, :g]
-                matrix[:g, own] -= gram[:g, g:]
-                matrix[own, :g] -= gram[g:, :g]
-                matrix[own, own] -= gram[g:, g:]
+                own = _places(window, g, v)
+                _subtract(matrix, gram, g, own)
             factors.append((members, M, own))
         system = ReducedSystem(self, matrix, diagonal, residual, full, jac_point, inverse_root,
                                factors, g)
         system.gradient, system.half_b = system.right_hand_side(residual)
         return system
+
+
+def _places(window: np.ndarray, g: int, v: int) -> slice | np.ndarray:
+    """Tell where the unknowns of some views stand among all."""
+    first, last = int(window[0]), int(window[-1])
+    if last - first + 1 == len(window):
+        return slice(g + first * v, g + (last + 1) * v)
+    own: np.ndarray = (g + window[:, None] * v + np.arange(v)).ravel()
+    return own
+
+
+def _subtract(matrix: np.ndarray, gram: np.ndarray, g: int, own: slice | np.ndarray) -> None:
+    """Subtract the products of what is shared and of some views from the matrix of all."""
+    if isinstance(own, slice):
+        matrix[:g, :g] -= gram[:g, :g]
+        matrix[:g, own] -= gram[:g, g:]
+        matrix[own, :g] -= gram[g:, :g]
+        matrix[own, own] -= gram[g:, g:]
+        return
+    # numbers of a flat array take half the time of rows and columns
+    rows = np.r_[:g, own]
+    matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
 
 
 def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:

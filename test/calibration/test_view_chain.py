@@ -116,6 +116,34 @@ def test_the_matrix_is_the_dense_one(monkeypatch, closed):
     np.testing.assert_allclose(chained.influence(rows), dense.influence(rows), atol=1e-9)
 
 
+def test_points_are_eliminated_whatever_views_they_are_seen_in():
+    """By the Schur complement of the whole matrix of normal equations."""
+    rng, views = np.random.default_rng(7), 40
+    point = np.repeat(np.arange(300), 5)
+    # half of them by neighbours, half by any views
+    near = rng.integers(0, views - 5, 150)[:, None] + np.arange(5)
+    far = np.argsort(rng.random((150, views)), axis=1)[:, :5]
+    view = np.sort(np.concatenate([near, far]), axis=1).ravel()
+    columns = [rng.standard_normal((len(point), 2, k)) for k in (SHARED, OF_VIEW, 3)]
+    residual = rng.standard_normal((len(point), 2))
+
+    system = PointBlocks(point, view).reduce(*columns, residual)
+
+    assert isinstance(system.matrix, np.ndarray)
+    n = SHARED + views * OF_VIEW
+    J = np.zeros((len(point), 2, n + 3 * 300))
+    J[:, :, :SHARED] = columns[0]
+    for k, (one, at) in enumerate(zip(point, view)):
+        J[k, :, SHARED + OF_VIEW * at:SHARED + OF_VIEW * (at + 1)] = columns[1][k]
+        J[k, :, n + 3 * one:n + 3 * (one + 1)] = columns[2][k]
+    J = J.reshape(-1, J.shape[2])
+    whole = J.T @ J
+    follows = np.linalg.solve(whole[n:, n:], whole[n:, :n])
+    np.testing.assert_allclose(system.matrix, whole[:n, :n] - whole[:n, n:] @ follows, atol=1e-8)
+    slope = J.T @ residual.ravel()
+    np.testing.assert_allclose(system.gradient, slope[:n] - follows.T @ slope[n:], atol=1e-8)
+
+
 def test_a_block_between_far_views_makes_the_matrix_dense(monkeypatch):
     chained, dense = systems(monkeypatch, False)
     at = np.array([SHARED, SHARED + 60 * OF_VIEW])
