@@ -23,6 +23,8 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens, gentle_lens
+from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
+                                                                      relative_rotations)
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 
 SIZE = (752, 480)
@@ -60,3 +62,14 @@ def test_other_lenses_begin_as_they_are():
     fit = fit_with((-0.05, 0.01, 0.0, 0.0, 0.0))
     lens, priors = gentle_lens(fit, FACTS, SIZE)
     assert lens is fit.state.lens and priors is fit.bundle.priors
+
+
+@pytest.mark.filterwarnings('error')
+def test_pairs_where_a_supposed_lens_has_no_rays_are_no_cause_for_a_warning():
+    # it bends back before the corner
+    lens = Camera([[300, 0, 320], [0, 300, 240], [0, 0, 1]], [-0.8, 0.0], 640, 480)
+    corner = np.random.default_rng(0).uniform(0, 30, (2, 12, 2))
+    assert not np.isfinite(lens.rays(corner[0])).any()
+    pair = PairGeometry(0, 1, np.eye(3), np.arange(12), *corner)
+
+    assert np.isfinite(relative_rotations([pair], lens)).all()

@@ -100,6 +100,18 @@ def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():
     assert np.isclose(kept.camera.K[1, 1], kept.camera.K[0, 0])
 
 
+@pytest.mark.parametrize('true, fact, value', [({'aspect': 1.2}, 'aspect ratio', 1.2),
+                                               ({'skew': 40.0}, 'skew', 40.0)])
+def test_a_fact_so_wrong_that_no_start_stands_is_named(true, fact, value):
+    tracks = seen_by(3, views=8, **true).tracks
+    refused = calibrate(tracks, motion='general', facts=replace(SQUARE, focal='auto'))
+
+    assert not refused and refused.kind == 'fact_contradicted'
+    assert refused.values['fact'] == fact
+    first = refused.values['preferred'][0]
+    assert abs(first['value'] - value) < 4 * first['sigma']
+
+
 def test_an_exact_plane_leaves_the_aspect_ratio_open_and_that_is_said_first():
     camera = Camera([[520, 0, 328], [0, 540.8, 235], [0, 0, 1]], (), *SIZE)
     scene = vehicle(np.random.default_rng(0), s_curve(8), camera=camera, count=120)

@@ -251,3 +251,13 @@ def test_a_true_zoom_with_gross_errors_is_kept_until_they_are_many(seed):
 
     many = calibrate(with_outliers(sequence, rng, 0.3).tracks, motion='planar', facts=FACTS)
     assert not many and many.kind == 'too_many_outliers'
+
+
+def test_rows_read_in_turn_that_seem_to_zoom_among_gross_errors_are_refused_in_a_sentence():
+    # without facts a shutter is found, and a zoom is doubted: tracks cannot be parted then
+    rng = np.random.default_rng([0, 16])
+    sequence = zoomed(vehicle(rng, s_curve(VIEWS), count=150), np.linspace(0.95, 1.1, VIEWS), rng)
+    with_outliers(sequence, rng, 0.08)
+    tracks = with_outliers(sequence, rng, 0.3).tracks
+    result = calibrate(tracks, motion='planar', facts=CameraFacts(distortion='radial2'))
+    assert not result and result.reason

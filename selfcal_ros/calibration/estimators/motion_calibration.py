@@ -34,6 +34,7 @@ from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unc
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
 from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
+from selfcal_ros.calibration.estimators.facts_in_the_way import fact_in_the_way, without_facts
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
@@ -136,6 +137,11 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         free = _attempt_any_focal(replace(problem, motion=motions[-1]), graph, proposals)
         if free and _rejected(free, graph) < _rejected(result, graph) / 2:
             result = free
+    if not result and result.kind in UNEXPLAINED:
+        # a fact that is far off leaves no start that explains the images
+        in_the_way = _of_wrong_fact(replace(problem, motion=motions[-1]), graph, proposals)
+        if in_the_way is not None:
+            return in_the_way
     if not result and result.kind in MAY_BE_MOVING:
         # most of what the starts look at may move, as long tracks ahead of a vehicle do
         for motion in motions:
@@ -149,6 +155,20 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
         result = planar if planar and planar.focal is not None else result
     return result
+
+
+def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
+                   ) -> NoEstimate | None:
+    """Name a fact without which nearly all that pairs agree on is explained, if there is one."""
+    facts = without_facts(problem.facts)
+    if facts is None:
+        return None
+    # it must explain them alone: nothing is parted, and nothing zooms
+    free = _attempt(replace(problem, facts=replace(facts, focal='constant')),
+                    replace(graph, given=None), proposals)
+    if not free or _rejected(free, graph) > MANY_REJECTED:
+        return None
+    return fact_in_the_way(problem.facts, free)
 
 
 def _rejected(result: Calibration, graph: ViewGraph) -> float:
@@ -355,8 +375,9 @@ def _of_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
                         proposals: Iterable[Camera], rival: RobustFit | None = None,
                         ) -> Calibration | None:
     """Calibrate from what the most coherent half of the tracks says that stands still."""
-    # what is of one instant stands still
-    if graph.given is None or not problem.instants or problem.window().views < problem.views:
+    # what is of one instant stands still; tracks are not parted while their rows are read in turn
+    if (graph.given is None or not problem.instants or problem.observations.shutter is not None
+            or problem.window().views < problem.views):
         return None
     half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals)
     return None if half is None else _of_sorted(half, problem, graph, rival)

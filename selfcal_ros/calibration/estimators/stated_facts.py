@@ -56,7 +56,7 @@ HELD_COEFFICIENTS = {'none': ('k1', 'k2', 'p1', 'p2'), 'radial1': ('k2', 'p1', '
 #: The fact that a stated lens is.
 LENS_MODEL = 'lens model'
 #: Unknowns of the lens that each fact is about.
-_ABOUT = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
+ABOUT = {'aspect ratio': ('aspect',), 'skew': ('skew',), 'principal point': ('cx', 'cy')}
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
 
 def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
     """Name the facts that are stated, and the unknowns of the lens that they are about."""
-    stated = {fact: about for fact, about in _ABOUT.items()
+    stated = {fact: about for fact, about in ABOUT.items()
               if set(about) <= set(fit.bundle.priors)}
     held = tuple(name for name in HELD_COEFFICIENTS.get(facts.distortion, ())
                  if name in fit.state.lens.names)

@@ -140,10 +140,13 @@ def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray, shape (3, 3)
-        x_secondᵀ E x_first = 0; not projected on the manifold.
+        x_secondᵀ E x_first = 0; not projected on the manifold. Zero where no ray counts.
 
     """
     good = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    if not good.any():
+        # a supposed lens that bends back may have rays for none of a pair's matches
+        return np.zeros((3, 3))
     a, b = first[good], second[good]
     rows = (b[:, :, None] * a[:, None, :]).reshape(len(a), 9)
     weight = np.ones(len(a))
