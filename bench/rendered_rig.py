@@ -14,8 +14,10 @@
 """
 Two cameras of a vehicle that see nothing in common, rendered: images to their place in the rig.
 
-Run: python -m bench.rendered_rig [--views 36] [--seeds 1]. One looks ahead, the other to the
-right from half a metre behind. Required: rotation 0.05 degrees, translation 1 % of the path.
+Run: python -m bench.rendered_rig [--views 36] [--seeds 1] [--own-clock 16]. One looks ahead, the
+other to the right from half a metre behind. With a clock of its own the second takes its images
+halfway between those of the first, of which every 16th is used, or so. Required: rotation
+0.05 degrees, translation 1 % of the path.
 """
 
 from __future__ import annotations
@@ -26,26 +28,39 @@ import time
 
 import numpy as np
 from selfcal_ros import calibrate_rig, Camera, CameraFacts
+from selfcal_ros.features.at_instant import ImagesBeside
 from selfcal_ros.features.rig_extraction import extract_rig_tracks
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.recordings import agv_drive
 
 #: The second camera in the first: turned about the vertical, and its place, metres.
 TURN, PLACE = rotation_matrix(np.array([0.0, 1.5, 0.0])), np.array([0.3, 0.1, -0.4])
+#: Half the time between two images of a camera at 15 Hz.
+HALF_S = 0.5 / 15
 SIDE = Camera([[430, 0, 310], [0, 430, 235], [0, 0, 1]], (), 640, 480)
 
 
-def one_run(views: int, seed: int) -> str:
-    """Render, calibrate, and return a row."""
-    ahead = agv_drive(views, seed=seed)
+def one_run(views: int, seed: int, every: int) -> str:
+    """Render, calibrate, and return a row; `every` 0: both cameras are triggered together."""
+    # half steps of the video: the second camera has the odd ones
+    steps = 2 * (every or 1)
+    ahead = agv_drive(steps * views + 2, seed=seed)
     poses = TURN.T @ ahead.cam_from_world
     poses[:, :, 3] -= TURN.T @ PLACE
     aside = replace(ahead, camera=SIDE, cam_from_world=poses, seed=seed + 1000)
+    instants = 2 + steps * np.arange(views)
     began = time.process_time()
-    images = {name: [image for image, _ in one.frames()]
-              for name, one in (('ahead', ahead), ('aside', aside))}
+    first, second = ahead.renderer(), aside.renderer()
+    late = 1 if every else 0
+    images = {'ahead': [ahead.frame(at, first) for at in instants],
+              'aside': [aside.frame(at + late, second) for at in instants]}
+    beside = {'aside': [ImagesBeside(HALF_S, tuple(
+        ((1 + beyond) * HALF_S, aside.frame(at + 1 + beyond, second)) for beyond in (-2, 2)))
+        for at in instants]} if every else None
+    ahead = replace(ahead, cam_from_world=ahead.cam_from_world[instants])
     rendered = time.process_time()
-    tracks = extract_rig_tracks(images, range(views), rng=np.random.default_rng(seed))
+    tracks = extract_rig_tracks(images, range(views), rng=np.random.default_rng(seed),
+                                beside=beside)
     result = calibrate_rig(tracks.tracks, shared_tracks=tracks.shared > 0, facts=CameraFacts(
         aspect_ratio=1.0, skew=0.0))
     seconds = f'{rendered - began:.0f} + {time.process_time() - rendered:.0f}'
@@ -76,12 +91,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--views', type=int, default=36)
     parser.add_argument('--seeds', type=int, default=1)
+    parser.add_argument('--own-clock', type=int, default=0, metavar='EVERY', help=(
+        'the cameras are not triggered together; of their 15 images a second every so many is '
+        'used'))
     args = parser.parse_args()
     print('| seed | instants | rotation, deg | place, % of the path, what is shown | fx, % | told '
           '| render + rest, s |')
     print('|---' * 7 + '|')
     for seed in range(1, args.seeds + 1):
-        print(one_run(args.views, seed), flush=True)
+        print(one_run(args.views, seed, args.own_clock), flush=True)
 
 
 if __name__ == '__main__':

@@ -22,6 +22,7 @@ import itertools
 import numpy as np
 
 from selfcal_ros.errors import InputError
+from selfcal_ros.features.at_instant import at_instant, ImagesBeside
 from selfcal_ros.features.curvature import ideal_fisheye
 from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.extraction import finish_tracks, SIGMA_LIMIT_PX
@@ -60,7 +61,9 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
                        stamps_ns: Mapping[int, int] | None = None,
                        progress: Callable | None = None,
                        rng: np.random.Generator | None = None,
-                       mask: ImageMask | None = None) -> RigExtraction:
+                       mask: ImageMask | None = None,
+                       beside: Mapping[str, Sequence[ImagesBeside | None]] | None = None,
+                       ) -> RigExtraction:
     """
     Match the images of cameras that move together, each camera's and those of one instant.
 
@@ -78,6 +81,9 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
         Source of the samples that verification draws.
     mask : ImageMask, optional
         Where the images of all cameras may be used.
+    beside : mapping of str to sequence of (ImagesBeside or None), optional
+        Of cameras with clocks of their own, what lies around each instant; None where the image
+        is of the instant.
 
     Returns
     -------
@@ -117,6 +123,12 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
     report('registration', 0)
     every = [one for instant in zip(*images.values()) for one in instant]
     xy, good = _registered(features, every, image, place, track, bends[0])
+    for k, name in enumerate(images):
+        for i, around in enumerate((beside or {}).get(name, ())):
+            if around is not None:
+                rows = np.flatnonzero(image == i * count + k)
+                xy[rows], between = at_instant(images[name][i], around, xy[rows])
+                good[rows] &= between
     tracks = {}
     for k, name in enumerate(images):
         rows = good & (image % count == k)

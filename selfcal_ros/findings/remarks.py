@@ -439,6 +439,11 @@ REMARKS: dict[str, Phrase] = {
         'for it.',
         'A camera that is late sees the rig where it is later.',
         'Trigger the cameras together, or correct their stamps.'),
+    'rig_own_clock': Phrase(
+        'The camera {camera} is not triggered with {first}: their images are {apart_ms:.3g} ms '
+        'apart (median). Positions were moved along their tracks to the instants of {first}.',
+        'Between the images of a video a track moves smoothly.',
+        'Nothing, where the stamps of both cameras are right; else trigger them together.'),
     'rig_pose_changed': Phrase(
         'The pose of {camera} to {first} changed before frame {frame}. What is given lies between '
         'both poses, and the sigmas allow for either.',

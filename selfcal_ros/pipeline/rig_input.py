@@ -32,11 +32,11 @@ from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_f
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
 from selfcal_ros.pipeline.feature_session import (ExtractedTracks, generator,
                                                   tracks_of_table)
+from selfcal_ros.pipeline.rig_instants import at_instants, AtInstants
+from selfcal_ros.pipeline.simultaneous import SAME_NS
 from selfcal_ros.pipeline.sources import FrameSource, open_source
 from selfcal_ros.values.tracks import Tracks
 
-#: Images of one instant differ by no more than this in their stamps.
-MAX_APART_NS = 3_000_000
 #: Instants that are used unless somebody says how many.
 USUAL_INSTANTS = 40
 #: Fewer instants are no recording.
@@ -216,26 +216,37 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
         from selfcal_ros.features.mask import read_mask
         mask = read_mask(settings.mask)
     chosen = _keyframes(sources[0], settings, progress, mask)
-    images, apart_ms = _simultaneous(sources, chosen, progress)
-    frames = sorted(set.intersection(*(set(one) for one in images)))
+    first = {frame.index: frame.image for frame in sources[0].only(chosen)}
+    timed = all(source.clock != 'nominal' for source in sources)
+    found = [AtInstants(first, {}, 0.0)]
+    for source in sources[1:]:
+        found.append(at_instants(source, chosen, sources[0].count, timed))
+        if progress:
+            progress('reading', len(found[-1].images), len(chosen))
+    frames = sorted(set.intersection(*(set(one.images) for one in found)))
     if len(frames) < MIN_INSTANTS:
-        far = [f'the nearest of {one.name} are {ms:.3g} ms away (median)'
-               for one, ms in zip(inputs[1:], apart_ms) if ms > MAX_APART_NS / 1e6]
+        far = [f'the nearest of {one.name} are {at.apart_ms:.3g} ms away (median)'
+               for one, at in zip(inputs, found) if at.apart_ms > SAME_NS / 1e6]
         raise InputError(f'Only {len(frames)} images of {inputs[0].name} have one of the same '
                          f'instant in every other camera{": " if far else ""}{", ".join(far)}; '
                          'trigger the cameras together, or check their stamps.')
-    timed = sources[0].clock != 'nominal'
 
     def report(text, done):
         total = 1.0 if isinstance(done, float) else len(frames) * len(sources)
         progress(text, done, total)
 
-    found = extract_rig_tracks(
-        {one.name: [some[frame] for frame in frames] for one, some in zip(inputs, images)},
-        frames, {frame: chosen[frame][0] for frame in frames} if timed else None,
-        progress=report if progress else None, mask=mask, rng=generator(settings.seed))
-    return RigReading(dict(found.tracks), found.shared > 0, description, found.findings, topics,
-                      sources[0].clock)
+    extracted = extract_rig_tracks(
+        {one.name: [at.images[frame] for frame in frames] for one, at in zip(inputs, found)},
+        frames,
+        {frame: chosen[frame][0] for frame in frames} if sources[0].clock != 'nominal' else None,
+        progress=report if progress else None, mask=mask, rng=generator(settings.seed),
+        beside={one.name: [at.beside.get(frame) for frame in frames]
+                for one, at in zip(inputs, found) if at.own_clock})
+    apart = tuple(Finding('rig_own_clock', camera=one.name, first=inputs[0].name,
+                          apart_ms=at.apart_ms)
+                  for one, at in zip(inputs, found) if at.own_clock)
+    return RigReading(dict(extracted.tracks), extracted.shared > 0, description,
+                      extracted.findings + apart, topics, sources[0].clock)
 
 
 def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Callable | None,
@@ -265,49 +276,3 @@ def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Cal
             progress=None if progress is None else lambda text, done: progress(text, done, total),
             ).keyframes.tolist()
     return {index: seen[index] for index in indices}
-
-
-def _simultaneous(sources: list[FrameSource], chosen: dict[int, tuple[int, str]],
-                  progress: Callable | None,
-                  ) -> tuple[list[dict[int, np.ndarray]], list[float]]:
-    """
-    Find the images of every camera at the chosen instants.
-
-    Returns
-    -------
-    images : list of dict of int to ndarray
-        By the first camera's index.
-    apart_ms : list of float
-        Of every other camera, how far its nearest images are (median); 0 without stamps.
-
-    """
-    images: list[dict[int, np.ndarray]] = [
-        {frame.index: frame.image for frame in sources[0].only(chosen)}]
-    by_name = {Path(name).stem: index for index, (_, name) in chosen.items()}
-    indices = np.array(list(chosen))
-    stamps = np.array([stamp for stamp, _ in chosen.values()])
-    timed = all(source.clock != 'nominal' for source in sources)
-    apart_ms = []
-    for source in sources[1:]:
-        found: dict[int, np.ndarray] = {}
-        named = 0
-        apart = np.full(len(stamps), np.inf if timed else 0.0)
-        for frame in source:
-            if timed:
-                off = np.abs(stamps - frame.stamp_ns)
-                apart, near = np.minimum(apart, off), int(np.argmin(off))
-                if off[near] <= MAX_APART_NS:
-                    found[int(indices[near])] = frame.image
-                continue
-            at = by_name.get(Path(frame.name).stem)
-            if at is not None:
-                named += 1
-                found[at] = frame.image
-        if not timed and named < len(chosen) and source.count == sources[0].count:
-            # names say nothing: equal places in the folders are of one instant
-            found = {frame.index: frame.image for frame in source.only(chosen)}
-        images.append(found)
-        apart_ms.append(float(np.median(apart)) / 1e6)
-        if progress:
-            progress('reading', len(found), len(chosen))
-    return images, apart_ms
