@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 from pathlib import Path
 import re
@@ -194,7 +194,7 @@ def calibrate_rig_input(inputs: Sequence[RigInput], settings: CalibrationSetting
         of_first = ExtractedTracks(reading.tracks[first.name], reading.description,
                                    reading.findings, reading.clock)
         result = on_robot(result, robot.mounted(result.cameras[first.name], of_first, progress))
-    return result, reading
+    return replace(result, findings=(*reading.findings, *result.findings)), reading
 
 
 def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: CalibrationSettings,

@@ -17,6 +17,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 from msg_adapters.image import image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
@@ -137,24 +138,41 @@ def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():
     assert len(figure.svgs()) == 1 and epipolar_figure({}) is None
 
 
-def test_cameras_of_a_bag_with_few_images_that_are_apart_are_refused(tmp_path, capsys):
-    rng = np.random.default_rng(0)
-    images = rng.integers(0, 255, (8, 48, 64), np.uint8)
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+def _write_two_topics(path, images, interval_ns, late_ns):
+    """Write a bag of two cameras that see the same, the right one later."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         types = get_typestore(Stores.ROS2_JAZZY)
-        for name, late_ns in (('left', 0), ('right', 16_000_000)):
+        for name, late in (('left', 0), ('right', late_ns)):
             topic = writer.add_connection(f'/{name}/image_raw', 'sensor_msgs/msg/Image',
                                           typestore=types)
             for k, image in enumerate(images):
-                stamp = 10**18 + k * 4 * 10**8 + late_ns
+                stamp = 10**18 + k * interval_ns + late
                 message = image_message(image, header_message(stamp, name, rosbags_types()),
                                         rosbags_types())
                 writer.write(topic, stamp, types.serialize_cdr(message, topic.msgtype))
+
+
+def test_cameras_of_a_bag_with_few_images_that_are_apart_are_refused(tmp_path, capsys):
+    images = np.random.default_rng(0).integers(0, 255, (8, 48, 64), np.uint8)
+    _write_two_topics(tmp_path / 'bag', images, 400_000_000, 16_000_000)
     assert main(['calibrate', str(tmp_path / 'bag'), '--cameras', 'left,right', '--output',
                  str(tmp_path / 'camera.yaml')]) == 2
     said = capsys.readouterr().err.strip()
     assert 'right are 16 ms away' in said and 'trigger the cameras together' in said
     assert len(said.splitlines()) == 1 and not (tmp_path / 'camera_left.yaml').exists()
+
+
+def test_a_camera_of_a_bag_that_has_a_clock_of_its_own_is_told(tmp_path, capsys):
+    noise = np.random.default_rng(0).integers(0, 255, (120, 200), np.uint8)
+    wall = cv2.normalize(cv2.GaussianBlur(noise, None, 2), None, 0, 255, cv2.NORM_MINMAX)
+    images = [np.ascontiguousarray(wall[:60, 8 * k:8 * k + 80]) for k in range(5)]
+    _write_two_topics(tmp_path / 'bag', images, 66_000_000, 16_000_000)
+    # a wall that slides by has no depth
+    assert main(['calibrate', str(tmp_path / 'bag'), '--cameras', 'left,right', '--json', '-',
+                 '--motion', 'general', '--distortion', 'none', '--output',
+                 str(tmp_path / 'camera.yaml')]) == 1
+    told = {one['kind']: one for one in json.loads(capsys.readouterr().out)['findings']}
+    assert told['rig_own_clock']['apart_ms'] == 16
 
 
 @pytest.mark.parametrize('words, reason', [

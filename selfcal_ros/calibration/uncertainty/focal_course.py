@@ -144,7 +144,8 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
     steady = np.diff(free.course) / np.sqrt(replace(free, sigma=1.0).variances)
     information = float(steady @ own @ steady)
     along = own @ steady / np.sqrt(max(information, 1e-300))
-    rate = -float(steady @ pull) / max(information, 1e-300)
+    # where nothing tells of a course, none is found
+    rate = -float(steady @ pull) / information if information > 1e-100 else 0.0
     walk_gain, walk_sigma = _best_walk(own, pull)
     beyond_gain, beyond_sigma = _best_walk(own - np.outer(along, along),
                                            pull + rate * (own @ steady))
