@@ -16,12 +16,14 @@
 from dataclasses import replace
 from functools import lru_cache
 
+from bench.tracking_objects import slab
+from bench.tracking_starts import longer_edge
 import numpy as np
 import pytest
 
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
-from selfcal_ros.synthetic.objects import SHAPES, tracked_object
+from selfcal_ros.synthetic.objects import SHAPES, SolidObject, tracked_object
 
 
 @lru_cache(maxsize=None)
@@ -81,6 +83,30 @@ def test_a_side_that_is_too_long_is_said_with_its_amount():
     made, _ = recorded()
     error = frames[-1].translation - made.translations[-1]
     assert error @ np.linalg.solve(frames[-1].covariance[:3, :3], error) < 12
+
+
+def test_a_doubt_stands_while_the_pose_gives_way_to_the_model():
+    made = tracked_object(36, slab(308), seed=308, supersampling=2, speed=1.0)
+    wrong, _, _ = longer_edge(0.05)(made, 0)
+    tracker, renderer = RorapidTracker(wrong, made.camera), made.renderer()
+    tracker.start(made.rotations[0], made.translations[0])
+    frames = [tracker.track(made.frame(k, renderer)) for k in range(36)]
+    assert all(f.state is TrackerState.DEGRADED for f in frames[5:])
+
+
+def test_a_doubt_goes_when_the_edges_fit_again():
+    right = tracked_object(100, 'step_block', seed=6, supersampling=1)
+    solid, higher = SHAPES['step_block'](), np.array([1, 1, 1.05])
+    surfaces = [replace(s, origin=s.origin * higher, edge_u=s.edge_u * higher,
+                        edge_v=s.edge_v * higher) for s in solid.surfaces]
+    model = replace(solid.model, vertices=solid.model.vertices * higher)
+    wrong = tracked_object(12, SolidObject(model, surfaces), seed=6, supersampling=1)
+    tracker = RorapidTracker(right.model, right.camera)
+    tracker.start(right.rotations[0], right.translations[0])
+    said = [tracker.track(made.frame(k, renderer)).doubt for made, renderer, images in (
+        (wrong, wrong.renderer(), range(12)), (right, right.renderer(), range(12, 100)))
+        for k in images]
+    assert said[11] and not said[-1]
 
 
 def test_a_wrong_focal_length_is_said():

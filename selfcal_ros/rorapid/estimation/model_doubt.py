@@ -47,9 +47,11 @@ _LEAST, _MEMORY = 4, 0.95
 #: Search range, and Tukey's limit at the least and at the most, pixels.
 _REACH_PX, _LIMIT_PX = 8, (1.5, 6.0)
 #: A pattern stands out by so many sigmas, matters from this share on, and must explain this share
-#: of the squared residuals: single edges more, for one of them always explains the most. A doubt
-#: stands until less than half of this is left.
-_SIGMAS, _STANDS = 5.0, 0.5
+#: of the squared residuals: single edges more, for one of them always explains the most.
+_SIGMAS = 5.0
+#: A doubt stands until less than this part is left of what was said, by so many sigmas, and until
+#: edges fit without it: an edge out of sight, and a pose that gives way, refute nothing.
+_STANDS, _REFUTED = 0.5, 2.0
 _MATTERS = {'focal': 0.02, 'stretch': 0.01, 'face': 0.01, 'edge': 0.03}
 _EXPLAINS = {'focal': 0.15, 'stretch': 0.2, 'face': 0.2, 'edge': 0.3}
 #: A pattern that explains so much of what the best one does is named beside it.
@@ -128,9 +130,11 @@ class ModelDoubt:
         self._images = self._looks = 0
         self._score = np.zeros((lines, len(self._patterns)))
         self._information = np.zeros_like(self._score)
-        self._square = 0.0
+        self._square = self._weight = 0.0
         self._pull = np.zeros((self.basis.shape[1], len(self._patterns)))
         self.doubt: Doubt | None = None
+        self._named: int | None = None
+        self._said = self._fits = 0.0
         self._bias = np.zeros(self.basis.shape[1])
 
     def due(self) -> bool:
@@ -187,6 +191,7 @@ class ModelDoubt:
         self._score = _MEMORY * self._score + score
         self._information = _MEMORY * self._information + information
         self._square = _MEMORY * self._square + float(w @ residual**2)
+        self._weight = _MEMORY * self._weight + float(w.sum())
         self._pull = pull
         self._looks += 1
         self._judge()
@@ -213,14 +218,15 @@ class ModelDoubt:
             / np.maximum(total, 1e-12)
         gain = share**2 * total / max(self._square, 1e-12)
         usable = (count >= 3) & (total > 0)
-        # what was said stands until little of it is left
-        bar = 1.0 if self.doubt is None else _STANDS
-        out = usable & (np.abs(share) > bar * _SIGMAS * sigma) & (
-            gain > bar * self._explains) & (np.abs(share) > bar * self._matters)
+        out = usable & (np.abs(share) > _SIGMAS * sigma) & (
+            gain > self._explains) & (np.abs(share) > self._matters)
         if self._looks < _LEAST:
             return
+        named = self._named
+        if named is not None and not self._refuted(share[named], sigma[named]):
+            out[named] = True
         if not out.any():
-            self.doubt = None
+            self.doubt = self._named = None
             return
         kinds = [p.kind for p in self._patterns]
         best = int(np.argmax(np.where(out, gain, 0.0)))
@@ -231,6 +237,15 @@ class ModelDoubt:
         self.doubt = Doubt(pattern.kind, pattern.what, -float(share[best]), float(sigma[best]),
                            tuple(others[:2]))
         self._bias = self._pull[:, best] * share[best]
+        if best != named:
+            self._named, self._said = best, float(share[best])
+            self._fits = (1 - _STANDS * gain[best]) * self._square / self._weight
+
+    def _refuted(self, share: float, sigma: float) -> bool:
+        """Whether too little is left of what was said, and edges fit without it."""
+        left = share * np.sign(self._said)
+        return (left + _REFUTED * sigma < _STANDS * abs(self._said)
+                and self._square / self._weight < self._fits)
 
     def bias(self) -> np.ndarray | None:
         """Return by how much the doubt moves the pose, (m,), roughly; None without doubt."""
