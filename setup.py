@@ -81,6 +81,7 @@ setup(
         'PyYAML>=6.0',
         'jinja2>=3.1',
         'argcomplete>=3.0',
+        'threadpoolctl>=3.0',
     ],
     extras_require={
         'ros-wheels': [

@@ -27,7 +27,8 @@ STOREY = {'errors': 0, 'version': 0, 'findings': 0, 'geometry': 1, 'values': 2, 
 #: Floors of the calibration: rooms of one floor do not import each other.
 CALIBRATION_FLOOR = {
     'known_directions': -1,
-    'card': 0, 'reconstruction': 0, 'row_readout': 0, 'mount': 0, 'result': 1, 'observability': 1,
+    'blas_threads': 0, 'card': 0, 'reconstruction': 0, 'row_readout': 0, 'mount': 0,
+    'result': 1, 'observability': 1,
     'bundle': 2, 'planar': 2, 'affine': 2,
     'initialisation': 3, 'uncertainty': 3, 'structure': 3,
     'moving': 4,

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
+from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.all_views import finish, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
@@ -82,6 +83,7 @@ OF_CIRCLES = ('flat_turntable', 'circle_undetermined')
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
+@on_one_thread
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
               rng: np.random.Generator | None = None, start: Camera | None = None,
               translation_frames: Sequence[int] | None = None, views: int | None = None,

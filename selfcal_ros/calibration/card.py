@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-A result as a small card of HTML, as notebooks show it.
+A result as a small card of HTML, as notebooks show it, and as a few lines of text.
 
-Everything that comes from outside is escaped. There is neither a script nor a style sheet, and no
-figure: nothing has to be imported for it.
+In the card everything that comes from outside is escaped. There is neither a script nor a style
+sheet, and no figure: nothing has to be imported for it.
 """
 
 from __future__ import annotations
@@ -95,6 +95,21 @@ def calibration_card(grade: str, camera: Camera, sigma: Mapping[str, float],
         f'<div>{escape(camera.model)}: {lens}</div>'), notes)
 
 
+def calibration_text(grade: str, camera: Camera, sigma: Mapping[str, float],
+                     status: Mapping[str, str], facts: Iterable[str],
+                     notes: Iterable[str]) -> str:
+    """Say in a few lines what a card of `calibration_card` shows."""
+    words = {name: _measured_text(value, sigma[name], status[name])
+             for name, value in zip(camera.parameter_names, camera.parameters.tolist())}
+    lens = [name for name in camera.lens.coefficients if name in words]
+    matrix = [name for name in words if name not in lens]
+    rows = [f'{VERDICTS[grade][0]}: {", ".join(facts)}',
+            ', '.join(f'{name} {words[name]}' for name in matrix) + ' (pixels)']
+    if lens:
+        rows.append(f'{camera.model}: ' + ', '.join(f'{name} {words[name]}' for name in lens))
+    return '\n'.join([*rows, *dict.fromkeys(notes)])
+
+
 def refusal_card(grade: str, reason: str, advice: str, facts: Iterable[str]) -> str:
     """Show why there is no calibration, and what would help."""
     helps = f'<div><b>What helps:</b> {escape(advice)}</div>' if advice else ''
@@ -106,6 +121,13 @@ def _measured(value: float, sigma: float, status: str) -> str:
     if status == 'unobservable':
         return f'{text} <small>not determined</small>'
     return f'<b>{text}</b> <small>± {spread}</small>' if spread else text
+
+
+def _measured_text(value: float, sigma: float, status: str) -> str:
+    text, spread = with_sigma(value, sigma if status == 'estimated' else 0.0)
+    if status == 'unobservable':
+        return f'{text} (not determined)'
+    return f'{text} ± {spread}' if spread else text
 
 
 def _card(grade: str, facts: Iterable[str], body: str, notes: Iterable[str]) -> str:

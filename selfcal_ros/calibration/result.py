@@ -26,7 +26,8 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
-from selfcal_ros.calibration.card import calibration_card, grade_of, refusal_card
+from selfcal_ros.calibration.card import (calibration_card, calibration_text, grade_of,
+                                          refusal_card)
 from selfcal_ros.calibration.mount import Mount, NoMount
 from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, StructureSample
 from selfcal_ros.calibration.row_readout import RowReadout
@@ -35,6 +36,7 @@ from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.lenses.population import Population
+from selfcal_ros.values.measured_digits import with_sigma
 from selfcal_ros.values.track_labels import TrackLabels
 
 #: Kind of a refusal that knows something of the camera, too little for a calibration.
@@ -275,13 +277,28 @@ class Calibration:
         """'good', 'partial' (something is not determined) or 'coarse' (fx, to more than 1 %)."""
         return grade_of(self.camera.K, self.covariance, self.status)
 
+    def __str__(self) -> str:
+        """Say what was found in a few lines, each value with its sigma."""
+        return calibration_text(self.grade, self.camera, self.sigma, self.status, self._rests_on,
+                                self.notes)
+
+    def __repr__(self) -> str:
+        """Name the result in a line; its arrays are long."""
+        fx, spread = with_sigma(float(self.camera.K[0, 0]), self.sigma['fx'])
+        return f'<Calibration: {", ".join(self._rests_on)}, fx {fx} ± {spread or 0}>'
+
     def _repr_html_(self) -> str:
         """Show a card in a notebook."""
-        facts = (f'{self.motion} motion' if self.motion != 'known-object' else 'known object',
-                 f'{len(self.frames)} views', f'{self.camera.width} × {self.camera.height} px',
-                 f'rms {self.reprojection_rms_px:.2g} px')
-        return calibration_card(self.grade, self.camera, self.sigma, self.status, facts,
+        return calibration_card(self.grade, self.camera, self.sigma, self.status, self._rests_on,
                                 self.notes)
+
+    @property
+    def _rests_on(self) -> tuple[str, ...]:
+        """What the result is of, in a few words each."""
+        return (f'{self.motion} motion' if self.motion != 'known-object' else 'known object',
+                f'{len(self.frames)} view{"s" if len(self.frames) != 1 else ""}',
+                f'{self.camera.width} × {self.camera.height} px',
+                f'rms {self.reprojection_rms_px:.2g} px')
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,16 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators.pivot import _moved_shares
+from selfcal_ros.calibration.estimators.motion_calibration import problem_of
+from selfcal_ros.calibration.estimators.pivot import _moved_shares, decide_pivot, PivotDecision
+from selfcal_ros.calibration.estimators.rotation import fit_rotations
 from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
+from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
 from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
+from selfcal_ros.synthetic.special_scenes import drive
 
 STRAIGHT = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -235,3 +239,29 @@ def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
 
     assert result.motion == 'planar'
     assert away(result) < 4
+
+
+def decided(sequence):
+    """Ask whether a sequence turns about a point, as `calibrate` does."""
+    facts, tracks = CameraFacts(aspect_ratio=1.0, skew=0.0), sequence.tracks
+    graph = build_view_graph(tracks, np.random.default_rng(0))
+    turning = fit_rotations(graph.tracks, tracks.image_size, facts)
+    problem = problem_of(graph, tracks.image_size, facts, turns=True)
+    return turning, decide_pivot(problem, graph, turning)
+
+
+def test_a_drive_before_a_far_scene_is_soon_known_to_be_no_turn(monkeypatch):
+    # turns about a point 50 to 300 times as far as the scene explain it as well: no turn at all
+    asked = []
+    pivot = importlib.import_module('selfcal_ros.calibration.estimators.pivot')
+    whole = pivot.choose_model
+    monkeypatch.setattr(pivot, 'choose_model', lambda *args: asked.append(1) or whole(*args))
+    sequence = drive(np.random.default_rng(3), 0.3, 16, 250, 12, CAMERA)
+
+    turning, drives = decided(sequence)
+    assert turning.left_px > 4 * 0.3
+    assert isinstance(drives, NoEstimate) and drives.kind == 'moved_not_rotated'
+    assert not asked
+    _, (_, turns) = decided(head(0))
+    assert isinstance(turns, PivotDecision) and turns.holds
+    assert asked

@@ -59,6 +59,20 @@ def test_a_calibration_shows_what_it_found(calibration):
     assert card.tags <= {'div', 'b', 'small', 'i', 'table', 'tbody', 'tr', 'td', 'ul', 'li'}
 
 
+def test_a_calibration_prints_in_a_few_lines(calibration):
+    text = str(calibration)
+    for words in ('Calibrated: planar motion, 6 views, 800 × 600 px', 'fx 900.0 ± 2.0',
+                  'cx 400.0 ± 1.0', 'cy 300.0 ± 3.0', 'plumb_bob: k1 -0.1000 ± 0.0010',
+                  'A note with <b>markup</b>.'):
+        assert words in text, words
+    assert len(text) < 600
+    short = repr(calibration)
+    assert short.startswith('<Calibration: planar motion') and 'fx 900.0 ± 2.0' in short
+    assert '\n' not in short and len(short) < 120
+    open_cy = replace(calibration, status={**calibration.status, 'cy': 'unobservable'})
+    assert 'cy 300 (not determined)' in str(open_cy)
+
+
 def test_the_colour_is_the_verdict(calibration):
     # 3 % of the focal length is no green
     coarse = replace(calibration, covariance=calibration.covariance * (0.03 * 900 / 2)**2)

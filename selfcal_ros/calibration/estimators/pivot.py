@@ -61,6 +61,13 @@ HOPELESS = 4.0
 #: A lever longer than the usual depth of the points is none: the views lie on a piece of a path,
 #: which turns of any far point explain. True levers had up to 0.4 of the depth, those 20 to 60.
 LONGEST_LEVER = 1.0
+#: What is on the way to such a path already, of starts and of a first fit. Levers of drives were
+#: 3 and more on the way, and 13 and more in the end; of turns 0.6 at most.
+FAR_LEVER = 2.0
+#: Starts that leave less than so many times what the best one leaves may be the right ones.
+LIKELY = 1.5
+#: So many times, before what is left of the starts is known well, is worth a closer look.
+PROMISING = 3.0
 
 
 @dataclass(frozen=True)
@@ -135,17 +142,21 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     rotations = rotations @ rotations[0].T
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
     window = problem.window()
-    start = best_pivot_start(window, state)
-    if start is None:
-        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
+    moved = NoEstimate('moved_not_rotated', left_px=turning.left_px, noise_px=problem.noise_px)
+    is_no_rotation = turning.left_px > HOPELESS * problem.noise_px
+    start = best_pivot_start(window, state, FAR_LEVER if is_no_rotation else np.inf)
+    if isinstance(start, NoEstimate):
+        return start
+    if is_no_rotation and _lever_share(start) > FAR_LEVER:
+        return moved
     medium, _ = window.observations.select(window.observations.longest(MODEL_TRACKS_PER_VIEW))
     standing = with_all_points(start, medium)
     if standing is None:
         return NoEstimate('start_distortion_not_invertible')
     fit = first_fit(window, medium, standing)
-    if min(fit.bundle.sigma_px, turning.left_px) > HOPELESS * problem.noise_px:
-        return NoEstimate('moved_not_rotated', left_px=fit.bundle.sigma_px,
-                          noise_px=problem.noise_px)
+    if is_no_rotation and (fit.bundle.sigma_px > HOPELESS * problem.noise_px
+                           or _lever_share(fit.state) > FAR_LEVER):
+        return moved.saying(left_px=fit.bundle.sigma_px)
     shutter = choose_shutter(fit, medium, window)
     fit = shutter.fit
     mixed = of_two_cameras(fit, window, graph)
@@ -176,8 +187,18 @@ def _moved_shares(state: SceneState) -> tuple[float, float]:
             float(np.linalg.norm(state.path.translation[0])) * inverse_depth)
 
 
-def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> SceneState | None:
-    """Follow levers in several directions on a share of the tracks; take the likeliest."""
+def _lever_share(state: SceneState) -> float:
+    return _moved_shares(state)[1]
+
+
+def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
+                     far_lever: float = np.inf) -> SceneState | NoEstimate:
+    """
+    Follow levers in several directions on a share of the tracks; take the likeliest.
+
+    No estimate where nothing starts, or where all that are likely have a lever beyond
+    `far_lever`, in shares of the points' depth.
+    """
     few, _ = problem.observations.select(problem.observations.longest(START_TRACKS_PER_VIEW))
     camera = turned.camera(*problem.size)
     priors = start_priors(problem, camera)
@@ -188,16 +209,22 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> Sce
     for state in problem.pivot.starts(coarse.blocks, few.xy, camera):
         state = coarse.refine_points(with_fixed(state, priors))
         state = coarse.optimise(state, iterations=15, tolerance=1.0)
-        state = fine.optimise(state, iterations=15, tolerance=0.5)
-        noise_px = fine.noise_sigma(state)
+        noise_px = coarse.noise_sigma(state)
         if np.isfinite(noise_px):
             tried.append((noise_px, state))
     if not tried:
-        return None
+        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
+    near_px = PROMISING * min(noise_px for noise_px, _ in tried)
+    promising = [fine.optimise(state, iterations=15, tolerance=0.5)
+                 for noise_px, state in tried if noise_px < near_px]
+    tried = [(fine.noise_sigma(state), state) for state in promising]
+    least_px = min(noise_px for noise_px, _ in tried)
+    if all(_lever_share(state) > far_lever for noise_px, state in tried
+           if noise_px < LIKELY * least_px):
+        return NoEstimate('moved_not_rotated', left_px=least_px, noise_px=problem.noise_px)
     # a long bent valley leads to the optimum, slowly, and few tracks mislead there
     medium, _ = problem.observations.select(
         problem.observations.longest(MODEL_TRACKS_PER_VIEW))
-    least_px = min(noise_px for noise_px, _ in tried)
     rivals = []
     for noise_px, state in sorted(tried, key=lambda one: one[0])[:RIVALS]:
         standing = with_all_points(state, medium)
@@ -205,7 +232,8 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState) -> Sce
             fit = fit_robustly(medium, standing, problem.motion, priors, noise_px, rounds=3)
             rivals.append(replace(fit, bundle=fit.bundle.with_sigma(least_px)))
     # the mirror image of a scene explains its images about as well
-    return min(rivals, key=_badness).state if rivals else None
+    return (min(rivals, key=_badness).state if rivals
+            else NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown'))
 
 
 def _badness(fit: RobustFit) -> float:

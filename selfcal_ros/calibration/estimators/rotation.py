@@ -70,8 +70,9 @@ MAX_FOCAL_FRACTION = 30.0
 MAX_SKEW_FRACTION = 0.2
 #: Focal lengths to start from where the closed form gives none, in longer image sides.
 _FOCAL_SWEEP = (1.0, 0.65, 1.6, 2.6, 4.2)
-#: Starts whose costs differ by less than this share led to one optimum.
-SAME_COST = 0.01
+#: Starts whose costs differ by less than this share led to one optimum. Where rotations leave
+#: several times the noise nothing converges, and a rough optimum tells enough.
+SAME_COST, SAME_COST_AFAR, AFAR = 0.01, 0.05, 4.0
 #: Views of a stretch that tells whether there is any hope of a rotation.
 STRETCH = 24
 #: Refusals that say that there was no rotation.
@@ -230,11 +231,12 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
         state = _start(K, H, order, observed, priors.lens.name)
         state = bundle.optimise(with_fixed(state, priors), iterations=30, tolerance=0.1)
         cost = bundle.cost(state)
+        left_px = bundle.noise_sigma(state)
         # where no rotation is expected, two starts with one optimum speak for the others
-        agree = hopeless_px < np.inf and abs(cost - least) < SAME_COST * cost
+        same = SAME_COST_AFAR if left_px > AFAR * sigma_px else SAME_COST
+        agree = hopeless_px < np.inf and abs(cost - least) < same * cost
         if best is None or cost < least:
             best, least = state, cost
-        left_px = bundle.noise_sigma(state)
         if left_px > hopeless_px:
             return NoEstimate('moved_not_rotated', left_px=left_px, noise_px=sigma_px,
                               facts=facts)

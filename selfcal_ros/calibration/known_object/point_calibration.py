@@ -25,6 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.object_poses import VIEW_NAMES
@@ -63,6 +64,7 @@ MISFIT_FRACTION = 0.006
 START_POINTS = 40
 
 
+@on_one_thread
 def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
                            facts: CameraFacts | None = None, flatness: float | None = None,
                            ) -> Calibration | NotCalibrated:

@@ -26,6 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.bundle.motion import GENERAL, NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.rig import RigPriors
 from selfcal_ros.calibration.bundle.rig_model import RigState
@@ -53,6 +54,7 @@ MIN_INSTANTS = 4
 LEAST_OF_INSTANT = 10
 
 
+@on_one_thread
 def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
                   motion: str = 'auto',
                   facts: CameraFacts | Mapping[str, CameraFacts] | None = None,
