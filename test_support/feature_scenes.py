@@ -135,3 +135,18 @@ def transfer_errors(room, cameras, tracks):
         result[rows[:, 3]] = np.linalg.norm(tracks.xy[rows[:, 3]] - expected, axis=1)
     ages = tracks.frame - tracks.frame[start]
     return result[~first], ages[~first]
+
+
+def waves(rng, spread=0.3, count=200):
+    """
+    Grey values that can be had between pixels, too: a function of pixels (..., 2).
+
+    What warps an image by OpenCV's bicubic kernel moves it by up to 0.05 pixels.
+    """
+    turns, phases = rng.normal(0, spread, (count, 2)), rng.uniform(0, 2 * np.pi, count)
+    return lambda xy: 128 + 4 * np.cos(xy @ turns.T + phases).sum(axis=-1)
+
+
+def pixel_grid(size):
+    """Pixels of a square image, shape (size, size, 2)."""
+    return np.stack(np.meshgrid(*2 * [np.arange(float(size))]), axis=2)

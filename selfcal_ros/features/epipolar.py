@@ -105,6 +105,14 @@ class EpipolarImages:
         return [F for part in pool.map(polished, range(0, len(pairs), _AT_ONCE_BENT))
                 for F in part]
 
+    def of_lifted(self, F: np.ndarray) -> np.ndarray:
+        """Return F (3, 3) of lifted points, whatever `fit` gives."""
+        if not self.model.straight:
+            return F
+        back = np.linalg.inv(self.model.to_units)
+        of_units: np.ndarray = back.T @ F @ back
+        return of_units / np.linalg.norm(of_units)
+
     def distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
         """Signed first-order distance (N,) of matches (N, 2), pixels."""
         if self.model.straight:

@@ -24,9 +24,7 @@ import os
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.features.curvature import curvature_bias, ideal_fisheye
 from selfcal_ros.features.detection import detect, Features
-from selfcal_ros.features.epipolar import choose_division
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
 from selfcal_ros.features.linking import link, refine
@@ -34,16 +32,15 @@ from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import match_pairs
 from selfcal_ros.features.moving_part import MovingPart, PART_STEP
 from selfcal_ros.features.pairs import propose_pairs
-from selfcal_ros.features.selection import drop_static, KeyframeSelector, verify
+from selfcal_ros.features.selection import drop_static, KeyframeSelector, Verified, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.features.still_features import still_features, without_still
+from selfcal_ros.features.video_curvature import Keyframe, without_feigned_shifts
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks
 
 _PROBE_FRAMES = 6
-#: Pairs of keyframes that tell how wide a lens is.
-_JUDGES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
@@ -249,7 +246,7 @@ def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], m
     xy = np.concatenate([feature.xy for feature in features])[node]
     size_px = np.concatenate([feature.size_px for feature in features])[node]
     report('registration', 0)
-    xy, good, sigma_px = refine(images, image, track, xy, size_px, ideal_fisheye(bend))
+    xy, good, sigma_px = refine(images, image, track, xy, size_px, matches)
     if good.any():
         good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
     findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
@@ -265,9 +262,9 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
 
     The album keeps images if what moves before a camera that stands could not be followed.
     """
-    tracker, selector, part, stamps = KltTracker(mask=mask), None, None, {}
-    kept: list[tuple] = []
-    of_part: list[tuple] = []
+    tracker, selector, part, stamps = KltTracker(mask=mask, renews=False), None, None, {}
+    kept: list[Keyframe] = []
+    of_part: list[Keyframe] = []
     size = None
     film, filmed = Film(), {}
     for count, (index, grey, stamp_ns) in enumerate(frames):
@@ -291,7 +288,9 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
                 album = None
         if not lists:
             continue
-        record = (index, ids, xy, *tracker.appearances)
+        record = Keyframe(index, ids, xy, tracker.appearances)
+        # only here: what the old templates feign is known where their geometry is
+        tracker.renew()
         filmed[index] = film.keep()
         stamps[index] = stamp_ns
         for chooser, chosen in lists:
@@ -306,33 +305,25 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
         album.clear()
     if part.stood and len(of_part) >= 3:
         kept = of_part
-    keyframes = np.array([one[0] for one in kept], dtype=int)
-    tracks = Tracks(np.repeat(keyframes, [len(one[1]) for one in kept]),
-                    np.concatenate([one[1] for one in kept] or [np.empty(0)]),
-                    np.concatenate(_straightened(kept, size, seed) or [np.empty((0, 2))]),
+    keyframes = np.array([one.index for one in kept], dtype=int)
+    tracks = Tracks(np.repeat(keyframes, [len(one.ids) for one in kept]),
+                    np.concatenate([one.ids for one in kept] or [np.empty(0)]),
+                    np.concatenate([one.xy for one in kept] or [np.empty((0, 2))]),
                     size, {index: stamps[index] for index in keyframes.tolist()},
                     np.concatenate([filmed[index].neighbours for index in keyframes.tolist()]
                                    or [np.empty((0, 2, 3))]))
     findings.append(Finding('keyframes_chosen', keyframes=len(keyframes), frames=count + 1))
-    return finish_tracks(tracks.with_at_least(2), findings, seed), keyframes
+    verified = _finished(tracks.with_at_least(2), findings, seed)
+    return without_feigned_shifts(verified, kept), keyframes
 
 
-def _straightened(kept, size, seed) -> list[np.ndarray]:
-    """Positions of every keyframe, without what the curvature of a wide lens does to them."""
-    pairs = []
-    for (_, ids_a, xy_a, *_), (_, ids_b, xy_b, *_) in itertools.pairwise(kept):
-        _, a, b = np.intersect1d(ids_a, ids_b, return_indices=True)
-        pairs.append((xy_a[a], xy_b[b]))
-    judges = sorted(pairs, key=lambda pair: -len(pair[0]))[:_JUDGES]
-    camera = ideal_fisheye(choose_division(judges, size, seed=seed))
-    if camera is None:
-        return [one[2] for one in kept]
-    return [xy - curvature_bias(camera, anchors, xy, affine)
-            for _, _, xy, anchors, affine in kept]
-
-
-def finish_tracks(tracks, findings: list[Finding], seed):
+def finish_tracks(tracks: Tracks, findings: list[Finding], seed: int) -> Tracks:
     """Drop static points, then what contradicts epipolar geometry."""
+    return _finished(tracks, findings, seed).tracks
+
+
+def _finished(tracks: Tracks, findings: list[Finding], seed: int) -> Verified:
+    """As `finish_tracks`, with the geometry that was found."""
     whole, told = without_still(tracks)
     findings += told
     tracks, static = drop_static(whole)
@@ -340,7 +331,7 @@ def finish_tracks(tracks, findings: list[Finding], seed):
         findings.append(Finding('static_tracks', tracks=int(static)))
     tracks, regions = drop_static_regions(whole, tracks)
     findings += regions
-    tracks, removed, _ = verify(tracks, seed=seed)
-    if removed:
-        findings.append(Finding('positions_contradictory', positions=int(removed)))
-    return tracks
+    verified = verify(tracks, seed=seed)
+    if verified.removed:
+        findings.append(Finding('positions_contradictory', positions=int(verified.removed)))
+    return verified

@@ -15,13 +15,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.registration import PatchRegistration, Templates
+from selfcal_ros.features.registration import (DoubledImage, PatchRegistration, SMOOTHING_PX,
+                                               Templates)
 
 #: Where the flow looks first: at the place itself.
 _NO_GUESS: Any = None
@@ -137,6 +139,27 @@ def followed_share(before: np.ndarray, after: np.ndarray, mask: ImageMask | None
             float(np.median(np.linalg.norm(there - xy, axis=1)[followed])))
 
 
+@dataclass(frozen=True)
+class Appearances:
+    """
+    What N points were first seen as, and how they are seen now.
+
+    Attributes
+    ----------
+    anchors : ndarray, shape (N, 2)
+        Where the templates were taken, pixels.
+    affine : ndarray, shape (N, 2, 2)
+        Warps since.
+    response : ndarray, shape (N, 2, 6)
+        `Templates.response`.
+
+    """
+
+    anchors: np.ndarray
+    affine: np.ndarray
+    response: np.ndarray
+
+
 class KltTracker:
     """
     Follow corners through a video, frame by frame.
@@ -152,12 +175,16 @@ class KltTracker:
         A point less alike to its first appearance is lost.
     mask : ImageMask, optional
         Points are found and followed within; may be changed between images.
+    renews : bool
+        Whether templates that are seen at another scale are taken anew at once, or only by
+        `renew`.
 
     """
 
     def __init__(self, most: int = 700, least_correlation: float = 0.8,
-                 mask: ImageMask | None = None):
+                 mask: ImageMask | None = None, renews: bool = True):
         """Start without an image."""
+        self.renews = renews
         self.most = most
         self.least_correlation = least_correlation
         self.mask = mask
@@ -165,13 +192,15 @@ class KltTracker:
         self.reset()
 
     @property
-    def appearances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the templates were taken, pixels (N, 2), and their warps since (N, 2, 2)."""
-        return self._anchors.copy(), self._affine.copy()
+    def appearances(self) -> Appearances:
+        """First appearances of the points, and their warps since."""
+        response = np.empty((0, 2, 6)) if self._templates is None else self._templates.response
+        return Appearances(self._anchors.copy(), self._affine.copy(), response.copy())
 
     def reset(self) -> None:
         """Forget everything but the counter of ids: ids never come twice."""
         self._grey: np.ndarray | None = None
+        self._smooth: DoubledImage | None = None
         self._ids = np.empty(0, np.int64)
         self._next = getattr(self, '_next', 0)
         self._xy = np.empty((0, 2))
@@ -206,11 +235,11 @@ class KltTracker:
             self.mask.check(grey.shape)
         if self._grey is not None and self._grey.shape != grey.shape:
             self.reset()
-        smooth = cv2.GaussianBlur(grey.astype(np.float32), (5, 5), 0.7)
+        smooth = DoubledImage.of(cv2.GaussianBlur(grey.astype(np.float32), (5, 5), SMOOTHING_PX))
         if len(self._ids):
             self._follow(grey, smooth)
         self._replenish(grey, smooth)
-        self._grey = grey
+        self._grey, self._smooth = grey, smooth
         return self._ids.copy(), self._xy.copy()
 
     def _follow(self, grey, smooth):
@@ -235,9 +264,14 @@ class KltTracker:
             good &= self.mask.allows(found)
         self._xy, self._affine = found, affine
         self._keep(good)
-        size = size[good]
-        # a template seen at another scale carries detail that is not there: take it anew
-        self._anchor(np.flatnonzero((size < 0.6) | (size > 1.6)), smooth)
+        self._smooth = smooth
+        if self.renews:
+            self.renew()
+
+    def renew(self) -> None:
+        """Take templates anew where they are seen at another scale: their detail is not there."""
+        size = np.sqrt(np.abs(np.linalg.det(self._affine)))
+        self._anchor(np.flatnonzero((size < 0.6) | (size > 1.6)), self._smooth)
 
     def _keep(self, mask):
         """Drop the tracks where mask is false."""

@@ -15,9 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 import os
 
 import cv2
@@ -25,12 +25,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from selfcal_ros.features.curvature import curvature_bias
+from selfcal_ros.features.curvature import along_tracks, feigned_shift, PairGeometry
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.matching import ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
-from selfcal_ros.features.registration import PatchRegistration, Templates
-from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.features.registration import (DoubledImage, PatchRegistration, SMOOTHING_PX,
+                                               Templates)
 
 _REGISTRATION = PatchRegistration(half_px=7)
 _MIN_CORRELATION = 0.75
@@ -97,7 +97,7 @@ def _components(a, b, image):
 
 
 def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px: np.ndarray,
-           camera: Camera | None = None):
+           matches: Sequence[ImagePairMatches] = ()):
     """
     Register every observation against one reference view of its track.
 
@@ -113,8 +113,8 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
         Pixels.
     size_px : ndarray, shape (N,)
         Standard deviation of the blob: coarse ones are registered at a coarser scale.
-    camera : Camera, optional
-        Roughly that of the images, if it is wide: what its curvature does is taken off.
+    matches : sequence of ImagePairMatches
+        With the geometry of these pairs, what curvature does to positions is taken off.
 
     Returns
     -------
@@ -136,6 +136,8 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
     registered[reference] = True
     is_reference = registered.copy()
     sigma = np.zeros(len(xy))
+    warps, scales = np.tile(np.eye(2), (len(xy), 1, 1)), np.ones(len(xy))
+    responses = np.zeros((len(length), 2, 6))
     smoothed = _smoothed(images)
     turns = local_turns(image, xy, reference[track])
     slot = np.full(len(length), -1)
@@ -152,11 +154,9 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
         found = found + (affine @ residue)[:, :, 0]
         shift = np.linalg.norm(found - xy[rows] / scale, axis=1)
         good = (correlation > _MIN_CORRELATION) & (step < 0.05) & (shift < 2.5)
-        found = found * scale
-        if camera is not None:
-            found -= scale**2 * curvature_bias(camera, xy[base], found, affine)
-        refined[rows[good]] = found[good]
-        registered[rows[good]] = True
+        refined[rows[good]] = scale * found[good]
+        warps[rows[good]] = affine[good]
+        registered[rows[good]], scales[rows] = True, scale
         sigma[rows] = scale * templates.position_sigma(correlation, slot[track[rows]])
 
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
@@ -172,31 +172,41 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
                 base = reference[some]
                 # whole pixels: the template is taken without interpolation, its residue added back
                 templates = _gather(smoothed[level], image[base], np.round(xy[base] / scale))
+                responses[some] = templates.response
                 rows = np.flatnonzero((slot[track] >= 0) & ~is_reference)
                 rows = rows[np.argsort(image[rows], kind='stable')]
                 here, at = np.unique(image[rows], return_index=True)
                 for job in [pool.submit(register, int(k), part, scale, level)
                             for k, part in zip(here, np.split(rows, at[1:]))]:
                     job.result()
+    good = np.flatnonzero(registered)
+    geometry = PairGeometry.of_matches(matches, len(images))
+    second = along_tracks(geometry, image[good], track[good], is_reference[good], refined[good],
+                          warps[good])
+    refined[good] -= feigned_shift(responses[track[good]], warps[good], second, scales[good])
     return refined, registered, sigma
 
 
-def _smoothed(images) -> tuple[Callable[[int], np.ndarray], ...]:
+def _smoothed(images) -> tuple[Callable[[int], DoubledImage], ...]:
     """
     Slightly smoothed images, whole, halved and halved again; as many as there is room for.
 
     Each is asked for by its position. cv2.pyrDown keeps the centre of pixel (0, 0) in place.
     """
-    # the smaller ones take a third of what the whole ones do
-    held = max(4, _HELD_BYTES * 3 // 4 // (4 * images[0].size))
-    whole = lru_cache(held)(
-        lambda k: cv2.GaussianBlur(images[k].astype(np.float32), (0, 0), 0.7))
-    half = lru_cache(held)(lambda k: cv2.pyrDown(whole(k)))
-    quarter = lru_cache(held)(lambda k: cv2.pyrDown(half(k)))
-    return whole, half, quarter
+    # the smaller ones take a third of what the whole ones do, and doubling takes four times
+    held = max(4, _HELD_BYTES * 3 // 4 // (4 * 4 * images[0].size))
+
+    @lru_cache(held)
+    def of_level(level: int, k: int) -> DoubledImage:
+        image = cv2.GaussianBlur(images[k].astype(np.float32), (0, 0), SMOOTHING_PX)
+        for _ in range(level):
+            image = cv2.pyrDown(image)
+        return DoubledImage.of(image)
+
+    return tuple(partial(of_level, level) for level in range(_LEVELS))
 
 
-def _gather(smoothed: Callable[[int], np.ndarray], image, xy):
+def _gather(smoothed: Callable[[int], DoubledImage], image, xy):
     """Templates of points that lie in different images, given image by image."""
     here, at = np.unique(image, return_index=True)
     return Templates.joined([_REGISTRATION.templates(smoothed(int(k)), part)

@@ -63,6 +63,8 @@ class ImagePairMatches:
         Rows of their features.
     F : ndarray, shape (3, 3)
         x_second' F x_first = 0, in the terms of `EpipolarImages`.
+    lens : DivisionModel
+        That of `EpipolarImages`.
 
     """
 
@@ -71,6 +73,7 @@ class ImagePairMatches:
     a: np.ndarray
     b: np.ndarray
     F: np.ndarray
+    lens: DivisionModel
 
 
 class _Gallery:
@@ -310,7 +313,7 @@ def _verified(gallery: _Gallery, pairs, seeds, epipolar: EpipolarImages, seed: i
         good = agrees_with_neighbours(*places(k, a, b))
         return a[good], b[good]
 
-    return [ImagePairMatches(pairs[k][0], pairs[k][1], a, b, F)
+    return [ImagePairMatches(pairs[k][0], pairs[k][1], a, b, F, epipolar.model)
             for k, F, (a, b) in zip(found, refined, pool.map(agreeing, found, refined))
             if F is not None and len(a) >= 16]
 

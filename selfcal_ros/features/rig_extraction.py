@@ -23,7 +23,6 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.at_instant import at_instant, ImagesBeside
-from selfcal_ros.features.curvature import ideal_fisheye
 from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.extraction import finish_tracks, SIGMA_LIMIT_PX
 from selfcal_ros.features.linking import link, refine
@@ -101,7 +100,6 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
     count = len(images)
     features: list[Features] = [None] * (count * len(frames))       # type: ignore[list-item]
     matches: list[ImagePairMatches] = []
-    bends = []
     for k, (name, of_camera) in enumerate(images.items()):
         own = []
         for image in of_camera:
@@ -110,19 +108,18 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
         resting = still_features(own)
         if resting is not None:
             own = [one.select(~rests) for one, rests in zip(own, resting)]
-        found, bend, _ = match_pairs(own, propose_pairs(own), sizes[name], seed,
-                                     lambda share, k=k: report('matching', (k + share) / count))
+        found, *_ = match_pairs(own, propose_pairs(own), sizes[name], seed,
+                                lambda share, k=k: report('matching', (k + share) / count))
         # instants in a row, the cameras of each beside each other
         features[k::count] = own
         matches += [ImagePairMatches(one.first * count + k, one.second * count + k, one.a, one.b,
-                                     one.F) for one in found]
-        bends.append(bend)
+                                     one.F, one.lens) for one in found]
     matches += _across(features, list(sizes.values()), len(frames), seed)
     image, place, track, contradictory = link(features, matches)
     findings = [Finding('tracks_contradictory', tracks=contradictory)] if contradictory else []
     report('registration', 0)
     every = [one for instant in zip(*images.values()) for one in instant]
-    xy, good = _registered(features, every, image, place, track, bends[0])
+    xy, good = _registered(features, every, image, place, track, matches)
     for k, name in enumerate(images):
         for i, around in enumerate((beside or {}).get(name, ())):
             if around is not None:
@@ -176,13 +173,14 @@ def _across(features: list[Features], sizes: list[tuple[int, int]], instants: in
 
 
 def _registered(features: list[Features], images: list[np.ndarray], image: np.ndarray,
-                place: np.ndarray, track: np.ndarray, bend) -> tuple[np.ndarray, np.ndarray]:
+                place: np.ndarray, track: np.ndarray,
+                matches: list[ImagePairMatches]) -> tuple[np.ndarray, np.ndarray]:
     """Positions (N, 2) to sub-pixel accuracy, and which of them can be trusted."""
     offset = np.concatenate([[0], np.cumsum([len(one.xy) for one in features])])
     node = offset[image] + place
     xy = np.concatenate([one.xy for one in features])[node]
     size_px = np.concatenate([one.size_px for one in features])[node]
-    xy, good, sigma_px = refine(images, image, track, xy, size_px, ideal_fisheye(bend))
+    xy, good, sigma_px = refine(images, image, track, xy, size_px, matches)
     if good.any():
         good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
     return xy, good

@@ -16,13 +16,41 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 import os
 
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.epipolar import choose_division, EpipolarImages
+from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.values.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class Verified:
+    """
+    Tracks that obey the epipolar geometry of their frames.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    removed : int
+        Observations removed, not counting those of tracks that became too short.
+    lens : DivisionModel
+        Distortion used.
+    frames : ndarray of int, shape (F,)
+        The frames that were compared.
+    fitted : list of (int, int, ndarray of shape (3, 3))
+        Positions of two of them, and their fundamental matrix as `EpipolarImages` has it.
+
+    """
+
+    tracks: Tracks
+    removed: int
+    lens: DivisionModel
+    frames: np.ndarray
+    fitted: list[tuple[int, int, np.ndarray]]
 
 
 class KeyframeSelector:
@@ -132,7 +160,7 @@ def drop_static(tracks: Tracks, still_px: float = 0.5, moving_px: float = 3.0):
 
 
 def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_views: int = 2,
-           seed: int = 0):
+           seed: int = 0) -> Verified:
     """
     Remove what contradicts the epipolar geometry between frames.
 
@@ -155,22 +183,19 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
 
     Returns
     -------
-    tracks : Tracks
-    removed : int
-        Observations removed, not counting those of tracks that became too short.
-    division : float
-        Distortion used: the first coefficient of the division model, 0 for straight lines.
+    Verified
 
     """
     frames, time = np.unique(tracks.frame, return_inverse=True)
     rows = [np.flatnonzero(time.ravel() == k) for k in range(len(frames))]
-    pairs = []
+    pairs, places = [], []
     for gap in gaps:
         for k in range(len(frames) - gap):
             _, a, b = np.intersect1d(tracks.track[rows[k]], tracks.track[rows[k + gap]],
                                      assume_unique=True, return_indices=True)
             if len(a) >= 20:
                 pairs.append((rows[k][a], rows[k + gap][b]))
+                places.append((k, k + gap))
     spread = [pairs[k] for k in np.unique(np.linspace(0, len(pairs) - 1, 6).astype(int))] \
         if pairs else []
     size = tracks.image_size
@@ -179,15 +204,16 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     model = choose_division([(tracks.xy[a], tracks.xy[b]) for a, b in spread], size, seed=seed)
     epipolar, xy = EpipolarImages(model), tracks.xy
     tests, failures = np.zeros(len(tracks)), np.zeros(len(tracks))
-    breaks = []
+    breaks, sound = [], []
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         fitted = epipolar.fit_each([(xy[a], xy[b]) for a, b in pairs], threshold_px, seed, pool)
-    for (a, b), F in zip(pairs, fitted):
+    for place, (a, b), F in zip(places, pairs, fitted):
         if F is None:
             continue
         bad = np.abs(epipolar.distance(F, xy[a], xy[b])) > threshold_px
         if bad.mean() > 0.5:  # this F explains nothing
             continue
+        sound.append((*place, F))
         for side in (a, b):
             tests[side] += 1
             failures[side] += bad
@@ -210,7 +236,7 @@ def verify(tracks: Tracks, gaps=(1, 2, 3, 4), threshold_px: float = 1.5, least_v
     beside = None if tracks.neighbours is None else tracks.neighbours[keep]
     tracks = Tracks(tracks.frame[keep], track[keep], tracks.xy[keep], size, tracks.stamps_ns,
                     beside)
-    return tracks.with_at_least(least_views), removed, model.coefficients[0]
+    return Verified(tracks.with_at_least(least_views), removed, model, frames, sound)
 
 
 def _keep_names(old, new):

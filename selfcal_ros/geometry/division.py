@@ -86,6 +86,14 @@ class DivisionModel:
         """
         return lifted(self.units(xy), np.array(self.coefficients))
 
+    def lifted_slope(self, xy: np.ndarray) -> np.ndarray:
+        """Derivative (..., 3, 2) of lifted pixels (..., 2) by their place in half diagonals."""
+        place = self.units(xy)
+        slope = np.zeros((*place.shape[:-1], 3, 2))
+        slope[..., 0, 0] = slope[..., 1, 1] = 1
+        slope[..., 2, :] = bend(place, np.array(self.coefficients))
+        return slope
+
     def sampson_distance(self, F: np.ndarray, xy_a: np.ndarray, xy_b: np.ndarray) -> np.ndarray:
         """
         Signed first-order distance of matches to their epipolar curves.

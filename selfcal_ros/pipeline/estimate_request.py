@@ -157,7 +157,7 @@ class EstimateRequest:
             calibrate = selfcal_ros.calibrate
         tracks, told = without_still(self.tracks)
         tracks, _ = drop_static(tracks)
-        tracks, _, _ = verify(tracks)
+        tracks = verify(tracks).tracks
         result = calibrate(tracks, motion=self.settings.motion, facts=self.settings.facts,
                            start=self.start.camera if self.start else None)
         if told:

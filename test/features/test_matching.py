@@ -26,9 +26,11 @@ from selfcal_ros.features.linking import link
 from selfcal_ros.features.matching import ImagePairMatches, match_pairs, moving_part
 from selfcal_ros.features.neighbours import agrees_with_neighbours, local_turns
 from selfcal_ros.features.pairs import propose_pairs
+from selfcal_ros.geometry.division import DivisionModel
 from test_support.feature_scenes import chessboard, HEIGHT, pose, Room, true_fundamental, WIDTH
 
 SIZE = (WIDTH, HEIGHT)
+STRAIGHT = DivisionModel((0.0,), SIZE)
 
 
 def test_keypoints_lie_on_the_centres_of_blobs():
@@ -117,10 +119,10 @@ def _features(count):
 def test_link_joins_pairs_and_drops_contradictions():
     features = [_features(5)] * 3
     F = np.eye(3)
-    pairs = [ImagePairMatches(0, 1, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
-             ImagePairMatches(1, 2, np.array([0, 1, 2]), np.array([0, 1, 2]), F),
+    pairs = [ImagePairMatches(0, 1, np.array([0, 1, 2]), np.array([0, 1, 2]), F, STRAIGHT),
+             ImagePairMatches(1, 2, np.array([0, 1, 2]), np.array([0, 1, 2]), F, STRAIGHT),
              # place 1 of image 0 is said to be place 3 of image 2, which it is not
-             ImagePairMatches(0, 2, np.array([0, 1, 2]), np.array([0, 3, 2]), F)]
+             ImagePairMatches(0, 2, np.array([0, 1, 2]), np.array([0, 3, 2]), F, STRAIGHT)]
     image, place, track, dropped = link(features, pairs)
     assert dropped == 0
     rows = {tuple(sorted(zip(image[track == k].tolist(), place[track == k].tolist())))
@@ -161,7 +163,7 @@ def test_matches_that_contradict_nothing_are_linked_as_they_are():
     count = len(features[0].xy)
     assert count > 20
     every = np.arange(count)
-    pair = ImagePairMatches(0, 1, every, every, np.eye(3))
+    pair = ImagePairMatches(0, 1, every, every, np.eye(3), STRAIGHT)
     at, place, track, dropped = link(features, [pair])
     assert dropped == 0 and len(at) == 2 * count and len(np.unique(track)) == count
     assert (place[at == 0] == place[at == 1]).all() and (track[at == 0] == track[at == 1]).all()

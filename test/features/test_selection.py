@@ -81,7 +81,8 @@ def test_verification_removes_jumps_and_keeps_good_points(scene):
     xy = scene.xy.copy()
     wrong = rng.choice(len(scene), 60, replace=False)
     xy[wrong] += rng.choice([-1, 1], (60, 2)) * rng.uniform(10, 30, (60, 2))
-    verified, removed, _ = verify(Tracks(scene.frame, scene.track, xy, scene.image_size))
+    found = verify(Tracks(scene.frame, scene.track, xy, scene.image_size))
+    verified, removed = found.tracks, found.removed
     assert removed >= 45
     left = {(int(f), tuple(p)) for f, p in zip(verified.frame, verified.xy.round(6))}
     bad_left = sum((int(scene.frame[k]), tuple(xy[k].round(6))) in left for k in wrong)
@@ -95,7 +96,7 @@ def test_a_track_that_slips_to_another_point_is_cut(scene):
     xy = scene.xy.copy()
     late = scene.frame >= 4
     xy[late & (scene.track == victim)] = scene.xy[late & (scene.track == donor)] + [0.0, 0.05]
-    verified, _, _ = verify(Tracks(scene.frame, scene.track, xy, scene.image_size))
+    verified = verify(Tracks(scene.frame, scene.track, xy, scene.image_size)).tracks
     kept = verified.frame[verified.track == victim]
     assert not ((kept < 4).any() and (kept >= 4).any())
 
