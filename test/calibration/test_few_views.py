@@ -19,6 +19,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros.calibration.estimators import motion_calibration
 from selfcal_ros.calibration.estimators.few_views import spread_views
 from selfcal_ros.calibration.initialisation import multi_start
 from selfcal_ros.errors import ArgumentError
@@ -52,7 +53,9 @@ def test_four_general_views_suffice_without_a_fact_of_the_pixels(camera):
 
 def test_the_modulus_constraint_finds_a_principal_point_that_the_sweep_does_not():
     tracks = general_views(np.random.default_rng(7), OUTSIDE).tracks
-    with mock.patch.object(multi_start, 'MODULUS_MAX_VIEWS', 0):
+    # half of the tracks may find it, too
+    with mock.patch.object(multi_start, 'MODULUS_MAX_VIEWS', 0), \
+            mock.patch.object(motion_calibration, '_of_coherent_tracks', return_value=None):
         # a focal length that is asked whether it varies is searched for once more
         assert not calibrate(tracks, motion='general', facts=replace(NO_FACT, focal='constant'))
     assert_near(calibrate(tracks, motion='general', facts=NO_FACT), OUTSIDE)

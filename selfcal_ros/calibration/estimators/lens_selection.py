@@ -48,10 +48,15 @@ BARREL = 0.12
 #: Higher terms that move it by more than this fraction may stand for another model.
 BENT = 0.1
 #: Where the corner lies further from the axis, in focal lengths, a polynomial is hardly the whole
-#: lens even without a barrel. Rational ones are tried; a fisheye would have the barrel.
+#: lens even without a barrel. A fisheye usually has one; not every measured lens has.
 WIDE_CORNER = 1.0
+#: Terms of the simplest rational lens.
+SIMPLE_RATIONAL = ('k1', 'k2', 'k3', 'k4')
 #: Log of the odds beyond which a family is certain: 400 to 1.
 CERTAIN = 6.0
+#: Where a family lowers the cost to less than this share, the lens of the start was wrong, and
+#: what it left is no measure of the noise.
+WRONG_START = 0.7
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,8 @@ def lens_priors(facts: CameraFacts, size: tuple[int, int], f: float,
         facts.distortion, priors.lens, float(np.hypot(*size)) / 2 / f, decentring))
 
 
-def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
+def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
+                dependence_of: Callable[[RobustFit], float],
                 determined: Callable[[RobustFit, CameraFacts], bool],
                 decentring: float | None = None) -> LensDecision:
     """
@@ -116,8 +122,8 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
         Where it states a lens, that one is fitted.
     size : (int, int)
         Width and height of the image.
-    dependence : float
-        Variance of the estimate over that with independent errors.
+    dependence_of : callable
+        Variance of the estimate over that with independent errors, of a fit.
     determined : callable
         Whether a fit under facts determines the camera.
     decentring : float, optional
@@ -128,11 +134,19 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
     LensDecision
 
     """
+    dependence = dependence_of(fit)
     if facts.distortion != 'auto':
         found = _fitted(fit, facts, size, dependence, decentring)
         return LensDecision(found, facts, _nothing(found))
+    names = _families(fit, size)
+    trials = _trials(fit, names, facts, size, dependence, decentring)
+    least = min(trials.values(), key=lambda trial: trial.cost)
+    if least.cost < WRONG_START * fit.cost:
+        fit = replace(least, bundle=least.bundle.with_sigma(least.bundle.noise_sigma(least.state)))
+        dependence = dependence_of(fit)
+        trials = _trials(fit, names, facts, size, dependence, decentring)
     tried = [(_evidence(trial, dependence), trial, replace(facts, distortion=name))
-             for name, trial in _trials(fit, facts, size, dependence, decentring).items()]
+             for name, trial in trials.items()]
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
     if len(tried) > 1:
@@ -148,21 +162,27 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], depen
     return LensDecision(found, stated, _nothing(found) if excess is None else excess)
 
 
-def _trials(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
-            decentring: float | None) -> dict[str, RobustFit]:
+def _trials(fit: RobustFit, names: tuple[str, ...], facts: CameraFacts, size: tuple[int, int],
+            dependence: float, decentring: float | None) -> dict[str, RobustFit]:
     """Fit every family that may have made the images."""
     def fitted(name: str, start: RobustFit) -> RobustFit:
         return _fitted(start, replace(facts, distortion=name), size, dependence, decentring)
-    trials = {name: fitted(name, fit) for name in _families(fit, size)}
+    trials = {name: fitted(name, fit) for name in names}
     if 'rational' in trials:
         # from a polynomial none but polynomials are found: its denominator begins at one
-        fisheye = trials.get('equidistant') or fitted('equidistant', fit)
         least = _evidence(trials['rational'], dependence)
-        if _evidence(fisheye, dependence) > least:
-            other = fitted('rational', fisheye)
-            if _evidence(other, dependence) > least:
-                trials['rational'] = other
+        starts = [_with_simple_rational(min(trials.values(), key=lambda trial: trial.cost))]
+        if _evidence(trials['equidistant'], dependence) > least:
+            starts.append(trials['equidistant'])
+        others = [trials['rational'], *(fitted('rational', start) for start in starts)]
+        trials['rational'] = max(others, key=lambda trial: _evidence(trial, dependence))
     return trials
+
+
+def _with_simple_rational(fit: RobustFit) -> RobustFit:
+    """Start a rational lens from its simplest denominator: eight terms have several optima."""
+    state = with_lens(fit.state, fit.observations.xy, 'rational', SIMPLE_RATIONAL)
+    return replace(fit, state=state)
 
 
 def _nothing(fit: RobustFit) -> np.ndarray:
@@ -174,10 +194,9 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     lens = fit.state.lens
     if not lens.model.is_perspective:
         return 'equidistant', 'plumb_bob', 'rational'
-    if _is_barrel(lens, size):
+    corner = float(np.hypot(*size)) / 2 / lens['f']
+    if _is_barrel(lens, size) or corner > WIDE_CORNER or _is_bent(lens, size):
         return 'plumb_bob', 'equidistant', 'rational'
-    if float(np.hypot(*size)) / 2 > WIDE_CORNER * lens['f'] or _is_bent(lens, size):
-        return 'plumb_bob', 'rational'
     return ('plumb_bob',)
 
 
@@ -231,11 +250,16 @@ def _refitted(fit: RobustFit, state: SceneState, priors: Priors) -> RobustFit:
     return replace(fit, bundle=bundle, state=state)
 
 
-def with_lens(state: SceneState, xy: np.ndarray, name: str) -> SceneState:
-    """Return a state with the lens of another model that is nearest to its own at pixels xy."""
+def with_lens(state: SceneState, xy: np.ndarray, name: str,
+              terms: tuple[str, ...] = ()) -> SceneState:
+    """
+    Return a state with the lens of another model that is nearest to its own at pixels xy.
+
+    With `terms` the others are zero, and a lens of the same model is fitted anew, too.
+    """
     model, names = LENS_CHOICES[name]
     lens = state.lens
-    if lens.model is model:
+    if lens.model is model and not terms:
         return state
     camera = lens.camera()
     rays = camera.rays(xy)
@@ -243,7 +267,7 @@ def with_lens(state: SceneState, xy: np.ndarray, name: str) -> SceneState:
     if model.is_perspective:
         seen &= rays[:, 2] > np.cos(WIDEST_PERSPECTIVE)
     image = camera.pinhole.normalised(xy[seen])
-    values = fitted_coefficients(model, names, rays[seen], image)
+    values = fitted_coefficients(model, terms or names, rays[seen], image)
     return replace(state, lens=Lens(np.r_[lens.values[:len(MATRIX_NAMES)], values], model))
 
 

@@ -145,13 +145,17 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     """
     dependence = robust_covariance_of(fit, problem.size).inflation**2
 
+    def dependence_of(trial: RobustFit) -> float:
+        return (dependence if trial is fit
+                else float(robust_covariance_of(trial, problem.size).inflation**2))
+
     def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
         covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
         status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
                                   trial.bundle.sigma_px)
         return 'unobservable' not in status.values()
 
-    lens = choose_lens(fit, problem.facts, problem.size, dependence, determined)
+    lens = choose_lens(fit, problem.facts, problem.size, dependence_of, determined)
     fit, facts = lens.fit, lens.facts
     known = robust_covariance_of(fit, problem.size).inflation**2
     exact = False

@@ -144,10 +144,12 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
             return in_the_way
     if not result and result.kind in MAY_BE_MOVING:
         # most of what the starts look at may move, as long tracks ahead of a vehicle do
+        unexplained = result.kind in UNEXPLAINED
         for motion in motions:
             focal_px = likely_focal_lengths(size, problem.bend, FOCAL_SWEEP)[:COHERENT_STARTS]
             found = _of_coherent_tracks(replace(problem, motion=motion), graph, (
-                supposed_camera(one, size, facts, problem.bend) for one in focal_px))
+                supposed_camera(one, size, facts, problem.bend) for one in focal_px),
+                may_stand=unexplained)
             if found:
                 return found
     if result and result.focal is not None and motion is not motions[0]:
@@ -222,6 +224,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if isinstance(started, NoEstimate):
         return started
     start, noise_px = started
+    if near is not None and not noise_px < EXPLAINED * problem.noise_px:
+        start, noise_px = near.state, near.bundle.sigma_px
     as_far_as_told = 'general' if problem.motion.keeps_plane else 'unknown'
     if start is None or not np.isfinite(noise_px):
         return NoEstimate('no_start', noise_px=problem.noise_px, motion=as_far_as_told)
@@ -373,14 +377,30 @@ def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph
 
 def _of_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
                         proposals: Iterable[Camera], rival: RobustFit | None = None,
-                        ) -> Calibration | None:
-    """Calibrate from what the most coherent half of the tracks says that stands still."""
+                        may_stand: bool = False) -> Calibration | None:
+    """
+    Calibrate from what the most coherent half of the tracks says that stands still.
+
+    Where all of it may stand, it is calibrated from all, with the half as a start.
+    """
     # what is of one instant stands still; tracks are not parted while their rows are read in turn
     if (graph.given is None or not problem.instants or problem.observations.shutter is not None
             or problem.window().views < problem.views):
         return None
     half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals)
-    return None if half is None else _of_sorted(half, problem, graph, rival)
+    if half is None:
+        return None
+    parted = _of_sorted(half, problem, graph, rival)
+    if parted is not None or not may_stand:
+        return parted
+    # where nothing moves it was the starts that failed: this one began with fewer tracks
+    medium, _ = problem.observations.select(problem.observations.longest(MODEL_TRACKS_PER_VIEW))
+    state = near_state(half, medium)
+    if state is None or first_fit(problem, medium, state).outliers > (
+            MANY_REJECTED * len(medium.view)):
+        return None
+    whole = _attempt_any_focal(problem, graph, [half.state.camera(*problem.size)], half)
+    return whole or None
 
 
 def _is_zoom_or_two(fit: RobustFit, found: SortedTracks, problem: SelfCalibrationProblem,

@@ -265,7 +265,7 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
             trial.state.camera(*size), covariance, stated, trial.bundle.sigma_px).values()
 
     # a step aside that goes with the turn looks like decentring: lenses have the last word
-    return choose_lens(fit, facts, size, 1.0, determined, ORDINARY_DECENTRING)
+    return choose_lens(fit, facts, size, lambda _: 1.0, determined, ORDINARY_DECENTRING)
 
 
 def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], stated: CameraFacts,
