@@ -69,12 +69,14 @@ class PairGeometry:
     @classmethod
     def of(cls, pairs: Sequence[tuple[int, int, np.ndarray, DivisionModel]], images: int,
            ) -> PairGeometry:
-        """Collect (first, second, F as `EpipolarImages` has it, lens)."""
+        """Collect finite ones of (first, second, F as `EpipolarImages` has it, lens)."""
         number = np.full((images, images), -1)
         F: list[np.ndarray] = []
         lenses: list[DivisionModel] = []
         for first, second, matrix, lens in pairs:
             lifted = EpipolarImages(lens).of_lifted(matrix)
+            if not np.isfinite(lifted).all():
+                continue
             for a, b, one in ((first, second, lifted), (second, first, lifted.T)):
                 number[a, b] = len(F)
                 F.append(one)
@@ -182,7 +184,7 @@ def along_tracks(geometry: PairGeometry, image: np.ndarray, track: np.ndarray,
     xy : ndarray, shape (N, 2)
         Pixels.
     affine : ndarray, shape (N, 2, 2)
-        From the reference; of the references the identity.
+        From the template of the track, which the reference shows alike: nearly the identity.
 
     Returns
     -------

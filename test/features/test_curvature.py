@@ -151,7 +151,7 @@ def test_positions_in_images_of_a_plane_are_off_as_predicted(seed):
 
 
 def test_where_no_geometry_is_known_nothing_is_taken_off():
-    geometry = PairGeometry.of([], 3)
+    geometry = PairGeometry.of([(0, 1, np.full((3, 3), np.nan), STRAIGHT)], 3)
     second = along_tracks(geometry, np.array([0, 1, 2]), np.zeros(3, int),
                           np.array([False, True, False]), np.ones((3, 2)),
                           np.tile(1.1 * np.eye(2), (3, 1, 1)))

@@ -147,9 +147,10 @@ def graph(ros_environment):
 
     yield make
     for one in made:
+        # what still refers to a node must go before it: rclpy crashed at a node's end else
+        one.executor.shutdown()
         for node in one.nodes:
             node.destroy_node()
-        one.executor.shutdown()
     rclpy.try_shutdown()
 
 
