@@ -54,6 +54,9 @@ WIDE_CORNER = 1.0
 SIMPLE_RATIONAL = ('k1', 'k2', 'k3', 'k4')
 #: Log of the odds beyond which a family is certain: 400 to 1.
 CERTAIN = 6.0
+#: Log of the odds of a family before any image is seen, over those of the others: four fifths of
+#: 9810 measured lenses are narrower than 100 degrees, where a polynomial is the usual model.
+PRIOR_LOG_ODDS = {'plumb_bob': 1.4}
 #: Where a family lowers the cost to less than this share, the lens of the start was wrong, and
 #: what it left is no measure of the noise.
 WRONG_START = 0.7
@@ -145,8 +148,8 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
         fit = replace(least, bundle=least.bundle.with_sigma(least.bundle.noise_sigma(least.state)))
         dependence = dependence_of(fit)
         trials = _trials(fit, names, facts, size, dependence, decentring)
-    tried = [(_evidence(trial, dependence), trial, replace(facts, distortion=name))
-             for name, trial in trials.items()]
+    tried = [(_evidence(trial, dependence) + PRIOR_LOG_ODDS.get(name, 0.0), trial,
+              replace(facts, distortion=name)) for name, trial in trials.items()]
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
     if len(tried) > 1:
