@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 import time
 
 from bench.inputs import data_folder, grey_frames, image_files, truth_of
@@ -135,6 +136,17 @@ def recorded(report: Report) -> None:
     fisheye(report)
 
 
+def room_board(folder: Path) -> tuple[Chessboard, list, Tracks]:
+    """Find the board in the images of `fisheye_room`: itself, corners by view, and as tracks."""
+    board, seen = Chessboard(8, 6, 0.117), []
+    # the last image is a copy of the first
+    for _, image, _ in grey_frames(image_files(folder)[:-1]):
+        identity, xy = board.find(image)
+        if len(identity):
+            seen.append(xy)
+    return board, seen, _tracks(seen, (748, 480))
+
+
 def fisheye(report: Report) -> None:
     """Compare a board before a full-circle fisheye with `cv2.fisheye.calibrate`."""
     name = 'fisheye_room'
@@ -144,13 +156,7 @@ def fisheye(report: Report) -> None:
     if folder is None or not hasattr(cv2, 'fisheye'):
         report.say(f'Left out: ../shared/data/{name} or cv2.fisheye is not there.')
         return
-    board, seen = Chessboard(8, 6, 0.117), []
-    # the last image is a copy of the first
-    for _, image, _ in grey_frames(image_files(folder)[:-1]):
-        identity, xy = board.find(image)
-        if len(identity):
-            seen.append(xy)
-    tracks = _tracks(seen, (748, 480))
+    board, seen, tracks = room_board(folder)
     began = time.perf_counter()
     result = calibrate_known_object(tracks, board.known, facts=FREE_ASPECT, flatness=0)
     seconds = time.perf_counter() - began

@@ -25,16 +25,16 @@ import time
 from bench.colmap_peer import calibrate_lenses_with_colmap, is_installed
 from bench.held_lens import distance_after_similarity, observations_of, under_lens
 from bench.inputs import data_folder, grey_frames, image_files
+from bench.known_object import room_board
 from bench.lens_distance import angles_deg, pixel_grid, projection_distance, rms
 from bench.tables import percent, Report
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 from selfcal_ros import (calibrate, calibrate_known_object, Calibration, Camera, CameraFacts,
-                         NotCalibrated, Tracks)
+                         NotCalibrated)
 from selfcal_ros.features.extraction import extract_tracks
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.targets import Chessboard
 from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
 from selfcal_ros.synthetic.wide_recordings import fisheye_drive, hand_walk
 
@@ -213,6 +213,7 @@ def rendered(report: Report, make, circle: int, work: Path, options) -> None:
 def room(report: Report, work: Path, options) -> None:
     """Calibrate the full-circle fisheye of a room: without its board, then with it."""
     folder = data_folder('fisheye_room')
+    board = bent_board(folder) if folder else None
     for name, painted in (('room_painted', True), ('room_board', False)):
         what = 'its board painted grey' if painted else 'the board left in'
         report.section(f'fisheye_room, 15 images, {what}',
@@ -252,7 +253,6 @@ def room(report: Report, work: Path, options) -> None:
             report.verdict('fx error', percent(camera.K[0, 0], true.K[0, 0]), 0.5, '%')
             report.verdict('truth from the result, largest of fx, cx, cy',
                            sigmas_from(found.result, true), 3.0, 'stated sigmas')
-            board = bent_board(folder)
             if board:
                 report.verdict('the board with its bend estimated, largest of fx, cx, cy',
                                sigmas_between(found.result, board), 3.0, 'sigmas of both')
@@ -260,13 +260,7 @@ def room(report: Report, work: Path, options) -> None:
 
 def bent_board(folder: Path) -> Calibration | NotCalibrated:
     """Calibrate from the board of the room, whose published lens takes it for flat."""
-    board, seen = Chessboard(8, 6, 0.117), []
-    for _, image, _ in grey_frames(image_files(folder)[:-1]):
-        identity, xy = board.find(image)
-        if len(identity):
-            seen.append(xy)
-    frame, track = np.indices((len(seen), len(seen[0])))
-    tracks = Tracks(frame.ravel(), track.ravel(), np.concatenate(seen), (748, 480))
+    board, _, tracks = room_board(folder)
     return calibrate_known_object(tracks, board.known, facts=CameraFacts(
         skew=0.0, distortion='equidistant'))
 

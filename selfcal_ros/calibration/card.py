@@ -117,17 +117,24 @@ def refusal_card(grade: str, reason: str, advice: str, facts: Iterable[str]) -> 
 
 
 def _measured(value: float, sigma: float, status: str) -> str:
-    text, spread = with_sigma(value, sigma if status == 'estimated' else 0.0)
-    if status == 'unobservable':
-        return f'{text} <small>not determined</small>'
-    return f'<b>{text}</b> <small>± {spread}</small>' if spread else text
+    text, remark = _in_words(value, sigma, status)
+    if not remark:
+        return text
+    shown = f'<b>{text}</b>' if status == 'estimated' else text
+    return f'{shown} <small>{remark}</small>'
 
 
 def _measured_text(value: float, sigma: float, status: str) -> str:
+    text, remark = _in_words(value, sigma, status)
+    return f'{text} ({remark})' if status == 'unobservable' else f'{text} {remark}'.rstrip()
+
+
+def _in_words(value: float, sigma: float, status: str) -> tuple[str, str]:
+    """Write a value, and how well it is known; nothing where it is held."""
     text, spread = with_sigma(value, sigma if status == 'estimated' else 0.0)
     if status == 'unobservable':
-        return f'{text} (not determined)'
-    return f'{text} ± {spread}' if spread else text
+        return text, 'not determined'
+    return text, f'± {spread}' if spread else ''
 
 
 def _card(grade: str, facts: Iterable[str], body: str, notes: Iterable[str]) -> str:

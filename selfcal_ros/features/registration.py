@@ -235,9 +235,10 @@ class PatchRegistration:
         # a weak pull towards no deformation keeps the affine part of poor texture in bounds
         scale = 0.5 * (normal[:, 0, 0] + normal[:, 1, 1])
         pull = np.array([1e-6, 1e-6] + 4 * [0.02 * self.half_px ** 2])
-        where_it_ends = normal + (0.05 * scale)[:, None, None] * np.diag(pull).astype(np.float32)
-        normal = normal + scale[:, None, None] * np.diag(pull).astype(np.float32)
-        normal += np.eye(6, dtype=np.float32) * 1e-9
+        pull = scale[:, None, None] * np.diag(pull).astype(np.float32)
+        normal = normal + np.eye(6, dtype=np.float32) * 1e-9
+        # the pull holds single steps back, not where they end
+        where_it_ends, normal = normal + 0.05 * pull, normal + pull
         inverse = np.linalg.inv(normal.astype(float))
         noise = SHARED_NOISE * 0.01 * np.sqrt((self.window ** 2).sum())
         sigma = noise * np.sqrt(np.maximum(inverse[:, 0, 0], inverse[:, 1, 1]))
@@ -249,7 +250,6 @@ class PatchRegistration:
         own = (weighted_blur * blurred).sum(axis=1)
         left = np.maximum(own - (coupling[:, :, 0] * blur_warp).sum(axis=1), 0.01 * own) + 1e-9
         blur_row = (weighted_blur - (np.swapaxes(coupling, 1, 2) @ solver)[:, 0]) / left[:, None]
-        # the pull holds single steps back, not where they end
         ends = (np.linalg.inv(where_it_ends.astype(float))[:, :2] @ weighted).astype(np.float32)
         response = np.swapaxes((ends[:, None] * gradients[:, :, None]) @ self._bent, 1, 2)
         return Templates(values, solver, blur_row.astype(np.float32), blur_warp,

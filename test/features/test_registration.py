@@ -86,6 +86,13 @@ def test_a_flat_patch_has_no_certain_position():
     assert correlation[0] < 0.7
 
 
+def test_a_patch_without_any_texture_is_no_error():
+    image = DoubledImage.of(np.full((64, 64), 90, np.float32))
+    templates = PatchRegistration(7).templates(image, np.array([[32.0, 32.0]]))
+    assert np.isfinite(templates.response).all()
+    assert templates.sigma[0] > 1
+
+
 @pytest.mark.parametrize('shift', [(0.1, 0.05), (0.25, 0.4), (0.42, 0.21)])
 def test_a_shift_by_part_of_a_pixel_is_found_to_thousandths(shift):
     # a bicubic kernel that does not keep a slope was 0.02 to 0.05 pixels off, alike at all points
