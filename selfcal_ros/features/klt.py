@@ -29,11 +29,14 @@ from selfcal_ros.features.registration import (DoubledImage, PatchRegistration, 
 _NO_GUESS: Any = None
 #: Options of the flow.
 _FLOW: dict[str, Any] = {
-    'winSize': (15, 15), 'maxLevel': 4,
+    'winSize': (11, 11), 'maxLevel': 4,
     'criteria': (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.03)}
 
 #: A position less certain than this is not worth an observation.
 _SIGMA_LIMIT_PX = 0.25
+#: Corners are looked for where fewer than this share of those after the last search are followed,
+#: and in one of so many images at least: others may have come into view.
+_STILL_FULL, _SEARCH_EVERY = 0.9, 5
 
 
 def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
@@ -208,6 +211,8 @@ class KltTracker:
         self._residue = np.empty((0, 2))
         self._anchors = np.empty((0, 2))
         self._templates: Templates | None = None
+        self._full, self._searched_before = self.most, _SEARCH_EVERY
+        self._searched_within: ImageMask | None = None
 
     def add(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -295,9 +300,13 @@ class KltTracker:
     def _replenish(self, grey, smooth):
         """Fill empty cells with new corners."""
         cell = max(12, int(np.sqrt(grey.size / self.most)))
-        if len(self._ids) > 0.9 * self.most:
+        self._searched_before += 1
+        if (len(self._ids) > _STILL_FULL * self._full and self.mask is self._searched_within
+                and self._searched_before < _SEARCH_EVERY):
             return
         xy = corners(grey, cell, self._xy, mask=self.mask)
+        self._full, self._searched_before = len(self._ids) + len(xy), 0
+        self._searched_within = self.mask
         if not len(xy):
             return
         fresh = self._registration.templates(smooth, xy)
