@@ -99,6 +99,9 @@ class Calibrator(Node):
         # rclpy hands the number of a message to who takes two arguments, and its types know one
         self.tracks = self.create_subscription(
             PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)  # type: ignore[arg-type]
+        self._announced = self.create_subscription(
+            CameraInfo, announcements_of(self.tracks.topic_name), self._on_announced, PER_IMAGE)
+        self._answered: deque[int] = deque(maxlen=_ANSWERED)
         self._count = LossCount()
         self._watchdog = InputWatchdog(self, 'tracks', self._topics, self.parameters.silence_s)
         self._rivals = RivalPublishers(
@@ -150,7 +153,19 @@ class Calibrator(Node):
                 self._interrupted(self._session.add_tracks(
                     frame.stamp_ns, frame.track, frame.xy, frame.image_size))
                 self._watch.offer(frame.image_size)
-        self._publish_camera_info(msg.header)
+        if stamp_ns(msg.header.stamp) not in self._answered:
+            self._publish_camera_info(msg.header)
+
+    def _on_announced(self, msg: CameraInfo):
+        size = (msg.width, msg.height)
+        if min(size) > 0 and stamp_ns(msg.header.stamp) not in self._answered:
+            self.announce(msg.header, size)
+
+    def listen_no_more(self):
+        """End the subscriptions: tracks come by `take`."""
+        for subscription in (self.tracks, self._announced):
+            self.destroy_subscription(subscription)
+        self.tracks = None
 
     def announce(self, header, image_size: tuple[int, int]) -> None:
         """Publish the CameraInfo of an image whose tracks will follow (`TracksListener`)."""
@@ -165,6 +180,7 @@ class Calibrator(Node):
         self._watch.offer(image_size)
 
     def _publish_camera_info(self, header):
+        self._answered.append(stamp_ns(header.stamp))
         self._mount.camera_frame = self.parameters.camera_frame or header.frame_id.lstrip('/')
         calibration = self._session.calibration
         camera = calibration.camera_of(self._session.newest) if calibration else None

@@ -84,8 +84,7 @@ def hand_over(nodes: list) -> None:
             if hasattr(listener, 'announce') and listener.tracks is not None \
                     and listener.tracks.topic_name == tracker.tracks.topic_name:
                 tracker.listeners.append(listener)
-                listener.destroy_subscription(listener.tracks)
-                listener.tracks = None
+                listener.listen_no_more()
 
 
 def main(args=None) -> int:

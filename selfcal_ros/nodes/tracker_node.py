@@ -20,6 +20,7 @@ import time
 from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
+from msg_adapters.camera_info import camera_info_message
 from msg_adapters.diagnostics import diagnostics_message, OK, STALE, status_message, WARN
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
@@ -35,12 +36,13 @@ from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import FeatureTrackerParameters
-from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import (announcements_of, IMAGES_OUT, PER_IMAGE,
+                                                  STEADY)
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.pipeline.size_guard import SizeGuard
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.report.tracks_overlay import TracksOverlay
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 #: So many images wait at most while another is followed; a short hindrance costs none.
 MOST_WAITING = 5
@@ -85,6 +87,8 @@ class FeatureTracker(Node):
         self._waiting: deque[Any] = deque()
         self._next = self.create_guard_condition(self._follow_next)
         self.tracks = self.create_publisher(PointCloud2, 'tracks', PER_IMAGE)
+        self._announced = self.create_publisher(
+            CameraInfo, announcements_of(self.tracks.topic_name), PER_IMAGE)
         self._overlay = self.create_publisher(Image, '~/overlay', IMAGES_OUT)
         self._inputs = ImageInputs(self, self._on_image, self._is_heard,
                                    transport=self.parameters.image_transport,
@@ -143,8 +147,7 @@ class FeatureTracker(Node):
         size = (msg.width, msg.height) if isinstance(msg, Image) else self._size
         if self._size is None or size != self._size:
             return
-        for listener in self.listeners:
-            listener.announce(msg.header, self._size)
+        self._announce(msg.header, self._size)
         if not self.listeners or self.tracks.get_subscription_count():
             self.tracks.publish(tracks_message([], [], self._size, msg.header, self._types))
 
@@ -171,8 +174,7 @@ class FeatureTracker(Node):
         except InputError as error:
             self.get_logger().warning(f'image dropped: {error}', throttle_duration_sec=5.0)
             return
-        for listener in self.listeners:
-            listener.announce(msg.header, size)
+        self._announce(msg.header, size)
         ids, xy = self._tracker.add(grey)
         for listener in self.listeners:
             listener.take(msg.header, size, ids, xy)
@@ -181,6 +183,13 @@ class FeatureTracker(Node):
         if self._overlay.get_subscription_count():
             self._overlay.publish(image_message(self._drawing.draw(grey, ids, xy), msg.header,
                                                 self._types))
+
+    def _announce(self, header, size: tuple[int, int]):
+        """Tell of an image before its points are followed: its CameraInfo need not wait."""
+        for listener in self.listeners:
+            listener.announce(header, size)
+        if self._announced.get_subscription_count():
+            self._announced.publish(camera_info_message(None, header, self._types, size))
 
     def _diagnose(self):
         """Say what became of the images, and warn once where they are being lost."""
