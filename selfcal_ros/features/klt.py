@@ -36,7 +36,7 @@ _FLOW: dict[str, Any] = {
 _SIGMA_LIMIT_PX = 0.25
 #: Corners are looked for where fewer than this share of those after the last search are followed,
 #: and in one of so many images at least: others may have come into view.
-_STILL_FULL, _SEARCH_EVERY = 0.9, 5
+_STILL_FULL, _SEARCH_EVERY = 0.8, 15
 
 
 def corners(grey: np.ndarray, cell_px: int, occupied: np.ndarray | None = None,
@@ -212,7 +212,7 @@ class KltTracker:
         self._anchors = np.empty((0, 2))
         self._templates: Templates | None = None
         self._full, self._searched_before = self.most, _SEARCH_EVERY
-        self._searched_within: ImageMask | None = None
+        self._searched: tuple[int, ImageMask | None] = (self.most, self.mask)
 
     def add(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -301,12 +301,13 @@ class KltTracker:
         """Fill empty cells with new corners."""
         cell = max(12, int(np.sqrt(grey.size / self.most)))
         self._searched_before += 1
-        if (len(self._ids) > _STILL_FULL * self._full and self.mask is self._searched_within
+        wanted = (self.most, self.mask)
+        if (len(self._ids) > _STILL_FULL * self._full and wanted == self._searched
                 and self._searched_before < _SEARCH_EVERY):
             return
         xy = corners(grey, cell, self._xy, mask=self.mask)
         self._full, self._searched_before = len(self._ids) + len(xy), 0
-        self._searched_within = self.mask
+        self._searched = wanted
         if not len(xy):
             return
         fresh = self._registration.templates(smooth, xy)

@@ -40,10 +40,11 @@ from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.mount_publisher import mount_values, MountPublisher
+from selfcal_ros.nodes.once_per_image import OncePerImage
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import CalibratorParameters
-from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import announcements_of, LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.robot_topic import live_robot, RobotTopic
 from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
@@ -62,7 +63,8 @@ from std_srvs.srv import Trigger
 
 class Calibrator(Node):
     """
-    Subscribes to `tracks`; publishes `camera_info`, `~/result`, diagnostics and the scene.
+    Subscribes to `tracks` and `tracks/announced`; publishes `camera_info`, `~/result`,
+    diagnostics and the scene.
 
     Parameters
     ----------
@@ -101,7 +103,7 @@ class Calibrator(Node):
             PointCloud2, 'tracks', self._on_tracks, PER_IMAGE)  # type: ignore[arg-type]
         self._announced = self.create_subscription(
             CameraInfo, announcements_of(self.tracks.topic_name), self._on_announced, PER_IMAGE)
-        self._answered: deque[int] = deque(maxlen=_ANSWERED)
+        self._messages = OncePerImage()
         self._count = LossCount()
         self._watchdog = InputWatchdog(self, 'tracks', self._topics, self.parameters.silence_s)
         self._rivals = RivalPublishers(
@@ -153,13 +155,15 @@ class Calibrator(Node):
                 self._interrupted(self._session.add_tracks(
                     frame.stamp_ns, frame.track, frame.xy, frame.image_size))
                 self._watch.offer(frame.image_size)
-        if stamp_ns(msg.header.stamp) not in self._answered:
+        if self._messages.is_first('tracks', stamp_ns(msg.header.stamp)):
             self._publish_camera_info(msg.header)
 
     def _on_announced(self, msg: CameraInfo):
-        size = (msg.width, msg.height)
-        if min(size) > 0 and stamp_ns(msg.header.stamp) not in self._answered:
-            self.announce(msg.header, size)
+        """Publish the CameraInfo of an image whose tracks will follow."""
+        # one of another size waits for its tracks, which begin anew
+        if (msg.width, msg.height) == self._size and self._messages.is_first(
+                'announced', stamp_ns(msg.header.stamp)):
+            self._publish_camera_info(msg.header)
 
     def listen_no_more(self):
         """End the subscriptions: tracks come by `take`."""
@@ -180,7 +184,6 @@ class Calibrator(Node):
         self._watch.offer(image_size)
 
     def _publish_camera_info(self, header):
-        self._answered.append(stamp_ns(header.stamp))
         self._mount.camera_frame = self.parameters.camera_frame or header.frame_id.lstrip('/')
         calibration = self._session.calibration
         camera = calibration.camera_of(self._session.newest) if calibration else None

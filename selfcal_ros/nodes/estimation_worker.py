@@ -16,9 +16,14 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
 
 from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
+
+#: The interpreter changes threads after so long, seconds: a message waits so long for an estimate
+#: at every step of its answer. By default it is ten times as long.
+SWITCH_S = 5e-4
 
 
 class EstimationWorker:
@@ -32,6 +37,7 @@ class EstimationWorker:
         # now, and not when the first job waits; here, for a thread that loads libraries must not
         # be ended
         load_estimator()
+        sys.setswitchinterval(SWITCH_S)
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._results: queue.Queue[JobResult] = queue.Queue()
         threading.Thread(target=self._work, daemon=True, name='estimation').start()

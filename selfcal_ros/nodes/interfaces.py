@@ -42,6 +42,9 @@ class Endpoint:
 
 _CALIBRATOR = (
     Endpoint('in', 'tracks', 'sensor_msgs/PointCloud2', 'x, y, id of the points of one image'),
+    Endpoint('in', 'tracks/announced', 'sensor_msgs/CameraInfo',
+             'optional: an image whose tracks will follow; its `camera_info` does not wait for '
+             'them'),
     Endpoint('in', 'driver/camera_info', 'sensor_msgs/CameraInfo',
              'optional: that of a driver without a calibration, for its binning and region of '
              'interest'),
@@ -78,6 +81,9 @@ INTERFACES = {
         Endpoint('out', 'tracks', 'sensor_msgs/PointCloud2',
                  'x, y (pixels) and id of the points of each image, with its stamp and frame; '
                  'no points where there was no time to follow them'),
+        Endpoint('out', 'tracks/announced', 'sensor_msgs/CameraInfo',
+                 'stamp, frame and size of each image before its points are followed, without a '
+                 'calibration; a calibrator answers it at once'),
         Endpoint('out', '~/overlay', 'sensor_msgs/Image',
                  'the tracks drawn over each image, for RViz and Foxglove; only while somebody '
                  'subscribes'),
