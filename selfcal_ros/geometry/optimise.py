@@ -233,8 +233,30 @@ class PointBlocks:
         ReducedSystem
 
         """
-        g, v, p = jac_shared.shape[2], jac_view.shape[2], jac_point.shape[2]
+        v = jac_view.shape[2]
         full = np.concatenate([jac_shared, jac_view], axis=2) if v else jac_shared
+        return self.reduce_rows(full, v, jac_point, residual, damping)
+
+    def reduce_rows(self, full: np.ndarray, v: int, jac_point: np.ndarray,
+                    residual: np.ndarray, damping: float = 0.0) -> ReducedSystem:
+        """
+        Do as `reduce`, of the rows that it puts together: no copy of many unknowns is made.
+
+        Parameters
+        ----------
+        full : ndarray, shape (N, m, g + v)
+            By what is shared, then by the unknowns of the view.
+        v : int
+        jac_point : ndarray, shape (N, m, p)
+        residual : ndarray, shape (N, m)
+        damping : float
+
+        Returns
+        -------
+        ReducedSystem
+
+        """
+        g, p = full.shape[2] - v, jac_point.shape[2]
         matrix: np.ndarray | ChainMatrix
         if self.chain is not None and v:
             matrix, place = ChainMatrix(self.chain, g, v), self.chain.place
@@ -245,8 +267,9 @@ class PointBlocks:
         diagonal = matrix.diagonal().copy()
 
         if v:
-            H, shared = self._products_of_few(jac_point, jac_shared)
-            cross = np.swapaxes(jac_point, 1, 2) @ jac_view                  # (N, p, v)
+            H, shared = self._products_of_few(jac_point, full)
+            shared = shared[..., :g]
+            cross = np.swapaxes(jac_point, 1, 2) @ full[:, :, g:]            # (N, p, v)
             if len(self._cells) < len(cross):
                 cross = np.add.reduceat(cross, self._cells, axis=0)
         else:

@@ -133,6 +133,10 @@ class ReducedSystem:
             return self.matrix.columns(places)
         return self.matrix[:, places]
 
+    def _by_shared(self) -> np.ndarray:
+        """Derivatives of all rows by what is shared, (N m, g); no copy."""
+        return self.jac_rest.reshape(-1, self.jac_rest.shape[2])[:, :self._shared]
+
     def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Eliminate the points from Jᵀ r.
@@ -148,11 +152,11 @@ class ReducedSystem:
 
         """
         g = self._shared
-        rest = np.einsum('nmk,nm->nk', self.jac_rest, residual)
         gradient = np.empty(len(self.matrix))
-        gradient[:g] = rest[:, :g].sum(axis=0)
+        gradient[:g] = residual.ravel() @ self._by_shared()
         if len(gradient) > g:
-            gradient[g:] = self.blocks.sum_over_views(rest[:, g:]).ravel()
+            gradient[g:] = self.blocks.sum_over_views(np.einsum(
+                'nmk,nm->nk', self.jac_rest[:, :, g:], residual)).ravel()
         b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
         half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
         for members, M, own in self._factors:
@@ -186,12 +190,14 @@ class ReducedSystem:
 
         """
         g = self._shared
-        rest = np.einsum('nmk,nm->nk', self.jac_rest, self.residual)
-        effect = rest[:, :g] @ rows[:, :g].T
-        if rest.shape[1] > g:
+        # of every row first: there are fewer forms than shared unknowns
+        moved = (self._by_shared() @ rows[:, :g].T).reshape(*self.residual.shape, len(rows))
+        effect = np.einsum('nmk,nm->nk', moved, self.residual)
+        if self.jac_rest.shape[2] > g:
             by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1)
-            effect += np.einsum('nv,nvk->nk', rest[:, g:],
-                                by_view.transpose(1, 2, 0)[self.blocks.view])
+            effect += np.einsum('nv,nvk->nk', np.einsum(
+                'nmk,nm->nk', self.jac_rest[:, :, g:], self.residual),
+                by_view.transpose(1, 2, 0)[self.blocks.view])
         through_points = np.empty((*self.half_b.shape, len(rows)))
         for members, M, own in self._factors:
             local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)

@@ -229,15 +229,17 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     weight /= known * bundle.sigma_px**2
     root = np.sqrt(weight)[:, None]
     others = np.empty((*bundle.xy.shape, 0)) if rival is None else rival.columns
-    shared = np.concatenate([linearisation.shared, modes, others], axis=2)
-    shared *= root[..., None]
-    system = bundle.blocks.reduce(shared, linearisation.view * root[..., None],
-                                  linearisation.eliminated * root[..., None],
-                                  linearisation.residual * root)
+    every_shared = shared_count + count + others.shape[2]
+    # many columns: one copy, and weighed in place
+    rows = np.concatenate([linearisation.shared, modes, others, linearisation.view], axis=2)
+    rows *= root[..., None]
+    system = bundle.blocks.reduce_rows(rows, linearisation.view.shape[2],
+                                       linearisation.eliminated * root[..., None],
+                                       linearisation.residual * root)
     # of the adjustment's unknowns, and of the field
-    place = np.r_[:shared_count, shared.shape[2]:len(system.matrix)]
+    place = np.r_[:shared_count, every_shared:len(system.matrix)]
     field = np.arange(shared_count, shared_count + count)
-    besides = np.arange(shared_count + count, shared.shape[2])
+    besides = np.arange(shared_count + count, every_shared)
     bundle.add_priors(system, state, place, 1 / known)
     gauge = bundle.model.gauge(state, unknowns)
     if gauge is not None:
