@@ -23,7 +23,8 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens, gentle_lens
-from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
+from selfcal_ros.calibration.initialisation.initial_structure import (chained_centres,
+                                                                      PairGeometry,
                                                                       relative_rotations)
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 
@@ -73,3 +74,6 @@ def test_pairs_where_a_supposed_lens_has_no_rays_are_no_cause_for_a_warning():
     pair = PairGeometry(0, 1, np.eye(3), np.arange(12), *corner)
 
     assert np.isfinite(relative_rotations([pair], lens)).all()
+    for planar in (False, True):
+        assert np.isfinite(chained_centres([pair], lens, np.tile(np.eye(3), (2, 1, 1)),
+                                           planar)).all()

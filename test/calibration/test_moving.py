@@ -30,6 +30,7 @@ from selfcal_ros.calibration.estimators.zoom_selection import contradicted, zoom
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
 from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
+from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies
 from selfcal_ros.calibration.moving.sorting import explained_share, explains_all, moving_findings
 from selfcal_ros.calibration.moving.track_test import judged
@@ -210,6 +211,33 @@ def test_few_still_tracks_fail_by_chance():
     assert found.explained.mean() > 0.99
     drifted = judged(point, np.where(point < 300, distance + 2.2, distance))
     assert drifted.explained[:300].mean() < 0.1 and drifted.explained[300:].mean() > 0.99
+
+
+def crowd(rng, crossing=False, drifting=False, gross=0.02):
+    """Tell whether tracks of four views crowd, where in a few views half of them cross."""
+    first = rng.integers(0, 17, 600)
+    point, view = np.repeat(np.arange(600), 4), (first[:, None] + np.arange(4)).ravel()
+    distance = np.sqrt(rng.chisquare(2, 2400) * 5 / 8)
+    near, crosses = (first >= 6) & (first <= 9), rng.random(600) < 0.5
+    if drifting:
+        distance *= np.repeat(rng.uniform(0.8, 2, 600), 4)
+    if crossing:
+        # what stands still fits badly there, too
+        distance *= np.repeat(np.where(near, np.where(crosses, 4.0, 2.0), 1.0), 4)
+    distance[rng.random(2400) < gross] = 50.0
+    observations = Observations(view, point, np.zeros((2400, 2)), np.arange(600))
+    return crowd_in_few_views(judged(point, distance), observations)
+
+
+@pytest.mark.parametrize('seed', range(51, 54))
+def test_what_crosses_crowds_in_the_views_that_see_it(seed):
+    def found(**what):
+        return crowd(np.random.default_rng(seed), **what)
+
+    assert found(crossing=True)
+    # others that fail as wholes are in all views
+    assert not found() and not found(drifting=True) and not found(gross=0.1)
+    assert not found(crossing=True, drifting=True)
 
 
 def test_shares_of_labels():

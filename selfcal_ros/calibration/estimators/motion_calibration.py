@@ -54,9 +54,10 @@ from selfcal_ros.calibration.initialisation.problem import observations_of, Self
 from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
                                                                   supposed_camera)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
-                                                    moving_findings, sort_tracks, SortedTracks,
-                                                    stands_out)
+                                                    moving_findings, observed_twice, sort_tracks,
+                                                    SortedTracks, stands_out, tested_as_still)
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -338,21 +339,30 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
             or fit.observations.shutter is not None):
         return None
     given = graph.given.in_frames(frames)
-    if not stands_out(fit, tried, graph.tracks.in_frames(frames), given):
+    test = tested_as_still(fit, given)
+    if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
+        return _of_sorted(fit, problem, graph)
+    if test is None or not crowd_in_few_views(test, observed_twice(given)):
         return None
-    return _of_sorted(fit, problem, graph)
+    return _of_sorted(fit, problem, graph, bodies_alone=True)
 
 
 def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph,
-               rival: RobustFit | None = None, least: float = FEW) -> Calibration | None:
-    """Calibrate from what stands still by a fit, unless its rival explains that as well."""
+               rival: RobustFit | None = None, least: float = FEW,
+               bodies_alone: bool = False) -> Calibration | None:
+    """
+    Calibrate from what stands still by a fit, unless its rival explains that as well.
+
+    Of bodies alone where still tracks may fail as wholes, too: then all else tells nothing.
+    """
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
     if graph.given is None:
         return None
     given = graph.given.in_frames(frames)
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
     findings = moving_findings(found[0].labels, least) if found else ()
-    if not found or not findings:
+    if not found or not findings or (
+            bodies_alone and 'tracks_moving' not in [one.kind for one in findings]):
         return None
     sorted_tracks, still = found
     # what stands still without a zoom stands still with it, too, if there is one

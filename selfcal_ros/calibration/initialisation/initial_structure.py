@@ -325,6 +325,9 @@ def chained_centres(pairs, camera: Camera, rotations: np.ndarray, planar: bool) 
 
 def _step_direction(d_old, d_new, planar) -> np.ndarray:
     """Unit direction (3,) of a translation that all rays agree with, by re-weighting."""
+    if not len(d_old):
+        # a supposed lens that sees no match of the pair: any direction, for the adjustment to mend
+        return np.array([1.0, 0.0, 0.0])
     normal = np.cross(d_old, d_new)
     if planar:
         normal = normal[:, :2]

@@ -89,7 +89,8 @@ class SortedTracks:
     still_share: float
 
 
-def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tracks) -> bool:
+def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tracks,
+               test: TrackTest | None) -> bool:
     """
     Tell whether so many tracks were rejected or fit badly that they may be something else.
 
@@ -100,6 +101,8 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
         That it began with.
     agreeing, given : Tracks
         Observations of the fit's views that agree with the geometry of pairs, and all.
+    test : TrackTest or None
+        See `tested_as_still`.
 
     """
     names, length = np.unique(given.track, return_counts=True)
@@ -116,7 +119,6 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     share *= lost.sum() >= FEW_TRACKS
     if share > FEW_DRIFTING:
         return True
-    test = _tested(fit, given)
     if test is None:
         return bool(share > FEW)
     if drifts(test):
@@ -126,7 +128,7 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
 
 def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> float:
     """Share of some tracks that are still points by a fit; zero where none is judged."""
-    test = _tested(fit, given)
+    test = tested_as_still(fit, given)
     if test is None:
         return 0.0
     mine = np.isin(np.unique(given.with_at_least(2).track), identity) & test.tested
@@ -148,15 +150,20 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
             and (not len(moving) or explained_share(fine, given, moving) > MOST_MOVING))
 
 
-def _tested(fit: RobustFit, given: Tracks) -> TrackTest | None:
+def tested_as_still(fit: RobustFit, given: Tracks) -> TrackTest | None:
     """Judge the given tracks as points that stand still; None where that is not possible."""
-    given = given.with_at_least(2)
-    if len(given.frames) < len(fit.state.path):
+    observations = observed_twice(given)
+    if len(np.unique(observations.view)) < len(fit.state.path):
         return None
-    identity, point = np.unique(given.track, return_inverse=True)
-    test = test_tracks(fit.bundle, fit.state, Observations(
-        np.searchsorted(given.frames, given.frame), point, given.xy, identity))
+    test = test_tracks(fit.bundle, fit.state, observations)
     return test if test is not None and test.tested.any() else None
+
+
+def observed_twice(given: Tracks) -> Observations:
+    """Index all observations of the tracks that are seen twice."""
+    given = given.with_at_least(2)
+    identity, point = np.unique(given.track, return_inverse=True)
+    return Observations(np.searchsorted(given.frames, given.frame), point, given.xy, identity)
 
 
 def drifts(test: TrackTest) -> bool:
