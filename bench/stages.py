@@ -38,8 +38,8 @@ VIEWS = 24
 MOST_OVER_FLOOR, MOST_OF_COLMAP = 2.0, 0.1
 #: Stage and the function that does it.
 STAGES = (('look-alikes that never move', 'still_features'), ('pairs', 'propose_pairs'),
-          ('matching', 'match_pairs'), ('tracks', 'link'), ('registration', 'refine'),
-          ('verification', 'finish_tracks'))
+          ('matching', 'match_pairs'), ('tracks', 'link'),
+          ('registration', 'registered_positions'), ('verification', 'finish_tracks'))
 
 
 def run(report: Report, options) -> None:

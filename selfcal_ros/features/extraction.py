@@ -27,7 +27,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.detection import detect, Features
 from selfcal_ros.features.image_circle import within_circle
 from selfcal_ros.features.klt import followed_share, KltTracker
-from selfcal_ros.features.linking import link, refine
+from selfcal_ros.features.linking import link, registered_positions
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import match_pairs
 from selfcal_ros.features.moving_part import MovingPart, PART_STEP
@@ -44,8 +44,6 @@ _PROBE_FRAMES = 6
 _MAX_IMAGES = 60
 #: Median displacement between keyframes, as a share of the image diagonal.
 _KEYFRAME_STEP = 0.03
-#: Positions less certain than four times the median are dropped; bounds of that limit.
-SIGMA_LIMIT_PX = (0.08, 0.5)
 
 
 @dataclass(frozen=True)
@@ -241,14 +239,8 @@ def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], m
     stamps = {index: stamps[index] for index in indices}
     if not len(image):
         return Tracks([], [], np.empty((0, 2)), size, stamps), keyframes
-    offset = np.concatenate([[0], np.cumsum([len(feature.xy) for feature in features])])
-    node = offset[image] + place
-    xy = np.concatenate([feature.xy for feature in features])[node]
-    size_px = np.concatenate([feature.size_px for feature in features])[node]
     report('registration', 0)
-    xy, good, sigma_px = refine(images, image, track, xy, size_px, matches)
-    if good.any():
-        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
+    xy, good = registered_positions(features, images, image, place, track, matches)
     findings.append(Finding('positions_unregistered', dropped=int((~good).sum()),
                             positions=len(good)))
     tracks = Tracks(keyframes[image[good]], track[good], xy[good], size, stamps)

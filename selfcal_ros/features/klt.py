@@ -22,8 +22,7 @@ import cv2
 import numpy as np
 
 from selfcal_ros.features.mask import ImageMask
-from selfcal_ros.features.registration import (DoubledImage, PatchRegistration, SMOOTHING_PX,
-                                               Templates)
+from selfcal_ros.features.registration import DoubledImage, PatchRegistration, Templates
 
 #: Where the flow looks first: at the place itself.
 _NO_GUESS: Any = None
@@ -240,11 +239,11 @@ class KltTracker:
             self.mask.check(grey.shape)
         if self._grey is not None and self._grey.shape != grey.shape:
             self.reset()
-        smooth = DoubledImage.of(cv2.GaussianBlur(grey.astype(np.float32), (5, 5), SMOOTHING_PX))
+        self._smooth = smooth = DoubledImage.smoothed(grey)
         if len(self._ids):
             self._follow(grey, smooth)
         self._replenish(grey, smooth)
-        self._grey, self._smooth = grey, smooth
+        self._grey = grey
         return self._ids.copy(), self._xy.copy()
 
     def _follow(self, grey, smooth):
@@ -269,7 +268,6 @@ class KltTracker:
             good &= self.mask.allows(found)
         self._xy, self._affine = found, affine
         self._keep(good)
-        self._smooth = smooth
         if self.renews:
             self.renew()
 

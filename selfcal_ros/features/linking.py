@@ -20,7 +20,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 import os
 
-import cv2
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -29,11 +28,12 @@ from selfcal_ros.features.curvature import along_tracks, feigned_shift, PairGeom
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.matching import ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
-from selfcal_ros.features.registration import (DoubledImage, PatchRegistration, SMOOTHING_PX,
-                                               Templates)
+from selfcal_ros.features.registration import DoubledImage, PatchRegistration, Templates
 
 _REGISTRATION = PatchRegistration(half_px=7)
 _MIN_CORRELATION = 0.75
+#: Positions less certain than four times the median are dropped; bounds of that limit.
+SIGMA_LIMIT_PX = (0.08, 0.5)
 _LEVELS = 3
 #: Templates taken at a time, of 7 kB each, and bytes of smoothed images held ready.
 _TEMPLATES, _HELD_BYTES = 6000, 128_000_000
@@ -94,6 +94,30 @@ def _components(a, b, image):
     bad = np.zeros(number, bool)
     bad[component[order][1:][twice]] = True
     return component, bad
+
+
+def registered_positions(features: Sequence[Features], images: Sequence[np.ndarray],
+                         image: np.ndarray, place: np.ndarray, track: np.ndarray,
+                         matches: Sequence[ImagePairMatches]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find the positions of linked features to sub-pixel accuracy; see `link` and `refine`.
+
+    Returns
+    -------
+    xy : ndarray, shape (N, 2)
+        Pixels.
+    good : ndarray of bool, shape (N,)
+        Which of them can be trusted.
+
+    """
+    offset = np.concatenate([[0], np.cumsum([len(one.xy) for one in features])])
+    node = offset[image] + place
+    xy = np.concatenate([one.xy for one in features])[node]
+    size_px = np.concatenate([one.size_px for one in features])[node]
+    xy, good, sigma_px = refine(images, image, track, xy, size_px, matches)
+    if good.any():
+        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
+    return xy, good
 
 
 def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px: np.ndarray,
@@ -191,17 +215,14 @@ def _smoothed(images) -> tuple[Callable[[int], DoubledImage], ...]:
     """
     Slightly smoothed images, whole, halved and halved again; as many as there is room for.
 
-    Each is asked for by its position. cv2.pyrDown keeps the centre of pixel (0, 0) in place.
+    Each is asked for by its position.
     """
     # the smaller ones take a third of what the whole ones do, and doubling takes four times
     held = max(4, _HELD_BYTES * 3 // 4 // (4 * 4 * images[0].size))
 
     @lru_cache(held)
     def of_level(level: int, k: int) -> DoubledImage:
-        image = cv2.GaussianBlur(images[k].astype(np.float32), (0, 0), SMOOTHING_PX)
-        for _ in range(level):
-            image = cv2.pyrDown(image)
-        return DoubledImage.of(image)
+        return DoubledImage.smoothed(images[k], level)
 
     return tuple(partial(of_level, level) for level in range(_LEVELS))
 

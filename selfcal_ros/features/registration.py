@@ -63,6 +63,18 @@ class DoubledImage:
         """Subdivide an image (H, W)."""
         return cls(cv2.pyrUp(np.asarray(image, np.float32)))
 
+    @classmethod
+    def smoothed(cls, grey: np.ndarray, level: int = 0) -> DoubledImage:
+        """
+        Smooth an image (H, W) slightly, halve it so many times, and subdivide it.
+
+        cv2.pyrDown keeps the centre of pixel (0, 0) in place.
+        """
+        image = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+        for _ in range(level):
+            image = cv2.pyrDown(image)
+        return cls.of(image)
+
     @property
     def size(self) -> np.ndarray:
         """Width and height in pixels."""

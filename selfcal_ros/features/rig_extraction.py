@@ -24,8 +24,8 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.at_instant import at_instant, ImagesBeside
 from selfcal_ros.features.detection import detect, Features
-from selfcal_ros.features.extraction import finish_tracks, SIGMA_LIMIT_PX
-from selfcal_ros.features.linking import link, refine
+from selfcal_ros.features.extraction import finish_tracks
+from selfcal_ros.features.linking import link, registered_positions
 from selfcal_ros.features.mask import ImageMask
 from selfcal_ros.features.matching import ImagePairMatches, match_pairs
 from selfcal_ros.features.pairs import propose_pairs
@@ -119,7 +119,7 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
     findings = [Finding('tracks_contradictory', tracks=contradictory)] if contradictory else []
     report('registration', 0)
     every = [one for instant in zip(*images.values()) for one in instant]
-    xy, good = _registered(features, every, image, place, track, matches)
+    xy, good = registered_positions(features, every, image, place, track, matches)
     for k, name in enumerate(images):
         for i, around in enumerate((beside or {}).get(name, ())):
             if around is not None:
@@ -170,20 +170,6 @@ def _across(features: list[Features], sizes: list[tuple[int, int]], instants: in
         if len(match_pairs(features, pairs(tried), sizes[a], seed)[0]) * 2 > len(tried):
             matches += match_pairs(features, pairs(range(instants)), sizes[a], seed)[0]
     return matches
-
-
-def _registered(features: list[Features], images: list[np.ndarray], image: np.ndarray,
-                place: np.ndarray, track: np.ndarray,
-                matches: list[ImagePairMatches]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 2) to sub-pixel accuracy, and which of them can be trusted."""
-    offset = np.concatenate([[0], np.cumsum([len(one.xy) for one in features])])
-    node = offset[image] + place
-    xy = np.concatenate([one.xy for one in features])[node]
-    size_px = np.concatenate([one.size_px for one in features])[node]
-    xy, good, sigma_px = refine(images, image, track, xy, size_px, matches)
-    if good.any():
-        good &= sigma_px < np.clip(4 * np.median(sigma_px[good]), *SIGMA_LIMIT_PX)
-    return xy, good
 
 
 def _shared(tracks: Mapping[str, Tracks]) -> int:

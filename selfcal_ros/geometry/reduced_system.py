@@ -137,6 +137,11 @@ class ReducedSystem:
         """Derivatives of all rows by what is shared, (N m, g); no copy."""
         return self.jac_rest.reshape(-1, self.jac_rest.shape[2])[:, :self._shared]
 
+    def _by_view(self, residual: np.ndarray) -> np.ndarray:
+        """Products of residuals (N, m) and derivatives by the unknowns of the view, (N, v)."""
+        by_view: np.ndarray = np.einsum('nmk,nm->nk', self.jac_rest[:, :, self._shared:], residual)
+        return by_view
+
     def right_hand_side(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Eliminate the points from Jᵀ r.
@@ -155,8 +160,7 @@ class ReducedSystem:
         gradient = np.empty(len(self.matrix))
         gradient[:g] = residual.ravel() @ self._by_shared()
         if len(gradient) > g:
-            gradient[g:] = self.blocks.sum_over_views(np.einsum(
-                'nmk,nm->nk', self.jac_rest[:, :, g:], residual)).ravel()
+            gradient[g:] = self.blocks.sum_over_views(self._by_view(residual)).ravel()
         b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
         half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
         for members, M, own in self._factors:
@@ -195,9 +199,8 @@ class ReducedSystem:
         effect = np.einsum('nmk,nm->nk', moved, self.residual)
         if self.jac_rest.shape[2] > g:
             by_view = rows[:, g:].reshape(len(rows), self.blocks.view_count, -1)
-            effect += np.einsum('nv,nvk->nk', np.einsum(
-                'nmk,nm->nk', self.jac_rest[:, :, g:], self.residual),
-                by_view.transpose(1, 2, 0)[self.blocks.view])
+            effect += np.einsum('nv,nvk->nk', self._by_view(self.residual),
+                                by_view.transpose(1, 2, 0)[self.blocks.view])
         through_points = np.empty((*self.half_b.shape, len(rows)))
         for members, M, own in self._factors:
             local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)

@@ -40,11 +40,11 @@ from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.mount_publisher import mount_values, MountPublisher
-from selfcal_ros.nodes.once_per_image import OncePerImage
+from selfcal_ros.nodes.once_per_image import announcements_of, OncePerImage
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameter_words import in_parameters
 from selfcal_ros.nodes.parameters import CalibratorParameters
-from selfcal_ros.nodes.quality_of_service import announcements_of, LATCHED, PER_IMAGE, STEADY
+from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.robot_topic import live_robot, RobotTopic
 from selfcal_ros.nodes.scene_publisher import prepare_scene, ScenePublisher
@@ -63,8 +63,9 @@ from std_srvs.srv import Trigger
 
 class Calibrator(Node):
     """
-    Subscribes to `tracks` and `tracks/announced`; publishes `camera_info`, `~/result`,
-    diagnostics and the scene.
+    Turns `tracks` into `camera_info`, `~/result`, diagnostics and the scene.
+
+    The `camera_info` of an image that is announced on `tracks/announced` does not wait for them.
 
     Parameters
     ----------

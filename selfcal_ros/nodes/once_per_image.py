@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Of two messages that one image may bring, the first is answered."""
+"""Images are announced before their tracks; of both messages the first is answered."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ from collections import deque
 
 #: So many images wait for their other message at most.
 _MOST = 60
+
+
+def announcements_of(tracks: str) -> str:
+    """Return the topic that tells of images whose points will follow on the topic of tracks."""
+    return f'{tracks}/announced'
 
 
 class OncePerImage:

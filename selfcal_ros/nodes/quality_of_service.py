@@ -30,11 +30,5 @@ PER_IMAGE = QoSProfile(depth=60, reliability=ReliabilityPolicy.RELIABLE)
 #: Results: whoever comes late gets the last one.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
 #: For timers that must tick also while use_sim_time is set and nothing is played.
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-
-
-def announcements_of(tracks: str) -> str:
-    """Return the topic that tells of images whose points will follow on the topic of tracks."""
-    return f'{tracks}/announced'

@@ -34,10 +34,10 @@ from selfcal_ros.features.mask import ImageMask, read_mask
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.image_topics import ImageInputs
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
+from selfcal_ros.nodes.once_per_image import announcements_of
 from selfcal_ros.nodes.parameter_declaration import declare, follow
 from selfcal_ros.nodes.parameters import FeatureTrackerParameters
-from selfcal_ros.nodes.quality_of_service import (announcements_of, IMAGES_OUT, PER_IMAGE,
-                                                  STEADY)
+from selfcal_ros.nodes.quality_of_service import IMAGES_OUT, PER_IMAGE, STEADY
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.pipeline.size_guard import SizeGuard
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder

@@ -22,13 +22,13 @@ from selfcal_ros.synthetic.special_scenes import drive, hand_held
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0)
 
 
-# measured lenses as the rational model has them: 8 and 4 sigma off in silence before
 def sigmas_off(found, truth):
     """Deviations of fx, cx, cy in stated sigmas."""
     error = found.camera.parameters[[0, 2, 3]] - truth.parameters[[0, 2, 3]]
     return np.abs(error / [found.sigma[name] for name in ('fx', 'cx', 'cy')])
 
 
+# measured lenses as the rational model has them: 8 and 4 sigma off in silence before
 @pytest.mark.parametrize('f, coefficients', [
     (327.45, (2.6641, -0.0341, -0.0005, 0.0006, -0.0092, 2.5853, 0, 0)),
     (453.29, (1.2685, -0.6677, 0.0003, 0.0014, 0.6132, 1.0964, 0, 0))])

@@ -97,27 +97,17 @@ def test_an_image_of_another_size_waits_for_its_tracks(graph):
     images.is_heard(3)
 
 
-def test_two_processes_answer_before_the_points_are_followed(graph, launch):
+def test_of_two_processes_each_image_has_one_camera_info(graph, launch):
     graph = graph()
-    order, tracks = [], []
-
-    def on_tracks(msg):
-        tracks.append(msg)
-        order.append(('tracks', msg))
-
-    graph.probe.create_subscription(
-        CameraInfo, 'camera_info', lambda msg: order.append(('camera_info', msg)), 60)
-    graph.probe.create_subscription(PointCloud2, 'tracks', on_tracks, 60)
+    infos, tracks = graph.listen(CameraInfo, 'camera_info'), graph.listen(PointCloud2, 'tracks')
     camera = graph.probe.create_publisher(Image, 'image', 5)
     launch('feature_tracker')
     launch('planar_calibrator', '-p', 'begin_with_file:=false')
     graph.wait_for(lambda: graph.probe.count_subscribers('tracks/announced') > 0
                    and graph.probe.count_publishers('camera_info') > 0, 60)
     image_stream.play(graph, camera, image_stream.image, tracks, 8)
-    graph.wait_for(lambda: order[-1][0] == 'tracks' and sum(
-        topic == 'camera_info' for topic, _ in order) >= len(tracks) - 1)
+    graph.wait_for(lambda: len(infos) >= len(tracks) - 1)
     graph.spin_for(0.2)
-    stamps = [(msg.header.stamp.sec, msg.header.stamp.nanosec)
-              for topic, msg in order if topic == 'camera_info']
+    stamps = [(msg.header.stamp.sec, msg.header.stamp.nanosec) for msg in infos]
     assert len(set(stamps)) == len(stamps) >= len(tracks) - 1
     assert (tracks[-1].header.stamp.sec, tracks[-1].header.stamp.nanosec) == stamps[-1]

@@ -36,7 +36,7 @@ from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.values.tracks import of_longest
+from selfcal_ros.values.tracks import of_longest, Tracks
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
 #: Gaussian residuals.
@@ -84,6 +84,14 @@ class Observations:
     shutter: RowShifts | None = None
     neighbours: np.ndarray | None = None
     camera: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, tracks: Tracks, frames: np.ndarray) -> Observations:
+        """Index the observations of tracks that are seen twice; frames (V,) are the views."""
+        tracks = tracks.with_at_least(2)
+        identity, point = np.unique(tracks.track, return_inverse=True)
+        return cls(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity,
+                   neighbours=tracks.neighbours)
 
     def select(self, mask: np.ndarray, least: int = 2) -> tuple[Observations, np.ndarray]:
         """

@@ -197,21 +197,23 @@ def _families(fit: RobustFit, size: tuple[int, int]) -> tuple[str, ...]:
     lens = fit.state.lens
     if not lens.model.is_perspective:
         return 'equidistant', 'plumb_bob', 'rational'
-    corner = float(np.hypot(*size)) / 2 / lens['f']
-    if _is_barrel(lens, size) or corner > WIDE_CORNER or _is_bent(lens, size):
+    if _is_barrel(lens, size) or _corner(lens, size) > WIDE_CORNER or _is_bent(lens, size):
         return 'plumb_bob', 'equidistant', 'rational'
     return ('plumb_bob',)
 
 
+def _corner(lens: Lens, size: tuple[int, int]) -> float:
+    """Distance of the corner of the image from its middle, in focal lengths."""
+    return float(np.hypot(*size)) / 2 / float(lens['f'])
+
+
 def _is_barrel(lens: Lens, size: tuple[int, int]) -> bool:
-    corner = float(np.hypot(*size)) / 2 / lens['f']
-    return bool(-lens['k1'] * corner**2 > BARREL)
+    return bool(-lens['k1'] * _corner(lens, size)**2 > BARREL)
 
 
 def _is_bent(lens: Lens, size: tuple[int, int]) -> bool:
     """Tell whether the higher terms of a polynomial move the corner by much."""
-    corner = float(np.hypot(*size)) / 2 / lens['f']
-    return any(abs(lens[name]) * corner**power > BENT
+    return any(abs(lens[name]) * _corner(lens, size)**power > BENT
                for name, power in (('k2', 4), ('k3', 6)) if name in lens.names)
 
 

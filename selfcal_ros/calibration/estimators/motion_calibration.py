@@ -56,8 +56,8 @@ from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_l
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
-                                                    moving_findings, observed_twice, sort_tracks,
-                                                    SortedTracks, stands_out, tested_as_still)
+                                                    moving_findings, sort_tracks, SortedTracks,
+                                                    stands_out, tested_as_still)
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -339,10 +339,11 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
             or fit.observations.shutter is not None):
         return None
     given = graph.given.in_frames(frames)
-    test = tested_as_still(fit, given)
+    observations = Observations.of(given, given.frames)
+    test = tested_as_still(fit, observations)
     if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
         return _of_sorted(fit, problem, graph)
-    if test is None or not crowd_in_few_views(test, observed_twice(given)):
+    if test is None or not crowd_in_few_views(test, observations):
         return None
     return _of_sorted(fit, problem, graph, bodies_alone=True)
 

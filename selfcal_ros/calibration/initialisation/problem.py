@@ -133,8 +133,5 @@ def usual_matrix(problem: SelfCalibrationProblem) -> dict[str, Prior]:
 
 def observations_of(tracks: Tracks, frames: np.ndarray) -> Observations:
     """Index the observations of tracks, no more than `TRACKS_PER_VIEW` of the longest a view."""
-    tracks = tracks.with_at_least(2)
-    identity, point = np.unique(tracks.track, return_inverse=True)
-    result = Observations(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity,
-                          neighbours=tracks.neighbours)
+    result = Observations.of(tracks, frames)
     return result.select(result.longest(TRACKS_PER_VIEW))[0]

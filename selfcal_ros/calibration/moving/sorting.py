@@ -128,10 +128,11 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
 
 def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> float:
     """Share of some tracks that are still points by a fit; zero where none is judged."""
-    test = tested_as_still(fit, given)
+    observations = Observations.of(given, given.frames)
+    test = tested_as_still(fit, observations)
     if test is None:
         return 0.0
-    mine = np.isin(np.unique(given.with_at_least(2).track), identity) & test.tested
+    mine = np.isin(observations.track, identity) & test.tested
     return float(test.explained[mine].mean()) if mine.any() else 0.0
 
 
@@ -150,20 +151,12 @@ def explains_all(rival: RobustFit, still: RobustFit, given: Tracks, labels: Trac
             and (not len(moving) or explained_share(fine, given, moving) > MOST_MOVING))
 
 
-def tested_as_still(fit: RobustFit, given: Tracks) -> TrackTest | None:
-    """Judge the given tracks as points that stand still; None where that is not possible."""
-    observations = observed_twice(given)
+def tested_as_still(fit: RobustFit, observations: Observations) -> TrackTest | None:
+    """Judge tracks as points that stand still; None where a view sees none, or no track lasts."""
     if len(np.unique(observations.view)) < len(fit.state.path):
         return None
     test = test_tracks(fit.bundle, fit.state, observations)
     return test if test is not None and test.tested.any() else None
-
-
-def observed_twice(given: Tracks) -> Observations:
-    """Index all observations of the tracks that are seen twice."""
-    given = given.with_at_least(2)
-    identity, point = np.unique(given.track, return_inverse=True)
-    return Observations(np.searchsorted(given.frames, given.frame), point, given.xy, identity)
 
 
 def drifts(test: TrackTest) -> bool:
@@ -200,8 +193,8 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
 
     """
     tracks = tracks.select(np.isin(tracks.frame, frames)).with_at_least(2)
-    identity, point = np.unique(tracks.track, return_inverse=True)
-    observations = Observations(np.searchsorted(frames, tracks.frame), point, tracks.xy, identity)
+    observations = Observations.of(tracks, frames)
+    identity, point = observations.track, observations.point
     label = np.full(len(identity), -1)
     test = test_tracks(fit.bundle, fit.state, observations)
     for _ in range(ROUNDS):

@@ -231,9 +231,9 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
     others = np.empty((*bundle.xy.shape, 0)) if rival is None else rival.columns
     every_shared = shared_count + count + others.shape[2]
     # many columns: one copy, and weighed in place
-    rows = np.concatenate([linearisation.shared, modes, others, linearisation.view], axis=2)
-    rows *= root[..., None]
-    system = bundle.blocks.reduce_rows(rows, linearisation.view.shape[2],
+    slopes = np.concatenate([linearisation.shared, modes, others, linearisation.view], axis=2)
+    slopes *= root[..., None]
+    system = bundle.blocks.reduce_rows(slopes, linearisation.view.shape[2],
                                        linearisation.eliminated * root[..., None],
                                        linearisation.residual * root)
     # of the adjustment's unknowns, and of the field
