@@ -24,18 +24,20 @@ from selfcal_ros.findings.finding import Finding
 @dataclass(frozen=True)
 class RowReadout:
     """
-    Rolling shutter: the rows of an image are read one after the other.
+    Rolling shutter: the rows of an image are read one after the other, or its columns.
 
     Attributes
     ----------
     line_delay_s, sigma_s : float or None
-        Seconds from one row to the next, negative from the lowest row up; None where the frames
-        have no stamps.
+        Seconds from one line to the next, negative from the lowest row up, or from the right;
+        None where the frames have no stamps.
     status : {'estimated', 'held'}
     intervals, intervals_sigma : float
         The time in which the whole image is read, in intervals between frames.
     rows : int
-        Height of the image.
+        How many lines there are: the height of the image, of columns its width.
+    lines : {'rows', 'columns'}
+        What is read one after the other. Columns where the image was turned upright since.
 
     """
 
@@ -45,6 +47,7 @@ class RowReadout:
     intervals: float
     intervals_sigma: float
     rows: int
+    lines: str = 'rows'
 
     @property
     def readout_s(self) -> float | None:
@@ -54,11 +57,12 @@ class RowReadout:
     def finding(self) -> Finding:
         """Say that rows are read one after the other, and how fast."""
         if self.status == 'held':
-            return Finding('rolling_shutter_stated', line_delay_us=1e6 * (self.line_delay_s or 0))
+            return Finding('rolling_shutter_stated', lines=self.lines,
+                           line_delay_us=1e6 * (self.line_delay_s or 0))
         if self.line_delay_s is None or self.sigma_s is None:
-            return Finding('rolling_shutter_unstamped', readout={
+            return Finding('rolling_shutter_unstamped', lines=self.lines, readout={
                 'value': self.intervals, 'sigma': self.intervals_sigma})
-        return Finding('rolling_shutter', readout_ms={
+        return Finding('rolling_shutter', lines=self.lines, readout_ms={
             'value': 1e3 * self.line_delay_s * self.rows, 'sigma': 1e3 * self.sigma_s * self.rows})
 
     def as_dict(self) -> dict[str, Any]:

@@ -74,7 +74,8 @@ def add_fact_arguments(parser: argparse.ArgumentParser) -> None:
                        'auto: found out)')
     group.add_argument('--line-delay', type=float, metavar='S',
                        help='known time from one row to the next, in seconds; negative from the '
-                       'lowest row up (default: estimated with a rolling shutter)')
+                       'lowest row up (default: estimated with a rolling shutter); of an upright '
+                       'image of a phone, from one column to the next')
     group.add_argument('--line-delay-sigma', type=float, default=0.0, metavar='S',
                        help='standard deviation of the line delay (default 0: exact)')
 

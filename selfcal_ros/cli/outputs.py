@@ -203,7 +203,7 @@ def _shutter_comments(result: Calibration) -> list[str]:
     if shutter is None:
         return []
     if shutter.line_delay_s is None:
-        return [f'rolling shutter: all rows in {shutter.intervals:.4g} +- '
+        return [f'rolling shutter: all {shutter.lines} in {shutter.intervals:.4g} +- '
                 f'{shutter.intervals_sigma:.2g} intervals between frames']
     return [f'rolling shutter: line_delay {shutter.line_delay_s:.6g} s +- '
-            f'{shutter.sigma_s:.2g} s ({shutter.status})']
+            f'{shutter.sigma_s:.2g} s, by {shutter.lines} ({shutter.status})']

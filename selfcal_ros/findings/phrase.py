@@ -106,7 +106,9 @@ def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
 
 def _preferred(preferred: Sequence[Mapping[str, Any]]) -> str:
     """Write what the images prefer, with the digits that the sigmas leave, and what was stated."""
-    return ', '.join(f'{one["name"]} = {_measured(one)} in place of {one["stated"]:g}'
+    return ', '.join(f'{one["name"]} = {one["value"]} in place of {one["stated"]}'
+                     if isinstance(one['value'], str) else
+                     f'{one["name"]} = {_measured(one)} in place of {one["stated"]:g}'
                      for one in preferred)
 
 

@@ -163,29 +163,30 @@ REMARKS: dict[str, Phrase] = {
         'Calibrate anew with the service `calibrate`, or look for what moved the lens.'),
     # the shutter
     'rolling_shutter': Phrase(
-        'The rows are read one after the other, the whole image in {readout_ms:measured} ms; '
+        'The {lines} are read one after the other, the whole image in {readout_ms:measured} ms; '
         'this was estimated too.',
         'A rolling shutter. The camera moves on while an image is read, which bends it. Negative: '
-        'the lowest row is read first. See [Rolling shutter](shutter.md).',
+        'the lowest row, or the rightmost column, is read first. Columns are read where the image '
+        'was turned upright since. See [Rolling shutter](shutter.md).',
         'Nothing; give the line delay to whatever uses the images of the moving camera.'),
     'rolling_shutter_unstamped': Phrase(
-        'The rows are read one after the other, the whole image in {readout:measured} intervals '
-        'between frames; this was estimated too.',
+        'The {lines} are read one after the other, the whole image in {readout:measured} '
+        'intervals between frames; this was estimated too.',
         'A rolling shutter, and frames without stamps: what the interval is in seconds is not '
         'known. See [Rolling shutter](shutter.md).',
         'Multiply by the time between frames.'),
     'rolling_shutter_stated': Phrase(
-        'The rows are read one after the other, {line_delay_us:.3g} µs apart, as stated.',
+        'The {lines} are read one after the other, {line_delay_us:.3g} µs apart, as stated.',
         'The statement was taken for exact. See [Rolling shutter](shutter.md).',
         'Nothing.'),
     'rolling_shutter_suspected': Phrase(
-        'The images look as if rows were read one after the other, but the views are too far '
+        'The images look as if lines were read one after the other, but the views are too far '
         'apart in time to estimate it.',
         'A rolling shutter would explain the residuals. How fast the camera moved at each view '
         'does not follow from views so far apart.',
         'Give more images a second, or the whole video; or move slowly.'),
     'line_delay_open': Phrase(
-        'The images do not determine how fast the rows are read: the whole image in '
+        'The images do not determine how fast the {lines} are read: the whole image in '
         '{readout:measured} intervals between frames.',
         'The camera moved too slowly, or so that a rolling shutter looks like another camera.',
         'Turn faster, and turn the camera by 90 degrees about its axis for a part of the images.'),

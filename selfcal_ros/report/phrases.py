@@ -107,7 +107,7 @@ def _shutter_rows(result: Calibration) -> list[Row]:
     if shutter.line_delay_s is not None:
         unit, scale = 'ms', 1e3 * shutter.line_delay_s * shutter.rows / shutter.intervals
     text, sigma = with_sigma(scale * shutter.intervals, abs(scale) * shutter.intervals_sigma)
-    return [Row('readout', f'time in which all rows are read, {unit}', text, sigma, '',
+    return [Row('readout', f'time in which all {shutter.lines} are read, {unit}', text, sigma, '',
                 shutter.status)]
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from selfcal_ros import calibrate, CameraFacts
+from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.shutter import (Clock, difference_weights, l
                                                     row_shifts)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.row_readout import RowReadout
+from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
@@ -105,6 +106,27 @@ def test_the_line_delay_is_found_with_the_camera(readout_ms, kind, motion):
     assert 'rolling_shutter' in [finding.kind for finding in result.findings]
 
 
+@pytest.mark.parametrize('readout_ms, kind, motion', [(20, drive, 'planar'),
+                                                      (-25, hand, 'general')])
+def test_columns_of_an_image_that_was_turned_upright_are_found(readout_ms, kind, motion):
+    sequence = recorded(readout_ms * 1e-3, kind)
+    tracks = sequence.tracks
+    # turned by 90 degrees: the former rows run from left to right
+    xy = np.column_stack([tracks.xy[:, 1], 639 - tracks.xy[:, 0]])
+    K = CAMERA.K
+    upright = Camera([[K[1, 1], 0, K[1, 2]], [0, K[0, 0], 639 - K[0, 2]], [0, 0, 1]],
+                     CAMERA.distortion, 480, 640)
+    result = calibrate(replace(tracks, xy=xy, image_size=(480, 640)), facts=SQUARE, motion=motion,
+                       start=upright)
+    shutter = result.shutter
+    assert (shutter.lines, shutter.rows) == ('columns', 480)
+    assert abs(shutter.readout_s - sequence.readout_s) < 4 * 480 * shutter.sigma_s
+    assert shutter.sigma_s < 0.02 * abs(sequence.line_delay_s)
+    apart = result.camera.K[[0, 0, 1], [0, 2, 2]] - upright.K[[0, 0, 1], [0, 2, 2]]
+    assert (np.abs(apart) < [4 * result.sigma[name] for name in ('fx', 'cx', 'cy')]).all()
+    assert 'The columns are read' in result_text(result)
+
+
 def test_a_global_shutter_is_told_apart_and_a_stated_delay_is_held():
     sequence = recorded(0.0)
     result = calibrate(sequence.tracks, facts=SQUARE, motion='planar', start=CAMERA)
@@ -154,7 +176,7 @@ def test_the_images_before_and_after_tell_how_the_camera_moves(moving):
     beside = np.stack([np.column_stack([seen(instants + step * interval, xy[:, 1]),
                                         np.full(len(xy), step)]) for step in (-1, 1)], axis=1)
     beside[::7, 1] = np.nan
-    speed, _, known = motion_from_neighbours(state, blocks, xy, beside, 480)
+    speed, _, known = motion_from_neighbours(state, blocks, xy, beside, Clock(times, 480).delays)
     near = [pose(times + h)[0] for h in (-1e-4, 1e-4)]
     turn = rotation_vector(near[1] @ np.swapaxes(near[0], 1, 2)) / 2e-4 * interval
     centre = (pose(times + 1e-4)[1] - pose(times - 1e-4)[1]) / 2e-4 * interval

@@ -32,6 +32,7 @@ from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.cli.result_text import result_text
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.synthetic.few_view_scenes import general_views
 from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
 
@@ -87,6 +88,42 @@ def test_true_facts_are_let_pass():
     for seed in range(2, 6):
         assert not verdict(seen_by(seed), principal_point=(328, 235)).contradicted
     assert not verdict(seen_by(2, aspect=1.02), aspect_ratio_sigma=0.02).contradicted
+
+
+def deviating(seed, bumps_px=0.0):
+    """Show many points to a lens with k2, and with smooth bumps that no model has."""
+    camera = Camera([[420, 0, 328], [0, 420, 235], [0, 0, 1]], (-0.25, 0.1), *SIZE)
+    scene = general_views(np.random.default_rng(seed), camera, views=10, points=500, noise_px=0.2)
+    xy = scene.tracks.xy + bumps_px * np.sin(scene.tracks.xy[:, ::-1] / 45)
+    return Tracks(scene.tracks.frame, scene.tracks.track, xy, SIZE)
+
+
+def test_a_stated_lens_that_another_model_explains_is_to_blame_for_the_field():
+    tracks = deviating(0)
+    result = calibrate(tracks, facts=replace(SQUARE, distortion='radial1'))
+    told = {one.kind: one for one in result.findings}
+
+    # without the blame the focal length is 5 sigmas off
+    assert {'lens_deviates', 'fact_doubtful'} <= set(told)
+    assert told['fact_doubtful'].values['fact'] == 'lens model'
+    first = told['fact_doubtful'].values['preferred'][0]
+    assert first['name'] == 'k2' and abs(first['value'] - 0.1) < 3 * first['sigma']
+    assert abs(result.camera.K[0, 0] - 420) < 4 * result.sigma['fx']
+
+
+def test_a_lens_like_no_model_is_not_blamed_on_what_was_stated():
+    tracks = deviating(0, bumps_px=0.5)
+    result = calibrate(tracks, facts=replace(SQUARE, distortion='plumb_bob'))
+
+    assert 'lens_deviates' in [one.kind for one in result.findings]
+    assert 'fact_doubtful' not in [one.kind for one in result.findings]
+    assert abs(result.camera.K[0, 0] - 420) < 4 * result.sigma['fx']
+
+
+def test_another_family_of_lenses_is_told_by_its_name():
+    told = Finding('fact_contradicted_too', fact='lens model', sigmas=10.0, preferred=[
+        {'name': 'lens', 'value': 'equidistant', 'sigma': 0.0, 'stated': 'plumb_bob'}])
+    assert 'lens = equidistant in place of plumb_bob' in str(told)
 
 
 def test_the_calibration_is_refused_unless_the_facts_are_declared_exact():

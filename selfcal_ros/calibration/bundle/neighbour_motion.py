@@ -22,6 +22,8 @@ images were read like all others.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -40,7 +42,8 @@ _ITERATIONS = 4
 
 
 def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarray,
-                           neighbours: np.ndarray, rows: int,
+                           neighbours: np.ndarray,
+                           delays_of: Callable[[np.ndarray], np.ndarray],
                            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Estimate how the camera moves at the instant of each view.
@@ -55,8 +58,8 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
     neighbours : ndarray, shape (N, 2, 3)
         Pixels in the images before and after, and intervals from this one; NaN where the point
         was not followed.
-    rows : int
-        Height of the image.
+    delays_of : callable
+        When pixels (M, 2) are read after the instant of their image, over the line delay, (M,).
 
     Returns
     -------
@@ -71,13 +74,13 @@ def motion_from_neighbours(state: SceneState, blocks: PointBlocks, xy: np.ndarra
     there = np.isfinite(neighbours).all(axis=2)
     followed = there.all(axis=1)
     count = np.bincount(view[followed], minlength=blocks.view_count)
-    middle, motion = (rows - 1) / 2, np.zeros((blocks.view_count, 12))
-    own = state.line_delay * (xy[:, 1] - middle) / rows
+    motion = np.zeros((blocks.view_count, 12))
+    own = state.line_delay * delays_of(xy)
     row = np.flatnonzero(followed)
     sum_of = csr_array((np.ones(len(row)), (view[row], np.arange(len(row)))),
                        shape=(blocks.view_count, len(row)))
     sides = [(neighbours[row, side, 2]
-              + state.line_delay * (neighbours[row, side, 1] - middle) / rows,
+              + state.line_delay * delays_of(neighbours[row, side, :2]),
               neighbours[row, side, :2] - xy[row]) for side in (0, 1)]
 
     def seen(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

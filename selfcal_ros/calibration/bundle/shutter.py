@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-The shutter block: rows that are read one after the other, while the camera moves.
+The shutter block: lines that are read one after the other, while the camera moves.
 
 The unknown is the line delay, in units in which the whole image is read in so many intervals
 between frames; it is negative where the lowest row is read first. An observation at row v is
@@ -20,6 +20,7 @@ taken at τ = line_delay · (v - middle) / rows from the instant of its view, an
 has moved on along its path. How it moves near the instant of a view comes from the views around
 it, or from the motion of the images. That is renewed as the path moves, and held while it does:
 so the rows' displacement is a number per observation, and linear in the line delay nearby.
+Of an image that was turned upright after it was read, the lines are its columns.
 """
 
 from __future__ import annotations
@@ -57,30 +58,39 @@ class Clock:
     ----------
     times : ndarray, shape (V,)
         In intervals between frames, ascending.
-    rows : int
-        Height of the image.
+    lines : int
+        Height of the image; its width where columns are read one after the other.
     unit : float
         Length of the interval, in seconds where frames have stamps, else in frames.
     is_stamped : bool
     known : Prior, optional
         What is stated of the line delay.
+    axis : int
+        The pixel coordinate that tells the line: 1 of rows, 0 of columns.
 
     """
 
     times: np.ndarray
-    rows: int
+    lines: int
     unit: float = 1.0
     is_stamped: bool = False
     known: Prior | None = None
+    axis: int = 1
 
     def of_views(self, kept: np.ndarray) -> Clock:
         """Return the clock of some of the views."""
         return replace(self, times=self.times[kept])
 
+    def by_columns(self, columns: int) -> Clock:
+        """Return the clock of an image of so many columns that are read one after the other."""
+        scale, known = columns / self.lines, self.known
+        return replace(self, lines=columns, axis=0, known=known and replace(
+            known, value=known.value * scale, sigma=known.sigma * scale))
+
     def delays(self, xy: np.ndarray) -> np.ndarray:
         """Return τ over the line delay for observed pixels (N, 2), shape (N,)."""
-        row: np.ndarray = (xy[:, 1] - (self.rows - 1) / 2) / self.rows
-        return row
+        line: np.ndarray = (xy[:, self.axis] - (self.lines - 1) / 2) / self.lines
+        return line
 
 
 @dataclass(frozen=True)
@@ -242,7 +252,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     """
     velocity, acceleration = local_motion(state.path, clock.times, most)
     if neighbours is not None:
-        speed, change, known = motion_from_neighbours(state, blocks, xy, neighbours, clock.rows)
+        speed, change, known = motion_from_neighbours(state, blocks, xy, neighbours,
+                                                      clock.delays)
         velocity[known], acceleration[known] = speed[known], change[known]
     view, path = blocks.view, state.path
     placed, weight = state.placed_ahead(blocks, xy)
@@ -260,8 +271,8 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     slope = delay[:, None] * np.einsum('nij,nj->ni', later.by_points() @ path.mount, speed)
     shift = later.uv - still.uv
     with np.errstate(invalid='ignore'):
-        lost = ~((np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.rows)
-                 & (np.abs(slope).max(axis=1) < FASTEST * clock.rows))
+        lost = ~((np.abs(shift).max(axis=1) < LARGEST_SHIFT * clock.lines)
+                 & (np.abs(slope).max(axis=1) < FASTEST * clock.lines))
     shift[lost] = slope[lost] = 0
     return RowShifts(state.line_delay, shift, slope, clock.known)
 

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.estimators.motion_class import (axis_place, describ
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
                                                              LENS_MODEL)
+from selfcal_ros.calibration.estimators.stated_lens import contradicted_lens
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
@@ -233,8 +234,10 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
                                *(() if field is None else (field.modes, field.size_px)))
     verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2, hidden)
     if field is not None and facts.distortion != 'none':
-        # what the lens does beyond its model is in the sigmas, or too much for any lens
-        verdict = verdict.without(LENS_MODEL)
+        # what the lens does beyond its model is in the sigmas, or too much for any lens; unless
+        # another model does the same
+        verdict = verdict.without(LENS_MODEL).blaming(
+            contradicted_lens(fit, stated, problem.size, dependence.inflation**2, field))
     inner = inner + added + model.profile_excess * dependence.inflation**2
     findings += segment_findings(ratio)
     # what no model has is no error of the images, and comes after

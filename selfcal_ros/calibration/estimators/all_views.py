@@ -74,7 +74,10 @@ def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibr
     motion = replace(motion, zoom=over_all(motion.zoom, problem))
     problem = replace(problem, facts=model.facts, motion=motion)
     if model.fit.observations.shutter is not None:
-        observations = problem.observations.surely_timed().read_in_rows()
+        observations, clock = problem.observations, model.fit.observations.clock
+        if clock is not None and clock.axis == 0 and observations.clock is not None:
+            observations = replace(observations, clock=observations.clock.by_columns(clock.lines))
+        observations = observations.surely_timed().read_in_rows()
         problem = replace(problem, observations=observations)
     return problem
 

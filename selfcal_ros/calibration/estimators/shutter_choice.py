@@ -12,11 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Are the rows read all at once, or one after the other?
+Are the lines read all at once, or one after the other?
 
 A score test at the optimum of a global shutter: one Gauss-Newton step gives the line delay and
 its sigma. Where it differs from zero beyond chance it is estimated, and everything that follows
-is decided with it.
+is decided with it. Lines are rows. Of an image that is taller than wide they may be columns: it
+was turned upright after it was read.
 """
 
 from __future__ import annotations
@@ -128,9 +129,14 @@ class DelayTest:
     sigma: float
     shift: np.ndarray
 
+    @property
+    def surely(self) -> float:
+        """How many sigmas the line delay is from zero."""
+        return abs(self.value) / max(self.sigma, 1e-300)
+
     def differs(self, sigmas: float) -> bool:
         """Tell whether the line delay is farther from zero than so many sigmas."""
-        return abs(self.value) > sigmas * self.sigma
+        return self.surely > sigmas
 
 
 @dataclass(frozen=True)
@@ -214,18 +220,37 @@ def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCali
     facts, size = problem.facts, problem.size
     if observations.clock is None:
         return ShutterDecision(fit)
+    clocks = _possible_clocks(observations.clock, size)
     if facts.shutter == 'rolling' or facts.line_delay_s is not None:
-        return ShutterDecision(_with_line_delay(fit, observations))
-    tested = score_line_delay(fit, size)
+        return ShutterDecision(_best_timed(fit, observations, clocks))
+    tests = [score_line_delay(_by_clock(fit, clock), size) for clock in clocks]
+    tested = max(tests, key=lambda test: test.surely)
     if not tested.differs(CERTAIN_SIGMAS):
         return ShutterDecision(fit, shift=tested.shift if tested.differs(DOUBTFUL_SIGMAS)
                                else None)
-    rolling = _with_line_delay(fit, observations)
+    rolling = _best_timed(fit, observations, [clock for clock, test in zip(clocks, tests)
+                                              if test.differs(CERTAIN_SIGMAS)])
     if not score_line_delay(rolling, size).differs(CERTAIN_SIGMAS):
         return ShutterDecision(fit, shift=tested.shift)
     if observations.neighbours is not None or _is_paced(rolling):
         return ShutterDecision(rolling)
     return ShutterDecision(fit, (Finding('rolling_shutter_suspected'),), tested.shift)
+
+
+def _possible_clocks(clock: Clock, size: tuple[int, int]) -> list[Clock]:
+    """Return the clocks by which an image may have been read."""
+    width, height = size
+    return [clock] if width >= height else [clock, clock.by_columns(width)]
+
+
+def _by_clock(fit: RobustFit, clock: Clock) -> RobustFit:
+    return replace(fit, observations=replace(fit.observations, clock=clock))
+
+
+def _best_timed(fit: RobustFit, observations: Observations, clocks: list[Clock]) -> RobustFit:
+    """Fit with a line delay by each of some clocks, and return what leaves least."""
+    return min((_with_line_delay(_by_clock(fit, clock), replace(observations, clock=clock))
+                for clock in clocks), key=lambda one: one.bundle.sigma_px)
 
 
 def may_be_rolling(problem: SelfCalibrationProblem, left_px: float) -> bool:
@@ -269,10 +294,11 @@ def readout_of(fit: RobustFit, inflation: float) -> RowReadout | None:
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
     value, sigma = fit.state.line_delay, inflation * float(np.sqrt(fit.covariance[place, place]))
-    seconds = clock.unit / clock.rows if clock.is_stamped else None
+    seconds = clock.unit / clock.lines if clock.is_stamped else None
     return RowReadout(None if seconds is None else value * seconds,
                       None if seconds is None else sigma * seconds,
-                      'held' if shutter.is_held else 'estimated', value, sigma, clock.rows)
+                      'held' if shutter.is_held else 'estimated', value, sigma, clock.lines,
+                      'rows' if clock.axis else 'columns')
 
 
 def shutter_findings(readout: RowReadout | None) -> tuple[Finding, ...]:
@@ -280,6 +306,6 @@ def shutter_findings(readout: RowReadout | None) -> tuple[Finding, ...]:
     if readout is None:
         return ()
     if readout.intervals_sigma > OPEN_INTERVALS:
-        return (Finding('line_delay_open', readout={'value': readout.intervals,
-                                                    'sigma': readout.intervals_sigma}),)
+        return (Finding('line_delay_open', lines=readout.lines, readout={
+            'value': readout.intervals, 'sigma': readout.intervals_sigma}),)
     return (readout.finding(),)

@@ -142,6 +142,11 @@ class FactsVerdict:
         return replace(self, contradicted=tuple(o for o in self.contradicted if o.fact != fact),
                        doubted=tuple(o for o in self.doubted if o.fact != fact))
 
+    def blaming(self, further: Contradiction | None) -> FactsVerdict:
+        """Return the verdict with one more contradiction before all others, if there is one."""
+        return self if further is None else replace(self, contradicted=(further,
+                                                                        *self.contradicted))
+
     @property
     def is_kept(self) -> bool:
         """Tell whether a fact counts that the images contradict."""

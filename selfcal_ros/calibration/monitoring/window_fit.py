@@ -116,8 +116,10 @@ def clock_of(graph: ViewGraph, camera: Camera) -> Clock:
     taken = np.array([stamps.get(int(frame), 0) for frame in graph.frames], float)
     if not (np.diff(taken) > 0).all():
         taken = np.asarray(graph.frames, float)
-    return Clock((taken - taken[0]) / float(np.median(np.diff(taken))), camera.height,
-                 known=Prior(0.0, READOUT))
+    # an image that is taller than wide was turned upright after it was read
+    axis = 1 if camera.width >= camera.height else 0
+    return Clock((taken - taken[0]) / float(np.median(np.diff(taken))),
+                 (camera.width, camera.height)[axis], known=Prior(0.0, READOUT), axis=axis)
 
 
 def _any_camera(lens: Lens) -> Priors:
