@@ -95,7 +95,12 @@ def without_feigned_shifts(verified: Verified, kept: Sequence[Keyframe]) -> Trac
         np.concatenate([label, label[known]]), reference, tracks.xy[rows],
         np.concatenate([affine, np.tile(np.eye(2), (len(known), 1, 1))]))[:len(tracks)]
     shift = feigned_shift(response, affine, second)
-    return replace(tracks, xy=tracks.xy - _carried_on(shift, affine, tracks.track, begins))
+    shift = _carried_on(shift, affine, tracks.track, begins)
+    # in the images just before and after, the same templates feign the same
+    beside = tracks.neighbours
+    if beside is not None:
+        beside = beside - np.pad(shift, ((0, 0), (0, 1)))[:, None]
+    return replace(tracks, xy=tracks.xy - shift, neighbours=beside)
 
 
 def _carried_on(shift: np.ndarray, affine: np.ndarray, track: np.ndarray, begins: np.ndarray,

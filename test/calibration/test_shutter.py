@@ -18,11 +18,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, Camera, CameraFacts
+from selfcal_ros.calibration.bundle.clock import Clock, difference_weights
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.shutter import (Clock, difference_weights, local_motion,
-                                                    row_shifts)
+from selfcal_ros.calibration.bundle.robust_fit import Observations
+from selfcal_ros.calibration.bundle.shutter import local_motion, row_shifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.cli.result_text import result_text
@@ -51,11 +52,12 @@ def deviations(result, sequence):
 def test_derivatives_at_uneven_times_are_exact_for_polynomials():
     times = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 12))
     values = np.polynomial.Polynomial([3, -2, 0.5, 0.1, -0.02, 0.003, 1e-4])
-    near, first, second = difference_weights(times)
+    near, (first, second, third) = difference_weights(times)
     assert near.shape == (12, 7)
     sought = values(times)[near]
     np.testing.assert_allclose(np.sum(first * sought, axis=1), values.deriv()(times), rtol=1e-8)
     np.testing.assert_allclose(np.sum(second * sought, axis=1), values.deriv(2)(times), rtol=1e-6)
+    np.testing.assert_allclose(np.sum(third * sought, axis=1), values.deriv(3)(times), rtol=1e-5)
 
 
 @pytest.fixture
@@ -89,8 +91,7 @@ def test_rows_are_displaced_by_the_motion_until_they_are_read(moving):
                      for h in (1e-4, -1e-4))
     slope = (ahead - behind) / 2e-4
     np.testing.assert_allclose(found.slope, slope, atol=1e-5 * np.abs(slope).max())
-    velocity, _ = local_motion(state.path, clock.times)
-    assert velocity.shape == (12, 6)
+    assert local_motion(state.path, clock.times).shape == (3, 12, 6)
 
 
 @pytest.mark.parametrize('readout_ms, kind, motion', [(20, drive, 'planar'),
@@ -176,14 +177,44 @@ def test_the_images_before_and_after_tell_how_the_camera_moves(moving):
     beside = np.stack([np.column_stack([seen(instants + step * interval, xy[:, 1]),
                                         np.full(len(xy), step)]) for step in (-1, 1)], axis=1)
     beside[::7, 1] = np.nan
-    speed, _, known = motion_from_neighbours(state, blocks, xy, beside, Clock(times, 480).delays)
+    clock = Clock(times / interval, 480, interval)
+    speed, _, _ = motion_from_neighbours(state, blocks, xy, beside, clock,
+                                         np.full((3, len(times), 6), np.nan))
     near = [pose(times + h)[0] for h in (-1e-4, 1e-4)]
     turn = rotation_vector(near[1] @ np.swapaxes(near[0], 1, 2)) / 2e-4 * interval
     centre = (pose(times + 1e-4)[1] - pose(times - 1e-4)[1]) / 2e-4 * interval
-    assert known.all()
-    np.testing.assert_allclose(speed[:, :3], turn, atol=2e-3 * np.abs(turn).max())
+    # at the ends the third derivative is told from one side
+    np.testing.assert_allclose(speed[:, :3], turn, atol=1e-2 * np.abs(turn).max())
+    np.testing.assert_allclose(speed[2:-2, :3], turn[2:-2], atol=2e-4 * np.abs(turn).max())
     moved = np.einsum('vij,vj->vi', state.path.rotations(), centre)
     np.testing.assert_allclose(speed[:, 3:], moved, atol=2e-2 * np.abs(moved).max())
+
+
+def test_a_camera_that_swings_once_a_second_is_read_as_fast_as_it_is():
+    # between the images beside a view it is 0.7 % slower than at the view
+    rng = np.random.default_rng([2, 3])
+    path = hand(rng, 3.0, turn_deg=16.0)
+    sequence = record(rng, path, 0.02, np.arange(28) * 0.1 + 0.1, points=250, noise_px=0.05,
+                      interval_s=1 / 30)
+    result = calibrate(sequence.tracks, facts=SQUARE, motion='general', start=CAMERA)
+    shutter = result.shutter
+
+    assert 480 * shutter.sigma_s < 3e-5
+    assert abs(shutter.readout_s - 0.02) < 4 * 480 * shutter.sigma_s
+    assert np.abs(deviations(result, sequence)).max() < 4
+
+
+def test_the_first_image_of_a_video_counts_near_its_middle_row():
+    sequence = recorded(0.02)
+    observed = Observations.of(sequence.tracks, sequence.tracks.frames)
+    beside = np.zeros((len(observed.view), 2, 3))
+    beside[observed.view == 0, 0] = np.nan
+    timed = replace(observed, clock=Clock(np.arange(13.0), 480), neighbours=beside).surely_timed()
+    rows = np.abs(timed.xy[:, 1] - 239.5)
+
+    assert np.sum(timed.view == 0) < np.sum(observed.view == 0) / 2
+    assert rows[timed.view == 0].max() < 120 < rows[timed.view == 12].max()
+    assert np.sum(timed.view == 12) == np.sum(observed.view == 12)
 
 
 def test_a_film_remembers_what_is_beside_the_images_that_are_kept():

@@ -23,16 +23,18 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
+from selfcal_ros.calibration.bundle.clock import Clock
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
+from selfcal_ros.calibration.bundle.neighbour_motion import followed, LEAST_FOLLOWED
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.rig_model import RigModel
 from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
-from selfcal_ros.calibration.bundle.shutter import Clock, row_shifts, RowShifts
+from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -121,14 +123,17 @@ class Observations:
         """
         Keep the observations of which it is known how the camera moved until they were read.
 
-        The first and the last view have neighbours on one side alone: there only those near the
-        middle row, read at the instant of the view.
+        The first and the last view have neighbours on one side alone, unless a video goes on
+        there: then only those near the middle row, read at the instant of the view.
         """
-        if self.clock is None or self.neighbours is not None:
+        if self.clock is None:
             return self
         keep = np.ones(len(self.view), bool)
         for end in (0, len(self.clock.times) - 1):
             rows = np.flatnonzero(self.view == end)
+            if self.neighbours is not None and followed(self.neighbours[rows]).sum() >= (
+                    LEAST_FOLLOWED):
+                continue
             late = np.abs(self.clock.delays(self.xy[rows]))
             # but so many that the view has a pose
             keep[rows[np.argsort(late)[LEAST_AT_ENDS:]]] = False

@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.clock import Clock, difference_weights, STENCIL
 from selfcal_ros.calibration.bundle.neighbour_motion import motion_from_neighbours
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import Prior
@@ -40,57 +41,11 @@ from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix, rotati
 
 #: Name of the unknown.
 LINE_DELAY = 'line_delay'
-#: So many views around one tell how the camera moves there: a polynomial through all of them.
-STENCIL = 7
 #: Displacements of more than this share of the image are those of points that are not where the
 #: state says; they are left as they are.
 LARGEST_SHIFT = 0.25
 #: The same of displacements in an interval between frames.
 FASTEST = 2.0
-
-
-@dataclass(frozen=True)
-class Clock:
-    """
-    When the middle rows of the views were read.
-
-    Attributes
-    ----------
-    times : ndarray, shape (V,)
-        In intervals between frames, ascending.
-    lines : int
-        Height of the image; its width where columns are read one after the other.
-    unit : float
-        Length of the interval, in seconds where frames have stamps, else in frames.
-    is_stamped : bool
-    known : Prior, optional
-        What is stated of the line delay.
-    axis : int
-        The pixel coordinate that tells the line: 1 of rows, 0 of columns.
-
-    """
-
-    times: np.ndarray
-    lines: int
-    unit: float = 1.0
-    is_stamped: bool = False
-    known: Prior | None = None
-    axis: int = 1
-
-    def of_views(self, kept: np.ndarray) -> Clock:
-        """Return the clock of some of the views."""
-        return replace(self, times=self.times[kept])
-
-    def by_columns(self, columns: int) -> Clock:
-        """Return the clock of an image of so many columns that are read one after the other."""
-        scale, known = columns / self.lines, self.known
-        return replace(self, lines=columns, axis=0, known=known and replace(
-            known, value=known.value * scale, sigma=known.sigma * scale))
-
-    def delays(self, xy: np.ndarray) -> np.ndarray:
-        """Return τ over the line delay for observed pixels (N, 2), shape (N,)."""
-        line: np.ndarray = (xy[:, self.axis] - (self.lines - 1) / 2) / self.lines
-        return line
 
 
 @dataclass(frozen=True)
@@ -161,48 +116,8 @@ def with_stated_delay(terms: PriorTerms, line_delay: float, shifts: RowShifts,
     return cost + 0.5 * deviation**2, gradient, diagonal
 
 
-def difference_weights(times: np.ndarray, most: int = STENCIL,
-                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Differentiate what is known at some times, at each of them.
-
-    Parameters
-    ----------
-    times : ndarray, shape (V,)
-        Ascending.
-    most : int
-        Values that are used for one derivative, at most.
-
-    Returns
-    -------
-    near : ndarray of int, shape (V, s)
-        Which values are used: those of the nearest.
-    first, second : ndarray, shape (V, s)
-        Weights of the first and of the second derivative, exact for polynomials of degree s - 1.
-
-    References
-    ----------
-    B. Fornberg (1988), Generation of finite difference formulas on arbitrarily spaced grids.
-
-    """
-    views = len(times)
-    count = min(most, views)
-    begin = np.clip(np.arange(views) - count // 2, 0, views - count)
-    near = begin[:, None] + np.arange(count)
-    apart = times[near] - times[:, None]
-    # in units of the reach, so that the powers stay of one size
-    reach = np.abs(apart).max(axis=1)
-    powers = (apart / reach[:, None])[:, None, :]**np.arange(count)[:, None]
-    wanted = np.zeros((count, 2))
-    wanted[1, 0] = 1
-    if count > 2:
-        wanted[2, 1] = 2
-    weights = np.linalg.solve(powers, np.broadcast_to(wanted, (views, count, 2)))
-    return (near, weights[:, :, 0] / reach[:, None], weights[:, :, 1] / reach[:, None]**2)
-
-
 def local_motion(path: AxisPath, times: np.ndarray, most: int = STENCIL,
-                 ) -> tuple[np.ndarray, np.ndarray]:
+                 ) -> np.ndarray:
     """
     Tell how the camera moves at the instant of each view, from the views around it.
 
@@ -215,16 +130,18 @@ def local_motion(path: AxisPath, times: np.ndarray, most: int = STENCIL,
 
     Returns
     -------
-    velocity, acceleration : ndarray, shape (V, 6)
-        Of rotation vector (3) and centre (3) in the frame of the view, before the mount.
+    derivatives : ndarray, shape (3, V, 6)
+        Velocity, acceleration and jerk of rotation vector (3) and centre (3) in the frame of the
+        view, before the mount.
 
     """
-    near, first, second = difference_weights(times, most)
+    near, weights = difference_weights(times, most)
     R, C = path.rotations(), path.centres()
     turned = rotation_vector(R[near] @ np.swapaxes(R, 1, 2)[:, None])
     apart = np.einsum('vij,vsj->vsi', R, C[near] - C[:, None])
     away = np.concatenate([turned, apart], axis=2)
-    return np.einsum('vs,vsk->vk', first, away), np.einsum('vs,vsk->vk', second, away)
+    derivatives: np.ndarray = np.einsum('dvs,vsk->dvk', weights, away)
+    return derivatives
 
 
 def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Clock,
@@ -250,17 +167,16 @@ def row_shifts(state: SceneState, blocks: PointBlocks, xy: np.ndarray, clock: Cl
     RowShifts
 
     """
-    velocity, acceleration = local_motion(state.path, clock.times, most)
+    motion = local_motion(state.path, clock.times, most)
     if neighbours is not None:
-        speed, change, known = motion_from_neighbours(state, blocks, xy, neighbours,
-                                                      clock.delays)
-        velocity[known], acceleration[known] = speed[known], change[known]
+        motion = motion_from_neighbours(state, blocks, xy, neighbours, clock, motion)
     view, path = blocks.view, state.path
     placed, weight = state.placed_ahead(blocks, xy)
     delay = clock.delays(xy)
     tau = (state.line_delay * delay)[:, None]
-    rate = velocity[view] + tau * acceleration[view]
-    moved = tau * (velocity[view] + 0.5 * tau * acceleration[view])
+    velocity, acceleration, jerk = motion[:, view]
+    rate = velocity + tau * (acceleration + 0.5 * tau * jerk)
+    moved = tau * (velocity + tau * (0.5 * acceleration + tau / 6 * jerk))
     turn, there = moved[:, :3], placed - weight * moved[:, 3:]
     R = rotation_matrix(turn)
     there = np.einsum('nij,nj->ni', R, there)

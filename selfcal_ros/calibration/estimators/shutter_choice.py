@@ -26,11 +26,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.clock import Clock
 from selfcal_ros.calibration.bundle.lens import MATRIX_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        RobustFit, with_all_points)
-from selfcal_ros.calibration.bundle.shutter import Clock, LINE_DELAY, pace_doubt
+from selfcal_ros.calibration.bundle.shutter import LINE_DELAY, pace_doubt
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph

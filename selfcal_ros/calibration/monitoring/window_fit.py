@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.clock import Clock
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
@@ -32,7 +33,6 @@ from selfcal_ros.calibration.bundle.priors import all_fixed, Prior, Priors
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit,
                                                        with_all_points)
-from selfcal_ros.calibration.bundle.shutter import Clock
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import planar_start
 from selfcal_ros.calibration.initialisation.view_graph import MIN_NOISE_PX, ViewGraph
