@@ -135,6 +135,9 @@ def _videos(report: Report) -> None:
             report.verdict(f'{name}: principal point error', aside, LIMITS[2], 'px')
             if readout:
                 report.verdict(f'{name}: line delay error', late, LIMITS[1], '%')
+                report.verdict(f'{name}: line delay error, sigmas', np.nan if shutter is None else
+                               (shutter.readout_s - 1e-3 * readout)
+                               / (shutter.rows * shutter.sigma_s), FAR_SIGMAS)
             else:
                 report.judge(shutter is None, f'{name}: found to be global')
     report.table(('path', 'readout ms', 'views', 'fx error %', 'pp error px', 'largest, sigmas',

@@ -14,6 +14,7 @@
 """Rows that are read one after the other: derivatives, truth recovered, and global left alone."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,6 +127,20 @@ def test_columns_of_an_image_that_was_turned_upright_are_found(readout_ms, kind,
     apart = result.camera.K[[0, 0, 1], [0, 2, 2]] - upright.K[[0, 0, 1], [0, 2, 2]]
     assert (np.abs(apart) < [4 * result.sigma[name] for name in ('fx', 'cx', 'cy')]).all()
     assert 'The columns are read' in result_text(result)
+
+
+@pytest.mark.parametrize('readout_ms', [8, -33])
+def test_a_camera_that_only_turns_is_read_in_rows_too(readout_ms):
+    sequence = recorded(readout_ms * 1e-3, partial(hand, shift_m=0.0), views=20)
+    result = calibrate(sequence.tracks, facts=SQUARE)
+    blind = calibrate(sequence.tracks, facts=replace(SQUARE, shutter='global'), motion='rotation')
+    shutter = result.shutter
+
+    assert result.motion == 'rotation'
+    assert abs(shutter.readout_s - sequence.readout_s) < 4 * 480 * shutter.sigma_s
+    assert np.abs(deviations(result, sequence)).max() < 4
+    # as if all rows were read at once, it is another camera or none
+    assert not blind or abs(blind.camera.K[0, 0] - 520) > 4 * abs(result.camera.K[0, 0] - 520)
 
 
 def test_a_global_shutter_is_told_apart_and_a_stated_delay_is_held():

@@ -250,6 +250,18 @@ def with_all_points(state: SceneState, observations: Observations) -> SceneState
     return replace(state, points=points)
 
 
+def with_all_directions(state: SceneState, observations: Observations) -> SceneState | None:
+    """Give all observations points at infinity, for a camera that only turns."""
+    rays = all_rays(state.camera(), state.unzoomed(observations.xy, observations.view))
+    if not np.isfinite(rays).all():
+        return None
+    directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
+                           rays @ state.path.mount)
+    total = np.stack([np.bincount(observations.point, column) for column in directions.T], axis=1)
+    return replace(state, points=np.column_stack([
+        total / np.linalg.norm(total, axis=1, keepdims=True), np.zeros(len(total))]))
+
+
 def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,
               sigma_px: float) -> Bundle:
     """Set up the adjustment of observations of a scene."""

@@ -183,7 +183,8 @@ def _rejected(result: Calibration, graph: ViewGraph) -> float:
 def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat: bool = False,
                at_once: bool = False, turns: bool = False) -> SelfCalibrationProblem | NoEstimate:
     """Set up what is to be explained; see `calibrate_from_motion`. Turns need no parallax."""
-    observations = timed(observations_of(graph.tracks, graph.frames), graph, size, facts)
+    observations = timed(observations_of(graph.tracks, graph.frames), graph.tracks,
+                         graph.frames, size, facts)
     if len(graph.frames) < 3:
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
@@ -259,7 +260,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         again = _of_still_tracks(fit, medium, problem, graph)
         if again is not None:
             return again
-    first, shutter = fit, choose_shutter(fit, medium, window)
+    first, shutter = fit, choose_shutter(fit, medium, window.facts, window.size)
     fit, findings = shutter.fit, shutter.findings
     if not (is_explained or fit.observations.shutter is not None):
         return unexplained

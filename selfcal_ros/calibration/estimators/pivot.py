@@ -157,7 +157,7 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     if is_no_rotation and (fit.bundle.sigma_px > HOPELESS * problem.noise_px
                            or _lever_share(fit.state) > FAR_LEVER):
         return moved.saying(left_px=fit.bundle.sigma_px)
-    shutter = choose_shutter(fit, medium, window)
+    shutter = choose_shutter(fit, medium, window.facts, window.size)
     fit = shutter.fit
     mixed = of_two_cameras(fit, window, graph)
     if mixed is not None:

@@ -38,6 +38,8 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import most_agree, unchecked
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
+from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
+                                                               shutter_findings, timed)
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
@@ -190,7 +192,10 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
     frames = frames[order]
     view = np.searchsorted(frames, kept.frame)
     rows = np.lexsort((view, point))
-    observed = Observations(view[rows], point[rows], kept.xy[rows], names)
+    observed = timed(Observations(
+        view[rows], point[rows], kept.xy[rows], names,
+        neighbours=None if kept.neighbours is None else kept.neighbours[rows]),
+        kept, frames, size, facts)
     bundle = bundle_of(observed, ROTATION, priors_from_facts(facts), 1.0)
     if bundle.degrees_of_freedom < MIN_FREEDOM:
         return NoEstimate('too_few_observations', points=len(names), images=len(frames),
@@ -288,6 +293,10 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         if near.all():
             break
     bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))
+    # rows that are read in turn leave more than rotations do
+    decided = choose_shutter(RobustFit(bundle, state, observed, total - len(observed.view)),
+                             found.observed, stated, size)
+    bundle, state, observed = decided.fit.bundle, decided.fit.state, decided.fit.observations
     if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
         return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
                           facts=facts)
@@ -296,13 +305,14 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
             or abs(skew) > MAX_SKEW_FRACTION * focal:
         return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
                           motion='rotation', facts=facts)
-    fit = RobustFit(bundle, state, observed, total - len(observed.view))
+    fit = decided.fit
     if motion.zoom is None and not (facts.focal == 'constant' and facts.trusted) \
             and seems_to_vary(fit, tuple(frames.astype(float).tolist()), size):
         return NoEstimate('focal_not_constant', motion='rotation', facts=facts)
     camera = state.camera(*size)
     dependence = cluster_robust_covariance(fit.information, observed.point, observed.xy, size)
-    inner = dependence.covariance + lens.excess
+    inner = dependence.covariance + lens.excess + decided.covariance(
+        len(state.lens), bundle.unknowns.free)
     hidden = hidden_decentring(fit, dependence.inflation**2)
     if hidden is not None:
         inner = inner + hidden.covariance
@@ -329,17 +339,18 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
             return refused.saying(**{'status': status, **refused.values, 'motion': 'rotation',
                                      'facts': facts})
     covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
-    residuals = bundle.residuals(state)
+    residuals, shutter = bundle.residuals(state), readout_of(fit, dependence.inflation)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',
         facts=facts, frames=tuple(int(f) for f in frames),
         reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
         noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
-        outlier_count=total - len(observed.view),
+        outlier_count=fit.outliers,
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
                                       state.points, pose_precision=pose_precision(fit, False)),
         residuals=residuals, population=priors.population, focal=course,
-        findings=course_findings(course) + of_facts + further)
+        shutter=shutter,
+        findings=course_findings(course) + of_facts + further + shutter_findings(shutter))
 
 
 def _starting_cameras(conic, size, facts):

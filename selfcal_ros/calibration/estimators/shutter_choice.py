@@ -30,16 +30,17 @@ from selfcal_ros.calibration.bundle.clock import Clock
 from selfcal_ros.calibration.bundle.lens import MATRIX_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
-                                                       RobustFit, with_all_points)
+                                                       RobustFit, with_all_directions,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.shutter import LINE_DELAY, pace_doubt
 from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
-from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.values.tracks import Tracks
 
 #: A line delay is estimated where it differs from zero by so many sigmas.
 CERTAIN_SIGMAS = 4.0
@@ -58,13 +59,16 @@ ROLLING_NOISE, ROLLING_FRACTION = 20.0, 0.01
 OPEN_INTERVALS = 0.25
 
 
-def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clock | None:
+def clock_of(tracks: Tracks, frames: np.ndarray, size: tuple[int, int], facts: CameraFacts,
+             ) -> Clock | None:
     """
     Tell when the views were taken, in units of the usual interval between them.
 
     Parameters
     ----------
-    graph : ViewGraph
+    tracks : Tracks
+    frames : ndarray of int, shape (V,)
+        Of the views.
     size : (int, int)
         Width and height of the image.
     facts : CameraFacts
@@ -80,16 +84,16 @@ def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clo
         If a line delay is stated of frames without stamps.
 
     """
-    frames, stamps = graph.frames, graph.tracks.stamps_ns or {}
+    stamps = tracks.stamps_ns or {}
     if len(frames) < MIN_VIEWS or facts.shutter == 'global':
         return None
     taken = np.array([stamps.get(int(frame), 0) for frame in frames])
     stamped = bool((np.diff(taken) > 0).all())
     times = (taken - taken[0]) * 1e-9 if stamped else np.asarray(frames - frames[0], float)
     interval = float(np.median(np.diff(times)))
-    if graph.tracks.neighbours is not None and np.isfinite(graph.tracks.neighbours).any():
+    if tracks.neighbours is not None and np.isfinite(tracks.neighbours).any():
         # a video: the interval is that between its images, not between the views
-        interval = float(np.nanmedian(np.abs(graph.tracks.neighbours[:, :, 2])))
+        interval = float(np.nanmedian(np.abs(tracks.neighbours[:, :, 2])))
     known = None
     if facts.line_delay_s is not None:
         if not stamped:
@@ -100,10 +104,10 @@ def clock_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts) -> Clo
     return Clock(times / interval, size[1], interval, stamped, known)
 
 
-def timed(observations: Observations, graph: ViewGraph, size: tuple[int, int],
+def timed(observations: Observations, tracks: Tracks, frames: np.ndarray, size: tuple[int, int],
           facts: CameraFacts) -> Observations:
     """Add when the views were taken, and where points were just before and after."""
-    clock = clock_of(graph, size, facts)
+    clock = clock_of(tracks, frames, size, facts)
     beside = observations.neighbours
     if clock is None or beside is None or np.isfinite(beside).all(axis=2).mean() < MOST_FOLLOWED:
         beside = None
@@ -164,10 +168,15 @@ class ShutterDecision:
         """Let the covariance hold what a line delay that was not estimated may do."""
         if self.shift is None:
             return model
-        shift, free = np.zeros(len(model.fit.state.lens)), model.fit.bundle.unknowns.free
-        count = len(MATRIX_NAMES)
-        shift[:count] = self.shift[:count] * free[:count]
-        return replace(model, profile_excess=model.profile_excess + np.outer(shift, shift))
+        return replace(model, profile_excess=model.profile_excess + self.covariance(
+            len(model.fit.state.lens), model.fit.bundle.unknowns.free))
+
+    def covariance(self, size: int, free: np.ndarray) -> np.ndarray:
+        """Return what a line delay that was not estimated may do to the lens, (k, k)."""
+        shift, count = np.zeros(size), len(MATRIX_NAMES)
+        if self.shift is not None:
+            shift[:count] = self.shift[:count] * free[:count]
+        return np.outer(shift, shift)
 
 
 def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
@@ -200,8 +209,8 @@ def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
                      step[bundle.unknowns.lens])
 
 
-def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCalibrationProblem,
-                   ) -> ShutterDecision:
+def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFacts,
+                   size: tuple[int, int]) -> ShutterDecision:
     """
     Estimate the line delay where the images show one, or where rows are said to be read in turn.
 
@@ -211,14 +220,15 @@ def choose_shutter(fit: RobustFit, observations: Observations, problem: SelfCali
         With a global shutter.
     observations : Observations
         All that it was to explain, its outliers included.
-    problem : SelfCalibrationProblem
+    facts : CameraFacts
+    size : (int, int)
+        Width and height of the image.
 
     Returns
     -------
     ShutterDecision
 
     """
-    facts, size = problem.facts, problem.size
     if observations.clock is None:
         return ShutterDecision(fit)
     clocks = _possible_clocks(observations.clock, size)
@@ -272,7 +282,8 @@ def _with_line_delay(fit: RobustFit, observations: Observations) -> RobustFit:
     """Fit with a line delay; what was an outlier without need not be one."""
     observations = observations.surely_timed().read_in_rows()
     known = observations.shutter and observations.shutter.known
-    state = with_all_points(fit.state, observations)
+    state = (with_all_directions if fit.motion.fixed_centre else with_all_points)(
+        fit.state, observations)
     if state is None:
         state, observations = fit.state, fit.observations.read_in_rows()
     if known:
