@@ -111,7 +111,7 @@ def _own(name: str, hand: bool, seed: int) -> tuple[Tracks, CameraFacts, np.ndar
 
 
 @lru_cache(maxsize=1)
-def _worlds():
+def load_worlds():
     """Load the independent simulation, if it is there."""
     if not WORLDS.exists():
         return None
@@ -123,7 +123,7 @@ def _worlds():
 
 def world_causes() -> dict[str, tuple[str, ...]]:
     """Name the worlds that are about what is supposed, and what names the cause."""
-    worlds = _worlds()
+    worlds = load_worlds()
     if worlds is None:
         return {}
     found = {}
@@ -151,7 +151,7 @@ def one_run(task: tuple) -> tuple[bool, bool, bool, float]:
     """
     name, hand, seed = task
     if hand is None:
-        world = _worlds().build(name, seed)
+        world = load_worlds().build(name, seed)
         tracks = Tracks(world['F'], world['T'], world['XY'], tuple(world['size']))
         facts, truth, causes = CameraFacts(**world['facts']), world['truth'][:4], world_causes()[
             name]

@@ -36,6 +36,7 @@ from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_obje
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
+from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
 from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
@@ -240,8 +241,11 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         tried = graph.parallax < PARALLAX_RATIO or is_strong(graph.bend)
         turning = fit_rotations(graph.tracks, size, facts,
                                 np.inf if little and tried else HOPELESS * graph.noise_px)
-        is_weak = isinstance(turning, RotationFit) and (
-            turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px))
+        if isinstance(turning, RotationFit):
+            mixed = of_two_turning(turning, graph, size, facts)
+            if mixed is not None:
+                return mixed
+            is_weak = turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px)
     if is_weak and isinstance(turning, RotationFit):
         turned, turned_px = _about_a_point(graph, size, facts, motion, turning)
         if turned is not None and not _may_be_another_path(turned, turned_px, graph):

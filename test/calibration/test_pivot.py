@@ -216,6 +216,7 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
     # as if the parallax were little, and rotations nearly explained the images
     rotations = SimpleNamespace(left_px=1.0, noise_px=0.5)
     monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(module, 'of_two_turning', lambda *_: None)
     monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
     monkeypatch.setattr(module, 'fit_rotations', lambda *_: rotations)
     left_px = 1.1 * drive.noise_sigma_px
@@ -230,6 +231,7 @@ def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
     sequence = vehicle(np.random.default_rng([3, 5]), s_curve(6), count=60, noise_px=0.5)
     module = importlib.import_module('selfcal_ros.calibration.calibrate')
     monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(module, 'of_two_turning', lambda *_: None)
     monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
     monkeypatch.setattr(module, 'fit_rotations',
                         lambda *_: SimpleNamespace(left_px=1.0, noise_px=0.5))

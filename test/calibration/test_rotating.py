@@ -15,6 +15,7 @@
 
 import numpy as np
 import pytest
+from selfcal_ros import calibrate, Tracks
 from selfcal_ros.calibration.estimators import acceptance, rotation
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating, fit_rotations
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
@@ -167,3 +168,19 @@ def test_a_stretch_of_a_long_recording_tells_whether_it_turns(monkeypatch, shift
     assert bool(found) is not hopeless
     if not hopeless:
         assert len(found.frames) == 60
+
+
+@pytest.mark.parametrize('share', [0.0, 0.02])
+def test_images_of_two_cameras_that_only_turn_are_parted(share):
+    """Free translations would explain the difference, 8 sigmas off."""
+    sequence = _head(3, views=16)
+    tracks = sequence.tracks
+    second = tracks.frame % 2 == 1
+    xy = np.where(second[:, None], (tracks.xy - [650, 350]) * (1 + share) + [650, 350], tracks.xy)
+    found = calibrate(Tracks(tracks.frame, tracks.track, xy, SIZE), facts=STRAIGHT)
+    left_out = [one for one in found.findings if one.kind == 'other_camera_left_out']
+
+    assert bool(left_out) is (share > 0)
+    assert abs(found.camera.K[0, 0] - 900) < 4 * found.sigma['fx'] < 20
+    if left_out:
+        assert left_out[0].values['used'] == list(range(0, 16, 2))
