@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators import motion_calibration
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
@@ -33,6 +34,7 @@ from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.synthetic.few_view_scenes import general_views
 from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
 
@@ -118,6 +120,19 @@ def test_a_lens_like_no_model_is_not_blamed_on_what_was_stated():
     assert 'lens_deviates' in [one.kind for one in result.findings]
     assert 'fact_doubtful' not in [one.kind for one in result.findings]
     assert abs(result.camera.K[0, 0] - 420) < 4 * result.sigma['fx']
+
+
+def test_a_lens_that_was_chosen_is_no_fact_once_the_focal_length_is_free(monkeypatch):
+    """A straight drive was refused for a lens model that nobody had stated."""
+    asked = []
+    refusal = NoEstimate(motion_calibration.NOT_CONSTANT)
+    monkeypatch.setattr(motion_calibration, 'assess', lambda *_: refusal)
+    monkeypatch.setattr(motion_calibration, '_parted_or_zooming',
+                        lambda problem, *_: asked.append(problem.facts.distortion) or refusal)
+    calibrate(seen_by(5, views=8).tracks, motion='general',
+              facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert asked == ['auto']
 
 
 def test_another_family_of_lenses_is_told_by_its_name():

@@ -293,7 +293,9 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     result = (whole if isinstance(whole, NoEstimate)
               else assess(whole, model, known, graph, problem.facts))
     if not result and result.kind == NOT_CONSTANT and may_zoom(known):
-        return _parted_or_zooming(known, graph, proposals, first, model.fit)
+        # a lens that was chosen is no fact
+        stated = replace(known, facts=problem.facts)
+        return _parted_or_zooming(stated, graph, proposals, first, model.fit)
     if not result or isinstance(whole, NoEstimate):
         return result
     findings += torn_findings(known.observations, whole.observations, np.array(graph.frames))
