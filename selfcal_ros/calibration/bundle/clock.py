@@ -26,6 +26,12 @@ from selfcal_ros.calibration.bundle.priors import Prior
 STENCIL = 7
 
 
+def was_turned_upright(size: tuple[int, int]) -> bool:
+    """Tell whether an image of this width and height was turned after it was read."""
+    width, height = size
+    return height > width
+
+
 @dataclass(frozen=True)
 class Clock:
     """
@@ -63,6 +69,10 @@ class Clock:
         scale, known = columns / self.lines, self.known
         return replace(self, lines=columns, axis=0, known=known and replace(
             known, value=known.value * scale, sigma=known.sigma * scale))
+
+    def read_as(self, other: Clock) -> Clock:
+        """Return the same instants, of images whose lines are read as those of another clock."""
+        return replace(self, lines=other.lines, known=other.known, axis=other.axis)
 
     def delays(self, xy: np.ndarray) -> np.ndarray:
         """Return τ over the line delay for observed pixels (N, 2), shape (N,)."""

@@ -239,27 +239,32 @@ class RobustFit:
 
 def with_all_points(state: SceneState, observations: Observations) -> SceneState | None:
     """Intersect the points of all observations from the views and calibration of a state."""
-    blocks = PointBlocks(observations.point, observations.view)
-    camera = state.camera()
-    rays = all_rays(camera, state.unzoomed(observations.xy, observations.view))
-    if not np.isfinite(rays).all():
+    directions = _directions(state, observations)
+    if directions is None:
         return None
-    directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
-                           rays @ state.path.mount)
+    blocks = PointBlocks(observations.point, observations.view)
     points = points_from_centres(blocks, directions, state.path.centres())
     return replace(state, points=points)
 
 
 def with_all_directions(state: SceneState, observations: Observations) -> SceneState | None:
     """Give all observations points at infinity, for a camera that only turns."""
-    rays = all_rays(state.camera(), state.unzoomed(observations.xy, observations.view))
-    if not np.isfinite(rays).all():
+    directions = _directions(state, observations)
+    if directions is None:
         return None
-    directions = np.einsum('nji,nj->ni', state.path.rotations()[observations.view],
-                           rays @ state.path.mount)
     total = np.stack([np.bincount(observations.point, column) for column in directions.T], axis=1)
     return replace(state, points=np.column_stack([
         total / np.linalg.norm(total, axis=1, keepdims=True), np.zeros(len(total))]))
+
+
+def _directions(state: SceneState, observations: Observations) -> np.ndarray | None:
+    """Return the directions of all observations in the world (N, 3); None if one has none."""
+    rays = all_rays(state.camera(), state.unzoomed(observations.xy, observations.view))
+    if not np.isfinite(rays).all():
+        return None
+    directions: np.ndarray = np.einsum(
+        'nji,nj->ni', state.path.rotations()[observations.view], rays @ state.path.mount)
+    return directions
 
 
 def bundle_of(observations: Observations, motion: MotionModel, priors: Priors,

@@ -75,8 +75,8 @@ def settled(problem: SelfCalibrationProblem, model: ModelDecision) -> SelfCalibr
     problem = replace(problem, facts=model.facts, motion=motion)
     if model.fit.observations.shutter is not None:
         observations, clock = problem.observations, model.fit.observations.clock
-        if clock is not None and clock.axis == 0 and observations.clock is not None:
-            observations = replace(observations, clock=observations.clock.by_columns(clock.lines))
+        if clock is not None and observations.clock is not None:
+            observations = replace(observations, clock=observations.clock.read_as(clock))
         observations = observations.surely_timed().read_in_rows()
         problem = replace(problem, observations=observations)
     return problem

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.clock import Clock
+from selfcal_ros.calibration.bundle.clock import Clock, was_turned_upright
 from selfcal_ros.calibration.bundle.lens import MATRIX_NAMES
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
@@ -250,8 +250,7 @@ def choose_shutter(fit: RobustFit, observations: Observations, facts: CameraFact
 
 def _possible_clocks(clock: Clock, size: tuple[int, int]) -> list[Clock]:
     """Return the clocks by which an image may have been read."""
-    width, height = size
-    return [clock] if width >= height else [clock, clock.by_columns(width)]
+    return [clock, clock.by_columns(size[0])] if was_turned_upright(size) else [clock]
 
 
 def _by_clock(fit: RobustFit, clock: Clock) -> RobustFit:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.clock import Clock
+from selfcal_ros.calibration.bundle.clock import Clock, was_turned_upright
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import GENERAL
@@ -116,8 +116,7 @@ def clock_of(graph: ViewGraph, camera: Camera) -> Clock:
     taken = np.array([stamps.get(int(frame), 0) for frame in graph.frames], float)
     if not (np.diff(taken) > 0).all():
         taken = np.asarray(graph.frames, float)
-    # an image that is taller than wide was turned upright after it was read
-    axis = 1 if camera.width >= camera.height else 0
+    axis = 0 if was_turned_upright((camera.width, camera.height)) else 1
     return Clock((taken - taken[0]) / float(np.median(np.diff(taken))),
                  (camera.width, camera.height)[axis], known=Prior(0.0, READOUT), axis=axis)
 
