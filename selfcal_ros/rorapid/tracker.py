@@ -38,9 +38,10 @@ from selfcal_ros.rorapid.estimation.start_search import (
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import Projection
-from selfcal_ros.rorapid.region.region_of_interest import checked_grey
+from selfcal_ros.rorapid.region.object_colour import ObjectColour
+from selfcal_ros.rorapid.region.region_of_interest import checked_image
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
+from selfcal_ros.rorapid.visibility.visible_mesh import visible_of, VisibleMesh
 from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -84,6 +85,7 @@ class RorapidTracker:
         self._kalman: ConstantVelocityFilter | None = None
         self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
         self._standing, self._led = Standing(), False
+        self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
         self.measured: PoseMeasurement | None = None
@@ -117,6 +119,7 @@ class RorapidTracker:
         """Forget pose, texture and plane; a new start is needed."""
         self._method.reset()
         self._allowed.reset()
+        self._colour.forget()
         if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
             self._camera_model = self.options.camera_model
             self._projection.become(self._camera_model)
@@ -252,8 +255,8 @@ class RorapidTracker:
 
         """
         self.measured, kalman = None, self._filter
-        image = checked_grey(image, self.camera)
-        self._control.resize(image.shape[::-1])
+        picture = checked_image(image, self.camera)
+        self._control.resize(picture.shape[1::-1])
         seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
         self._stamp_ns = stamp_ns
         lost = self.state is TrackerState.LOST
@@ -262,6 +265,12 @@ class RorapidTracker:
         if not lost and not fresh:
             kalman.predict(seconds, DAMPING if self._standing.misses >= 1 else 0.0)
         predicted, spread = kalman.state, kalman.spread
+        if first and isinstance(self._visible, VisibleMesh):
+            self._colour.learn(picture, self._visible.mask(
+                predicted.rotation, predicted.translation - predicted.rotation @ self.centre,
+                picture.shape[:2], lambda points: self._projection.project(
+                    predicted, points - self.centre).pixels))
+        image = self._colour.grey(picture)
         if fresh:
             measured = self._method.initialise(image, predicted, spread)
         else:
@@ -295,7 +304,7 @@ class RorapidTracker:
             self._filter.restart(measured.state, wide)
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            self._doubts.confirmed(method.check, starting.support, measured.state.translation[2])
+            self._doubts.confirmed(starting.sure, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
             self._standing.misses = 0.0

@@ -33,6 +33,10 @@ from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
 
 #: Faces that meet under more than this angle meet in a crease.
 CREASE_RAD = np.deg2rad(30.0)
+#: A crease runs on at a vertex where it meets one other, under less than this angle. One that runs
+#: on for this share of the size is long. Where most of their length is short, the surface is rough
+#: (a scanned one, scales, spikes): then only long ones are creases.
+_RUNS_ON_RAD, _LONG = np.deg2rad(45.0), 0.2
 #: A finer mesh is simplified to about so many faces.
 MOST_FACES = 20_000
 #: Creases that are followed, the longest of them.
@@ -54,15 +58,12 @@ class MeshModel(WireframeModel):
         For each corner its smooth vertex: corners of one vertex that no crease parts.
     line_sides : ndarray of int, shape (L, 2)
         The two faces of each line; the same one twice at a border.
-    remarks : tuple of str
-        What was left out or changed.
 
     """
 
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     smooth: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))
     line_sides: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
-    remarks: tuple[str, ...] = ()
 
     def __post_init__(self):
         """Take what `build` has checked."""
@@ -239,6 +240,13 @@ def _creases(vertices, triangles, normals):
     sides = np.column_stack([face[order[first]], face[order[first + np.minimum(size - 1, 1)]]])
     bend = (normals[sides[:, 0]] * normals[sides[:, 1]]).sum(axis=1)
     sharp = (size != 2) | (bend < np.cos(CREASE_RAD))
+    length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    crease = np.flatnonzero(sharp)
+    long = _runs(vertices, edges[crease]) > _LONG * np.linalg.norm(np.ptp(vertices, axis=0))
+    if length[crease[long]].sum() < 0.5 * length[crease].sum():
+        sharp = size != 2
+        sharp[crease[long]] = True
+        crease = crease[long]
     # corners of one vertex are one smooth vertex where their faces meet in no crease
     flat = np.flatnonzero(~sharp)
     links = []
@@ -249,7 +257,21 @@ def _creases(vertices, triangles, normals):
     rows, columns = (np.concatenate([link[k] for link in links]) for k in (0, 1))
     _, smooth = connected_components(coo_matrix(
         (np.ones(len(rows)), (rows, columns)), shape=(3 * count, 3 * count)), directed=False)
-    length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-    kept = np.flatnonzero(sharp)
-    kept = kept[np.argsort(-length[kept])][:_MOST_CREASES]
+    kept = crease[np.argsort(-length[crease])][:_MOST_CREASES]
     return edges[kept], sides[kept], smooth.reshape(-1, 3), int((size == 1).sum())
+
+
+def _runs(vertices, creases):
+    """Length (L,) of the run that each of the creases (L, 2) belongs to."""
+    span = vertices[creases[:, 1]] - vertices[creases[:, 0]]
+    length = np.linalg.norm(span, axis=1)
+    away = np.concatenate([span, -span]) / np.tile(length, 2)[:, None]
+    vertex, count = creases.T.ravel(), len(creases)
+    order, at = np.argsort(vertex, kind='stable'), np.bincount(vertex, minlength=len(vertices))
+    first = (np.cumsum(at) - at)[at == 2]
+    one, other = order[first], order[first + 1]
+    straight = (away[one] * away[other]).sum(axis=1) < -np.cos(_RUNS_ON_RAD)
+    links = one[straight] % max(count, 1), other[straight] % max(count, 1)
+    _, run = connected_components(coo_matrix((np.ones(len(links[0])), links),
+                                             shape=(count, count)), directed=False)
+    return np.bincount(run, length)[run]

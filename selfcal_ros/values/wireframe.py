@@ -157,6 +157,8 @@ class WireframeModel:
     line_min_length_px : array_like, shape (L,)
         A line is left out while it is shorter in the image; 0: never.
     name : str
+    remarks : tuple of str
+        What was left out of a file, or changed.
 
     Raises
     ------
@@ -174,6 +176,7 @@ class WireframeModel:
     line_names: tuple = ()
     line_min_length_px: np.ndarray = ()      # type: ignore[assignment]
     name: str = ''
+    remarks: tuple[str, ...] = ()
     #: Faces cut into triangles, (T, 3) vertices, and the face of each, (T,).
     triangles: np.ndarray = field(init=False, repr=False, compare=False)
     triangle_face: np.ndarray = field(init=False, repr=False, compare=False)

@@ -16,8 +16,11 @@
 import numpy as np
 import pytest
 
+from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.rorapid.estimation.pose_search import best_turned
 from selfcal_ros.rorapid.estimation.start_check import StartCheck, Support
 from selfcal_ros.rorapid.estimation.start_search import StartSearch
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 
 
 class Seen:
@@ -31,16 +34,21 @@ class Seen:
         self.check.support = lambda image, state: next(self._supports)
         self.search = self
 
-    def rival(self, image, guess, found, spread):
-        """Find nothing better."""
-        return guess, Support(0.1, 0.2)
+    def rivals(self, image, guess, found, spread):
+        """Find nothing but a pose that is turned, and seen badly."""
+        return [(TURNED, BAD)]
+
+
+def turned_about_x(angle_deg):
+    return ObjectPose(rotation_matrix(np.deg2rad([angle_deg, 0, 0])), np.array([0, 0, 1.0]))
 
 
 class Measured:
-    state = None
+    state = turned_about_x(0)
 
 
-SURE, WEAK = Support(0.95, 0.95), Support(0.6, 0.7)
+SURE, WEAK, BAD = Support(0.95, 0.95), Support(0.6, 0.7), Support(0.1, 0.2)
+TURNED = turned_about_x(20)
 
 
 @pytest.mark.parametrize('outline, supports, confirmed', (
@@ -62,3 +70,21 @@ def test_a_start_is_given_up_after_fifteen_images():
         assert start.tries == count and not start.given_up
         start.look(method, None, Measured, np.eye(6))
     assert start.given_up
+
+
+def test_a_painted_object_is_confirmed_where_no_turned_pose_comes_near():
+    """Its edges change their polarity with the pictures beside them; other poses show less."""
+    painted = Support(0.67, 0.79)
+    method, start = Seen([painted]), StartSearch(None, np.eye(6), False)
+    start.look(method, None, Measured, np.eye(6))
+    assert start.confirmed(method) and start.sure
+    check = method.check
+    assert not check.alone(painted, Support(0.6, 0.7)) and not check.alone(BAD, Support())
+
+
+def test_the_same_pose_and_one_a_quarter_further_are_no_rivals():
+    """A cube looks the same from six sides; what a start comes back to is no other pose."""
+    found = Measured.state
+    poses = [(turned_about_x(1), SURE), (turned_about_x(90), SURE), (TURNED, BAD)]
+    assert best_turned(poses, found) is BAD
+    assert best_turned(poses[:2], found) == Support()

@@ -79,9 +79,9 @@ class Doubts:
         if self._model is not None:
             self._model.forget()
 
-    def confirmed(self, check: StartCheck, support: Support, distance_m: float) -> None:
-        """Take a start that was confirmed."""
-        self._sure = check.sure(support)
+    def confirmed(self, sure: bool, distance_m: float) -> None:
+        """Take a start that was confirmed; whether it is the object without doubt."""
+        self._sure = sure
         self._size.measure(distance_m)
 
     def look(self, image: np.ndarray, measured: PoseMeasurement, check: StartCheck) -> None:

@@ -30,6 +30,8 @@ _START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
 #: Of many starts so many are looked at more closely. They are turned by more than this angle
 #: from each other, or one wrong pose would take all places.
 _CLOSELY, OTHER_RAD = 6, 0.2
+#: What is turned by more may look the same: a cube has six sides. The guess has to decide.
+_QUARTER_RAD = 0.9
 
 
 class PoseSearch:
@@ -95,10 +97,10 @@ class PoseSearch:
                 best, best_score = state, score
         return best
 
-    def rival(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
-              spread: np.ndarray) -> tuple[ObjectPose, Support]:
+    def rivals(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
+               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
-        Find the best pose that is turned from a guess, or by quarters from what was found.
+        Find poses from starts that are turned from a guess, or by quarters from what was found.
 
         Parameters
         ----------
@@ -109,28 +111,27 @@ class PoseSearch:
 
         Returns
         -------
-        ObjectPose
-        Support
+        list of (ObjectPose, Support)
+            The best first. What was found may be among them.
 
         """
         if self.outlined:
             # the outline of a round part looks much the same from other sides: nearby ones only
             starts = turned(guess)
-            return self.ranked(image, starts[:len(starts) // 2], spread)[0]
-        state, support = self.ranked(image, turned(guess) + quartered(found), spread)[0]
+            return self.ranked(image, starts[:len(starts) // 2], spread)
+        poses = self.ranked(image, turned(guess) + quartered(found), spread)
+        state, support = poses[0]
         if not self.check.plain(support):
             # what looks nearly right may be right but for a quarter of a turn
-            other, better = self.ranked(image, quartered(state), spread)[0]
-            if better.length > support.length:
-                return other, better
-        return state, support
+            other = self.ranked(image, quartered(state), spread)[0]
+            if other[1].length > support.length:
+                return [other, *poses]
+        return poses
 
     def turned_rival(self, image: np.ndarray, found: ObjectPose, spread: np.ndarray) -> float:
         """Share of the length seen of the best pose that is turned from what was found."""
         starts = turned(found)
-        return max((support.length for pose, support in self.ranked(
-            image, starts[:len(starts) // 2], spread) if turned_by(pose, found) > OTHER_RAD),
-            default=0.0)
+        return best_turned(self.ranked(image, starts[:len(starts) // 2], spread), found).length
 
     def ranked(self, image: np.ndarray, starts: list[ObjectPose],
                spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
@@ -174,6 +175,13 @@ class PoseSearch:
                 self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
             view = self.control.view(state)
         return state, view
+
+
+def best_turned(poses: list[tuple[ObjectPose, Support]], found: ObjectPose) -> Support:
+    """Return the best support of the poses that are turned from one, but not by a quarter."""
+    return max((support for pose, support in poses
+                if OTHER_RAD < turned_by(pose, found) < _QUARTER_RAD),
+               key=lambda support: support.length, default=Support())
 
 
 def turned_by(pose: ObjectPose, other: ObjectPose) -> float:

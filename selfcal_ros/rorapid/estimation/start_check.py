@@ -48,8 +48,10 @@ _PLAIN = 0.9, 0.85
 _SURE = 0.8, 0.88
 #: ... of one that is good if no other is better ...
 _FAIR = 0.75, 0.8
-#: ... and of one that stays, image after image, and is better than all others by a margin.
-_LITTLE, _IMAGES, _MARGIN = (0.45, 0.55), 5, 0.15
+#: ... of one that is better than all others by a margin: its faces may be painted ...
+_ALONE, _MARGIN = (0.6, 0.75), 0.15
+#: ... and of one that is so, and stays, image after image.
+_LITTLE, _IMAGES = (0.45, 0.55), 5
 #: Length seen of a lost object that its texture recognises: with faces, and of a round part, whose
 #: pattern shows edges near any outline.
 _RECOGNISED = 0.35, 0.65
@@ -152,7 +154,11 @@ class StartCheck:
         """Whether a pose is good, if no other is better."""
         return support.reaches(_FAIR)
 
-    def confirms(self, support: Support, rival: Support) -> bool:
+    def alone(self, support: Support, turned: Support) -> bool:
+        """Whether a pose is seen, and none that is turned from it comes near."""
+        return support.reaches(_ALONE) and support.length >= turned.length + _MARGIN
+
+    def confirms(self, support: Support, rival: Support, turned: Support) -> bool:
         """
         Whether a start is confirmed; asked once an image.
 
@@ -161,16 +167,18 @@ class StartCheck:
         support : Support
             Of the pose.
         rival : Support
-            Of the best other pose that was found.
+            Of the best pose that was found from other starts; it may be the same.
+        turned : Support
+            Of the best one that is another.
 
         Returns
         -------
         bool
 
         """
-        clear = support.length >= rival.length + _MARGIN
+        clear = support.length >= turned.length + _MARGIN
         self._held = self._held + 1 if support.reaches(_LITTLE) and clear else 0
-        return (support.reaches(_PLAIN) or self._held >= _IMAGES
+        return (support.reaches(_PLAIN) or self._held >= _IMAGES or self.alone(support, turned)
                 or support.reaches(_FAIR) and support.length >= rival.length - _ALIKE)
 
     def rivals(self, support: Support, rival: Support, was_seen: bool) -> bool:

@@ -25,6 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
+from selfcal_ros.rorapid.estimation.pose_search import best_turned
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -59,6 +60,8 @@ class StartSearch:
         Images that were looked at.
     support : Support
         Of the last pose.
+    sure : bool
+        The last pose is that of the object without doubt.
 
     """
 
@@ -66,7 +69,9 @@ class StartSearch:
         """Begin."""
         self.guess, self.tries, self.support = guess, 0, Support()
         self._spread, self._outline = spread, outline
-        self._searches, self._held, self._rival = 0, 0, Support()
+        self._searches, self._held, self.sure = 0, 0, False
+        # before a search nothing is known of poses that are turned
+        self._rival, self._turned = Support(), Support(1.0, 1.0)
         #: Images that must be sure in a row, even if the first one was.
         self._images = 1
 
@@ -108,14 +113,17 @@ class StartSearch:
         fair = check.fair(support) and self._searches < len(_SEARCHES)
         if not check.plain(support) and (fair or self.tries in _SEARCHES):
             self._searches += 1
-            state, self._rival = method.search.rival(image, self.guess, measured.state,
-                                                     self._spread)
+            poses = method.search.rivals(image, self.guess, measured.state, self._spread)
+            state, self._rival = poses[0]
             # of nearly equal poses (a box turned by half a turn) that next to the guess is right
             if self._rival.length > support.length + _BETTER:
+                poses.append((measured.state, support))
                 measured, self._rival = method.measure(image, state, wide), support
                 support, other = check.support(image, measured.state), True
+            self._turned = best_turned(poses, measured.state)
         self.tries += 1
-        self._held = 0 if other or not check.sure(support) else self._held + 1
+        self.sure = not other and (check.sure(support) or check.alone(support, self._turned))
+        self._held = self._held + 1 if self.sure else 0
         if self._held == self._images > 1 and method.search.turned_rival(
                 image, measured.state, wide) > support.length - _BETTER:
             # no other image told where the object is: this one must not show it turned, too
@@ -125,7 +133,7 @@ class StartSearch:
 
     def confirmed(self, method: RobustTracker) -> bool:
         """Whether the last pose is confirmed; asked once an image where it was determined."""
-        if not method.check.confirms(self.support, self._rival):
+        if not method.check.confirms(self.support, self._rival, self._turned):
             return False
         return not self._outline or self._held >= max(self._images,
                                                       min(_OUTLINE_IMAGES, self.tries))

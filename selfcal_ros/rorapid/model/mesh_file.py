@@ -29,6 +29,8 @@ import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.values.foreign_files import read_limited
 from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.polyhedron import polyhedron
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: Longer files are refused, bytes.
 _LARGEST = 400_000_000
@@ -40,9 +42,9 @@ _TYPES = {'char': 'i1', 'int8': 'i1', 'uchar': 'u1', 'uint8': 'u1', 'short': 'i2
 _ORDERS = {'ascii': '', 'binary_little_endian': '<', 'binary_big_endian': '>'}
 
 
-def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
+def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
     """
-    Read a mesh.
+    Read a mesh; one of few plane faces becomes a model of these.
 
     Parameters
     ----------
@@ -53,7 +55,8 @@ def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
 
     Returns
     -------
-    MeshModel
+    WireframeModel
+        A MeshModel, unless all faces are plane.
 
     Raises
     ------
@@ -75,9 +78,11 @@ def read_mesh(path: Path, scale: float = 1.0) -> MeshModel:
         raise InputError(f'{path} would be {size:.3g} m large; say its unit with --model-scale '
                          '(0.001 where it is in millimetres).')
     try:
-        return MeshModel.build(vertices * scale, triangles, path.stem)
+        mesh = MeshModel.build(vertices * scale, triangles, path.stem)
     except ArgumentError as error:
         raise InputError(f'{path} cannot be used: {error}') from None
+    plane = polyhedron(mesh)
+    return mesh if plane is None else plane
 
 
 def _fan(loop: list[int]) -> list[tuple[int, int, int]]:

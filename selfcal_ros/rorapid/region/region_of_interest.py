@@ -132,9 +132,9 @@ def region_of_interest(image: np.ndarray, pixels: np.ndarray, margin_px: float,
     return Region(np.ascontiguousarray(part), corner, scale)
 
 
-def checked_grey(image, camera: Camera) -> np.ndarray:
+def checked_image(image, camera: Camera) -> np.ndarray:
     """
-    Return an image in grey, (H, W) uint8.
+    Return an image, (H, W) or (H, W, 3) of uint8.
 
     Raises
     ------
@@ -151,6 +151,4 @@ def checked_grey(image, camera: Camera) -> np.ndarray:
     if camera.width and camera.height and (width, height) != (camera.width, camera.height):
         raise InputError(f'The image is {width}x{height} pixels, the camera '
                          f'{camera.width}x{camera.height}; they do not belong together.')
-    if image.ndim == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.ascontiguousarray(image)
+    return image

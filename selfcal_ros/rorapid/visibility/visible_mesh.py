@@ -17,7 +17,8 @@ What a mesh shows from a pose: creases, and the outline of its round parts.
 The rim of a round part is where the surface turns away: n . (X - c) = 0 with the normal n between
 those of the smooth vertices. On each edge of the mesh where it changes its sign lies a point of
 the rim; the image of the rim runs along n x (X - c) there. What hides what is found with a coarse
-depth buffer: points all over the surface, the nearest in each cell of the image.
+depth buffer. Only where the background begins beside it, the rim is an outline to be searched:
+where a round part turns away before another, one grey of the object meets the same grey.
 """
 
 from __future__ import annotations
@@ -27,16 +28,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from selfcal_ros.rorapid.visibility.depth_buffer import DepthBuffer
 from selfcal_ros.rorapid.visibility.visible_model import ControlPoints, VisibleModel
 from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: Places on the outline, and of these so many make a primitive.
 OUTLINE_POINTS, _TOGETHER = 72, 6
-#: Cells of the depth buffer along the object's longer side.
-_CELLS = 36
-#: Points on the surface that fill it.
-_SURFACE_POINTS = 6_000
+#: Points on the surface that fill the depth buffer.
+_SURFACE_POINTS = 12_000
 #: What is nearer than this share of the diameter hides: the surface itself bends away.
 _NEARER = 0.06
 #: A crease is a line in the image where its control points are so far apart, share of diameter.
@@ -144,11 +144,17 @@ class VisibleMesh:
         centre = -translation @ rotation
         sides = self._side_normals @ centre > self._side_heights
         rim, tangents, normals = self._rim(centre)
-        points = np.concatenate([self._points, rim])
-        hidden = self.behind(points, rotation, translation)
-        crease = sides.any(axis=1) & ~hidden[:len(self._points)]
-        keep = np.flatnonzero(~hidden[len(self._points):])
-        chosen = self._spread(rim[keep] @ rotation.T + translation, keep)
+        buffer = DepthBuffer(rotation @ self._surface_rows + translation[:, None])
+        nearer = _NEARER * self.model.diameter_m
+        placed = rotation @ self._points.T + translation[:, None]
+        crease = sides.any(axis=1) & ~buffer.hides(placed, nearer)
+        lone = np.flatnonzero(crease & ~sides.all(axis=1))
+        lone = lone[buffer.ends_beside(
+            placed[:, lone], rotation @ self._side_normals[lone].sum(axis=1).T)]
+        seen = rotation @ rim.T + translation[:, None]
+        keep = np.flatnonzero(~buffer.hides(seen, nearer))
+        keep = keep[buffer.ends_beside(seen[:, keep], rotation @ normals[keep].T)]
+        chosen = self._spread(seen[:, keep].T, keep)
         missing = self._outline - len(chosen)
         at = np.concatenate([chosen, np.zeros(missing, int)]) if len(rim) else np.zeros(0, int)
         if not len(rim):
@@ -158,7 +164,8 @@ class VisibleMesh:
         visible = np.concatenate([crease, np.arange(self._outline) < self._outline - missing])
         kept = np.flatnonzero(visible)
         # an outline is convex across: the object lies against the mean of the two normals
-        bent = np.where(sides.all(axis=1)[:, None], 0.0, -self._side_normals.sum(axis=1))
+        bent = np.zeros((len(self._points), 3))
+        bent[lone] = -self._side_normals[lone].sum(axis=1)
         inward = np.concatenate([bent, -normals[at]])[kept]
         both = np.concatenate([self._points, rim[at]])[kept]
         slopes = np.concatenate([self._tangents, tangents[at]])[kept]
@@ -208,18 +215,9 @@ class VisibleMesh:
 
     def behind(self, points, rotation, translation) -> np.ndarray:
         """Which points (N, 3) lie behind the surface, by the depth buffer, (N,) bool."""
-        x, y, depth = rotation @ self._surface_rows + translation[:, None]
-        x /= depth
-        y /= depth
-        left, top = float(x.min()), float(y.min())
-        step = max(float(x.max()) - left, float(y.max()) - top, 1e-12) / _CELLS
-        shape = _CELLS + 2
-        nearest = np.full(shape * shape, np.inf)
-        np.minimum.at(nearest, _cells(x, left, step) * shape + _cells(y, top, step), depth)
-        x, y, depth = rotation @ points.T + translation[:, None]
-        place = (np.clip(_cells(x / depth, left, step), 0, shape - 1) * shape
-                 + np.clip(_cells(y / depth, top, step), 0, shape - 1))
-        return depth > nearest[place] + _NEARER * self.model.diameter_m
+        buffer = DepthBuffer(rotation @ self._surface_rows + translation[:, None])
+        return buffer.hides(rotation @ points.T + translation[:, None],
+                            _NEARER * self.model.diameter_m)
 
     def _spread(self, seen, keep):
         """Choose places of the outline (N, 3, camera frame), spread evenly around the object."""
@@ -240,9 +238,3 @@ class VisibleMesh:
         xy = seen[:, :2] / seen[:, 2:]
         middle = 0.5 * (xy.min(axis=0) + xy.max(axis=0)) if len(xy) else np.zeros(2)
         return np.argsort(np.arctan2(*(xy - middle).T[::-1]), kind='stable')
-
-
-def _cells(values: np.ndarray, least: float, step: float) -> np.ndarray:
-    """Numbers of the cells that values (N,) lie in."""
-    cells: np.ndarray = ((values - least) / step).astype(int)
-    return cells
