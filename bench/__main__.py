@@ -49,6 +49,7 @@ BENCHES = {
     'tracking_occlusion': 'tracker on the cube sequence with things in the way, beside ViSP',
     'tracking_poses': 'tracker against truth: accuracy, covariances, motion models, zoom',
     'tracking_meshes': 'smooth parts by their outline: accuracy, hindrances, time',
+    'tracking_recorded': 'a painted cube and a dragon filmed by hand, given as meshes',
     'tracking_sought': 'objects that nobody says a start of: found, or not, never wrong',
     'tracking_starts': 'wrong starts, wrong models, absent objects: said, never tracked',
     'tracking_stereo': 'the tea box before two cameras that must agree',

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+import re
 import shutil
 import subprocess
 import tempfile
@@ -29,7 +30,10 @@ import tempfile
 from bench.inputs import data_folder
 import cv2
 import numpy as np
-from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.rorapid.model import write_model
+from selfcal_ros.values.wireframe import WireframeModel
 
 LIBRARIES = ('visp_mbt', 'visp_io', 'visp_core', 'visp_me', 'visp_vision', 'visp_klt', 'visp_gui',
              'visp_visual_features')
@@ -54,9 +58,10 @@ def build() -> Path | None:
     return program
 
 
-def track(program: Path, images, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def track(program: Path, images, kind: str, model: WireframeModel | None = None,
+          camera: Camera | None = None, start=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Track the cube with ViSP from the sequence's own start pose and settings.
+    Track an object with ViSP by the settings of its cube sequence; that cube without a model.
 
     Parameters
     ----------
@@ -65,6 +70,9 @@ def track(program: Path, images, kind: str) -> tuple[np.ndarray, np.ndarray, np.
     images : list of ndarray
     kind : {'edges', 'both'}
         Both: edges and KLT.
+    model : WireframeModel, optional
+    camera : Camera, optional
+    start : (rotation, translation), optional
 
     Returns
     -------
@@ -76,13 +84,22 @@ def track(program: Path, images, kind: str) -> tuple[np.ndarray, np.ndarray, np.
     """
     data = data_folder('visp_mbt_cube')
     pose = (data / 'cube.0.pos').read_text(encoding='utf-8').split()
+    shape, settings = data / 'cube.cao', data / 'cube.xml'
     with tempfile.TemporaryDirectory() as folder:
+        if model is not None:
+            shape = write_model(model, Path(folder) / 'model.cao')
+            text = settings.read_text(encoding='utf-8')
+            for tag, value in zip(('u0', 'v0', 'px', 'py'), camera.K[(0, 1, 0, 1), (2, 2, 0, 1)]):
+                text = re.sub(f'<{tag}>.*</{tag}>', f'<{tag}>{value}</{tag}>', text)
+            settings = Path(folder) / 'settings.xml'
+            settings.write_text(text, encoding='utf-8')
+            pose = [str(number) for number in (*start[1], *rotation_vector(start[0]))]
         names = []
         for number, image in enumerate(images):
             names.append(str(Path(folder) / f'{number:05d}.pgm'))
             cv2.imwrite(names[-1], image)
         done = subprocess.run(
-            [str(program), str(data / 'cube.cao'), str(data / 'cube.xml'), kind, *pose],
+            [str(program), str(shape), str(settings), kind, *pose],
             input='\n'.join(names) + '\n', capture_output=True, text=True, timeout=300,
             env={**os.environ, 'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}, check=True)
     rows = np.array([[float(word) for word in line.split()]

@@ -24,6 +24,7 @@ import time
 import traceback
 from typing import Any
 
+import cv2
 from msg_adapters.image import image_message, ImageDecoder
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.stamps import stamp_ns
@@ -212,9 +213,13 @@ class TrackingWorker:
             self._tell(fault(error))
 
     def _track(self, msg, with_overlay, depth, current: np.ndarray) -> TrackedImage:
-        began, problem, picture, stamp = time.perf_counter(), '', None, 0
+        began, problem, picture, bgr, stamp = time.perf_counter(), '', None, None, 0
         try:
-            stamp, picture = stamp_ns(msg.header.stamp), self._decoder.grey(msg)
+            stamp = stamp_ns(msg.header.stamp)
+            if any(session.wants_colour for session in self._sessions):
+                bgr = self._decoder.colour(msg)
+            picture = self._decoder.grey(msg) if bgr is None else cv2.cvtColor(
+                bgr, cv2.COLOR_BGR2GRAY)
         except SelfcalError as error:
             problem = str(error)
         except Exception as error:  # as above
@@ -227,7 +232,8 @@ class TrackingWorker:
             tracked, wrong = None, problem
             if picture is not None:
                 try:
-                    tracked = session.add(picture, stamp, depth)
+                    coloured = bgr if session.wants_colour else None
+                    tracked = session.add(picture if coloured is None else coloured, stamp, depth)
                 except SelfcalError as error:
                     wrong = str(error)
                 except Exception as error:  # as above

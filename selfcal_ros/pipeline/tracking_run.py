@@ -285,7 +285,8 @@ def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera
         try:
             for run, session in zip(runs, sessions):
                 began = time.perf_counter()
-                found.append(session.add(frame.image, stamp_ns, depth))
+                bgr = frame.bgr if session.wants_colour else None
+                found.append(session.add(frame.image if bgr is None else bgr, stamp_ns, depth))
                 run.seconds += time.perf_counter() - began
         except InputError as error:
             # an image that one of them cannot use is of no use to any

@@ -31,6 +31,7 @@ from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
+from selfcal_ros.values.mesh import MeshModel
 
 #: In place of a start pose: the object is sought.
 AUTO = 'auto'
@@ -224,6 +225,11 @@ class TrackingSession:
                                 'perspective.')
         self._start, self._seeking = None, True
         self.reset()
+
+    @property
+    def wants_colour(self) -> bool:
+        """Whether colours help: an outline stands out in the grey that they choose."""
+        return isinstance(self.model, MeshModel)
 
     def add(self, image: np.ndarray, stamp_ns: int | None = None,
             depth: np.ndarray | None = None) -> TrackedFrame:

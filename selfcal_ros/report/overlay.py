@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -72,7 +73,8 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
     drawn = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     thick = max(1, round(min(drawn.shape[:2]) / 480))
     if tracked is not None:
-        _draw_points(drawn, tracked, thick, 0 if model is None else len(model.lines))
+        _draw_points(drawn, tracked, thick, 0 if model is None else len(model.lines),
+                     isinstance(model, MeshModel))
         if model is not None and camera is not None and tracked.state is not TrackerState.LOST \
                 and tracked.camera_model in ('perspective', 'zoom'):
             _draw_axes(drawn, tracked, model, camera, thick)
@@ -81,8 +83,13 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
     return drawn
 
 
-def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
-    """Draw the primitives through their control points, and the edgels; lines up to their ends."""
+def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int, outlined: bool) -> None:
+    """
+    Draw the primitives through their control points, and the edgels; lines up to their ends.
+
+    Of an outline that comes and goes between parts neighbours are not known: each of its places is
+    drawn along its own tangent.
+    """
     points = tracked.image_px
     if not len(points):
         return
@@ -100,6 +107,15 @@ def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
     step = 0.5 * (segments[:, 1] - segments[:, 0]) * (tracked.primitive[:-1] < lines)[:, None]
     segments[first, 0] -= step[first]
     segments[last, 1] += step[last]
+    if outlined:
+        follows &= tracked.primitive[:-1] < lines
+        rim = np.flatnonzero(usable & (tracked.primitive >= lines))
+        along = _half_step_px(points[rim]) * np.stack(
+            [-tracked.normal[rim, 1], tracked.normal[rim, 0]], axis=1)
+        segments = np.concatenate([segments, np.stack([points[rim] - along, points[rim] + along],
+                                                      axis=1)])
+        follows = np.append(follows, np.ones(len(rim), bool))
+        worse = np.append(worse, colour[rim])
     for kind, bgr in ((3, HIDDEN), (2, MISSING), (1, REJECTED), (0, FOUND)):
         chosen = segments[follows & (worse == kind)]
         if tracked.state is TrackerState.LOST:
@@ -117,6 +133,13 @@ def _draw_points(drawn, tracked: TrackedFrame, thick: int, lines: int) -> None:
         if rows.any():
             ticks = np.stack([at[rows] - along[rows], at[rows] + along[rows]], axis=1)
             cv2.polylines(drawn, list(_fixed(ticks)), False, bgr, 1, cv2.LINE_AA, _SHIFT)
+
+
+def _half_step_px(points: np.ndarray) -> float:
+    """Half of the usual distance from a place to its nearest neighbour, pixels."""
+    if len(points) < 2:
+        return 0.0
+    return 0.5 * float(np.median(cKDTree(points).query(points, 2)[0][:, 1]))
 
 
 def _draw_axes(drawn, tracked: TrackedFrame, model, camera: Camera, thick: int) -> None:

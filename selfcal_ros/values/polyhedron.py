@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A mesh whose faces are all plane is a polyhedron: each face has edges, and a texture of its own."""
+"""A mesh whose faces are all plane is a polyhedron: each face has edges, and its own texture."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ class SlowSession:
     """A session whose images take as long as the test likes."""
 
     model = camera = None
+    wants_colour = False
 
     def __init__(self):
         self.taken, self.may_go = threading.Semaphore(0), threading.Semaphore(0)

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bench import tracking_recorded
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file
@@ -172,3 +173,21 @@ def test_the_tea_box_is_followed_by_both_cameras():
         assert np.linalg.norm(R @ middle + t - right.rotation @ middle
                               - right.translation) < 0.006
         assert np.degrees(np.linalg.norm(rotation_vector(R @ right.rotation.T))) < 3
+
+
+@pytest.mark.skipif(not (DATA / 'visp_rbt').is_dir(), reason='needs the recorded sets')
+@pytest.mark.parametrize('name', ('cube', 'dragon'))
+def test_a_painted_cube_and_a_dragon_stay_with_the_wall_of_tags(name):
+    """Filmed by hand: within the bars where the truth is verified, followed to the end."""
+    sequence = tracking_recorded.read_sequence(name)
+    rotations, translations, states, _ = tracking_recorded.follow(sequence, 3)
+    numbers = np.arange(0, len(sequence.images), 3)
+    away_mm, turned_deg = tracking_recorded.off_the_wall(sequence, numbers, rotations,
+                                                         translations)
+    most_mm, most_deg = tracking_recorded.MOST[name]
+    assert away_mm < most_mm and turned_deg < most_deg
+    assert set(states) <= {TrackerState.TRACKING, TrackerState.DEGRADED}
+    assert states[:5] == [TrackerState.TRACKING] * 5 and states[-1] is TrackerState.TRACKING
+    near, aside = tracking_recorded.outline_distances(
+        sequence, numbers[:5], rotations[:5], translations[:5], states[:5])
+    assert near < tracking_recorded.ON_PX and near < 0.7 * aside

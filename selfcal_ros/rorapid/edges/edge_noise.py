@@ -29,7 +29,7 @@ _PRIOR_FREEDOM, _COMMON = 10.0, (0.5, 25.0)
 #: Variance over what the lines' residuals show of it: what neighbouring lines share, and what the
 #: choice of edgels near the pose itself shares, no residual shows. Measured on rendered objects.
 #: Outlines of round parts share more, for the rim is where the pose puts it.
-UNSEEN, UNSEEN_OUTLINE = 1.27, 3.0
+UNSEEN, UNSEEN_OUTLINE = 1.27, 4.0
 #: What shading leaves along an outline after the limb is taken off, pixels: all around, and by
 #: itself in each of so many sectors. Light from a side makes one side of a part larger.
 _AROUND_PX, _SECTOR_PX, _SECTORS = 0.05, 0.02, 8

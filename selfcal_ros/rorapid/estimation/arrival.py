@@ -102,14 +102,14 @@ class Arrival:
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
             ranked = search.ranked(image, states, spread)
-            if not ranked or not search.check.fair(ranked[0][1]):
+            if not ranked or not search.check.stands_out(ranked[0][1], was_seen):
                 continue
             best, support = ranked[0]
             if not search.outlined:
                 ranked += search.ranked(image, quartered(best), spread)
             yield [best] + [
                 pose for pose, other in ranked[1:] if turned_by(best, pose) > OTHER_RAD
-                and search.check.rivals(support, other, was_seen)]
+                and search.check.rivals(support, other)]
 
     def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:
         """

@@ -22,7 +22,7 @@ from selfcal_ros.rorapid.estimation.depth_images import DepthImages
 from selfcal_ros.rorapid.estimation.model_doubt import ModelDoubt
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.size_check import SizeCheck
-from selfcal_ros.rorapid.estimation.start_check import StartCheck, Support
+from selfcal_ros.rorapid.estimation.start_check import StartCheck
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.values.mesh import MeshModel

@@ -57,8 +57,10 @@ _LITTLE, _IMAGES = (0.45, 0.55), 5
 _RECOGNISED = 0.35, 0.65
 #: Poses are alike that differ by less than this share of the length.
 _ALIKE = 0.05
-#: An outline is known where no other pose comes as near as this: what was lost, what is new.
-_CLEAR = 0.15, 0.25
+#: An outline is known where no other pose comes as near as this. What was never seen must be seen
+#: whole besides: of 67 seen whole in 337 images of six parts five were another pose, of 41 with a
+#: clear margin none.
+_CLEAR, _WHOLE = 0.15, 0.95
 #: Turns of the other poses, degrees.
 _TURNS = 14.0, 28.0
 
@@ -181,10 +183,14 @@ class StartCheck:
         return (support.reaches(_PLAIN) or self._held >= _IMAGES or self.alone(support, turned)
                 or support.reaches(_FAIR) and support.length >= rival.length - _ALIKE)
 
-    def rivals(self, support: Support, rival: Support, was_seen: bool) -> bool:
+    def rivals(self, support: Support, rival: Support) -> bool:
         """Whether another pose is seen so well that lines do not decide."""
-        return rival.length > support.length - (
-            _CLEAR[not was_seen] if self._outlined else _ALIKE)
+        return rival.length > support.length - (_CLEAR if self._outlined else _ALIKE)
+
+    def stands_out(self, support: Support, was_seen: bool) -> bool:
+        """Whether something that came in may be the object."""
+        whole = not self._outlined or was_seen or support.length >= _WHOLE
+        return whole and self.fair(support)
 
     def found(self, support: Support, by_texture: bool) -> bool:
         """Whether an object that was lost is found; its texture may have recognised it."""

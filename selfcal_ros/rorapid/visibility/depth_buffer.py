@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 #: Cells along the object's longer side, and empty ones around it.
-_CELLS, _AROUND = 48, 4
+_CELLS, _AROUND = 60, 4
 #: The object ends where cells so far beside it are empty, in cells.
 _BESIDE = 1.5, 2.5
 

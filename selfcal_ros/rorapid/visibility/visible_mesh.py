@@ -34,9 +34,9 @@ from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: Places on the outline, and of these so many make a primitive.
-OUTLINE_POINTS, _TOGETHER = 72, 6
+OUTLINE_POINTS, _TOGETHER = 108, 6
 #: Points on the surface that fill the depth buffer.
-_SURFACE_POINTS = 12_000
+_SURFACE_POINTS = 20_000
 #: What is nearer than this share of the diameter hides: the surface itself bends away.
 _NEARER = 0.06
 #: A crease is a line in the image where its control points are so far apart, share of diameter.
