@@ -263,6 +263,8 @@ def _creases(vertices, triangles, normals):
 
 def _runs(vertices, creases):
     """Length (L,) of the run that each of the creases (L, 2) belongs to."""
+    if not len(creases):
+        return np.zeros(0)
     span = vertices[creases[:, 1]] - vertices[creases[:, 0]]
     length = np.linalg.norm(span, axis=1)
     away = np.concatenate([span, -span]) / np.tile(length, 2)[:, None]
@@ -271,7 +273,7 @@ def _runs(vertices, creases):
     first = (np.cumsum(at) - at)[at == 2]
     one, other = order[first], order[first + 1]
     straight = (away[one] * away[other]).sum(axis=1) < -np.cos(_RUNS_ON_RAD)
-    links = one[straight] % max(count, 1), other[straight] % max(count, 1)
+    links = one[straight] % count, other[straight] % count
     _, run = connected_components(coo_matrix((np.ones(len(links[0])), links),
                                              shape=(count, count)), directed=False)
     return np.bincount(run, length)[run]

@@ -217,6 +217,16 @@ def test_a_patterned_part_is_followed_by_its_pattern_too(part, speed, first):
     assert len(frame.texture_px) >= 8
 
 
+@pytest.mark.parametrize('depth_m', (1e-9, 1e-4, 0.02))
+def test_a_start_at_the_camera_itself_is_no_accident(depth_m):
+    """Part of the object is behind the camera then, and its picture is without bounds."""
+    tracker = RorapidTracker(MeshModel.build(*bean()), CAMERA)
+    tracker.start(np.eye(3), [0, 0, depth_m])
+    image = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    for _ in range(2):
+        assert not tracker.track(image)
+
+
 def test_half_an_outline_of_a_lump_is_never_tracked_to_a_wrong_pose():
     vertices, faces = bean()
     model = MeshModel.build(vertices, faces)

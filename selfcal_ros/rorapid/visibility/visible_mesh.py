@@ -39,6 +39,8 @@ OUTLINE_POINTS, _TOGETHER = 108, 6
 _SURFACE_POINTS = 20_000
 #: What is nearer than this share of the diameter hides: the surface itself bends away.
 _NEARER = 0.06
+#: What is wider than so many images is nearly at the camera, or behind it.
+_WIDEST = 4
 #: A crease is a line in the image where its control points are so far apart, share of diameter.
 _APART = 0.04
 
@@ -201,12 +203,15 @@ class VisibleMesh:
         Returns
         -------
         ndarray of uint8, shape `shape`
-            255 on the object.
+            255 on the object; nothing where it is so near that it would fill several images.
 
         """
         mask = np.zeros(shape, np.uint8)
-        pixels = np.rint(place(self._surface)).astype(int)
-        span = np.ptp(pixels, axis=0)
+        places = np.rint(place(self._surface))
+        span = np.ptp(places, axis=0)
+        if not (span < _WIDEST * max(shape)).all():
+            return mask
+        pixels = places.astype(int)
         inside = ((pixels >= 0) & (pixels < shape[::-1])).all(axis=1)
         mask[pixels[inside, 1], pixels[inside, 0]] = 255
         # half of the points are on the far side; gaps are closed to twice their usual distance
