@@ -27,16 +27,17 @@ from dataclasses import dataclass
 import json
 import time
 
-from bench import visp_peer
+from bench import tracking_runs, visp_peer
 from bench.inputs import data_folder
 from bench.tables import Report
+from bench.tracking_runs import Track
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.model import read_model
-from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerState
+from selfcal_ros.rorapid.tracker import TrackerState
 from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -92,15 +93,17 @@ def run(report: Report, options) -> None:
     for name in MOST:
         sequence = read_sequence(name)
         for step in (1, 3):
-            rotations, translations, states, seconds = follow(sequence, step)
+            track = follow(sequence, step)
+            found, states = (track.rotations, track.translations), track.states
             numbers = np.arange(0, len(sequence.images), step)
-            away, turned = off_the_wall(sequence, numbers, rotations, translations)
-            near, aside = outline_distances(sequence, numbers, rotations, translations, states)
+            away, turned = off_the_wall(sequence, numbers, *found)
+            near, aside = outline_distances(sequence, numbers, *found, states)
             followed = sum(state in (TrackerState.TRACKING, TrackerState.DEGRADED)
                            for state in states)
             what = f'{name}, every image' if step == 1 else f'{name}, every third'
             rows.append((what, f'{away:.2f}', f'{turned:.2f}', f'{followed} of {len(numbers)}',
-                         f'{near:.1f}', f'{aside:.1f}', f'{1000 * np.median(seconds):.1f}'))
+                         f'{near:.1f}', f'{aside:.1f}',
+                         f'{1000 * np.median(track.seconds):.1f}'))
             report.judge(away <= MOST[name][0] and turned <= MOST[name][1],
                          f'{what}: {away:.2f} mm, {turned:.2f}°, required {MOST[name][0]:g} mm, '
                          f'{MOST[name][1]:g}°')
@@ -126,18 +129,10 @@ def read_sequence(name: str) -> Sequence:
     return Sequence(model, camera, images, wall @ np.linalg.inv(wall[0]) @ start)
 
 
-def follow(sequence: Sequence, step: int):
+def follow(sequence: Sequence, step: int) -> Track:
     """Follow the object in every so many images, from the start that came with the sequence."""
-    tracker = RorapidTracker(sequence.model, sequence.camera, rng=np.random.default_rng(0))
-    tracker.start(sequence.truth[0, :3, :3], sequence.truth[0, :3, 3])
-    frames, seconds = [], []
-    for image in sequence.images[::step]:
-        began = time.thread_time()
-        frames.append(tracker.track(image))
-        seconds.append(time.thread_time() - began)
-    return (np.array([frame.rotation for frame in frames]),
-            np.array([frame.translation for frame in frames]),
-            [frame.state for frame in frames], seconds)
+    return tracking_runs.follow(sequence.images[::step], sequence.model, sequence.camera,
+                                (sequence.truth[0, :3, :3], sequence.truth[0, :3, 3]))
 
 
 def off_the_wall(sequence: Sequence, numbers, rotations, translations) -> tuple[float, float]:

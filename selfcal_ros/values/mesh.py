@@ -153,9 +153,12 @@ class MeshModel(WireframeModel):
     @cached_property
     def smooth_edges(self) -> np.ndarray:
         """Pairs (E, 2) of smooth vertices that a face joins."""
-        pairs = np.concatenate([self.smooth[:, [0, 1]], self.smooth[:, [1, 2]],
-                                self.smooth[:, [2, 0]]])
-        return np.unique(np.sort(pairs, axis=1), axis=0)
+        return np.unique(np.sort(borders(self.smooth), axis=1), axis=0)
+
+
+def borders(triangles: np.ndarray) -> np.ndarray:
+    """Return all first borders of triangles (T, 3), then all second, then all third: (3 T, 2)."""
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def _unit(vectors):
@@ -186,7 +189,7 @@ def _oriented(vertices, triangles):
     agree, so a part that can be oriented makes two components, one the reverse of the other.
     """
     count = len(triangles)
-    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    ends = borders(triangles)
     face, along = np.tile(np.arange(count), 3), ends[:, 0] < ends[:, 1]
     _, index, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
                                return_counts=True)
@@ -231,8 +234,7 @@ def _simplified(vertices, triangles):
 def _creases(vertices, triangles, normals):
     """Return creases and borders (L, 2), their faces (L, 2), smooth corners, and open edges."""
     count = len(triangles)
-    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]],
-                                    triangles[:, [2, 0]]]), axis=1)
+    pairs = np.sort(borders(triangles), axis=1)
     face = np.tile(np.arange(count), 3)
     edges, index, size = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(index.ravel(), kind='stable')

@@ -20,7 +20,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.values.mesh import CREASE_RAD, MeshModel
+from selfcal_ros.values.mesh import borders, CREASE_RAD, MeshModel
 from selfcal_ros.values.wireframe import FACE_LIMIT, FLAT_RAD, Polygon, WireframeModel
 
 #: A mesh of more plane faces is followed as a mesh.
@@ -43,7 +43,7 @@ def polyhedron(mesh: MeshModel) -> WireframeModel | None:
 
     """
     triangles, normals = mesh.triangles, mesh.normals
-    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    ends = borders(triangles)
     owner = np.tile(np.arange(len(triangles)), 3)
     _, edge, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
                               return_counts=True)
@@ -71,13 +71,13 @@ def polyhedron(mesh: MeshModel) -> WireframeModel | None:
         return None                      # a border that touches itself
 
 
-def _loop(vertices: np.ndarray, borders: np.ndarray) -> list[int] | None:
+def _loop(vertices: np.ndarray, around: np.ndarray) -> list[int] | None:
     """Corners of a face in order, from its directed borders (N, 2); None unless it is one loop."""
-    after = dict(borders.tolist())
-    loop = [int(borders[0, 0])] if len(borders) else []
-    while loop and len(loop) < len(borders) and after[loop[-1]] != loop[0]:
+    after = dict(around.tolist())
+    loop = [int(around[0, 0])] if len(around) else []
+    while loop and len(loop) < len(around) and after[loop[-1]] != loop[0]:
         loop.append(after[loop[-1]])
-    if not loop or len(after) < len(borders) or len(loop) < len(borders):
+    if not loop or len(after) < len(around) or len(loop) < len(around):
         return None
     span = vertices[np.roll(loop, -1)] - vertices[loop]
     span /= np.linalg.norm(span, axis=1)[:, None]

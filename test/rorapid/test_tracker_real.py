@@ -180,7 +180,8 @@ def test_the_tea_box_is_followed_by_both_cameras():
 def test_a_painted_cube_and_a_dragon_stay_with_the_wall_of_tags(name):
     """Filmed by hand: within the bars where the truth is verified, followed to the end."""
     sequence = tracking_recorded.read_sequence(name)
-    rotations, translations, states, _ = tracking_recorded.follow(sequence, 3)
+    track = tracking_recorded.follow(sequence, 3)
+    rotations, translations, states = track.rotations, track.translations, track.states
     numbers = np.arange(0, len(sequence.images), 3)
     away_mm, turned_deg = tracking_recorded.off_the_wall(sequence, numbers, rotations,
                                                          translations)

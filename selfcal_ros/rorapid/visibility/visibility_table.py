@@ -29,6 +29,7 @@ from scipy.spatial import ConvexHull
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
+from selfcal_ros.values.mesh import borders
 from selfcal_ros.values.wireframe import WireframeModel
 
 _HIDDEN, _VISIBLE, _UNSURE = 0, 1, 2
@@ -157,8 +158,7 @@ def _view_sphere(subdivisions):
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     for _ in range(subdivisions):
         faces = ConvexHull(points).simplices
-        edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]],
-                                                  faces[:, [2, 0]]]), axis=1), axis=0)
+        edges = np.unique(np.sort(borders(faces), axis=1), axis=0)
         middle = points[edges].sum(axis=1)
         points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1)[:, None]])
     faces = ConvexHull(points).simplices
