@@ -204,6 +204,39 @@ def days() -> dict[str, Day]:
     def zooming(time: float) -> float:
         return 1 + 0.03 * (2 * time - 1)
 
+    def turns_then_drives(lever_m: float, turn_deg: float) -> Callable:
+        """Turn on the spot, the camera so far ahead of the axle; then drive on a curve."""
+        def forward(heading: float) -> np.ndarray:
+            return cases.heading_R(heading, 0.0)[2]
+
+        def path(rng: np.random.Generator) -> object:
+            first = rng.uniform(-3, 3) + np.radians(turn_deg)
+            place = np.array([3.0, 2.0, 0.6]) + [*rng.uniform(-0.6, 0.6, 2), 0.0]
+
+            def pose(time: float) -> tuple[np.ndarray, np.ndarray]:
+                turned, driven = min(2 * time - 1, 0.0), max(2 * time - 1, 0.0)
+                heading = first + turned * np.radians(turn_deg) + driven
+                way = np.mean([forward(first + share * driven)
+                               for share in np.linspace(0, 1, 20)], axis=0)
+                return (cases.heading_R(heading, 0.3),
+                        place + 2 * driven * way + lever_m * forward(heading))
+            return cases.Fn(pose)
+        return path
+
+    def turns_then_moves(lever_m: float) -> Callable:
+        """Turn by hand about a wrist so far behind the camera; then move freely."""
+        def path(rng: np.random.Generator) -> object:
+            hand, place = cases.General(rng, rot=20.0, trans=0.5), np.array([4.0, 1.5, 1.2])
+            R_then, then = hand(0.5)
+
+            def pose(time: float) -> tuple[np.ndarray, np.ndarray]:
+                R, centre = hand(time)
+                if time < 0.5:
+                    return R, place + lever_m * (R[2] - R_then[2])
+                return R, place + centre - then
+            return cases.Fn(pose)
+        return path
+
     turning = {'base': 'fn', 'mkpath': turns}
     return {
         **{f'stabilised by {s} px': Day(stabilised(s)) for s in (0.5, 1.5)},
@@ -223,6 +256,11 @@ def days() -> dict[str, Day]:
         **{f'only turns, read in {ms} ms': Day(world={**turning, 'rs': ms * 1e-3})
            for ms in (8, 20, 33)},
         'only turns, columns in 20 ms': Day(upright, {**turning, 'rs': 0.02}),
+        **{f'turns by {deg}°, {round(100 * lever)} cm off, then drives': Day(
+            world={'base': 'fn', 'mkpath': turns_then_drives(lever, deg)})
+           for deg, lever in ((60, 0.02), (90, 0.05), (180, 0.02), (180, 0.1))},
+        **{f'turns {round(100 * lever)} cm off, then moves': Day(
+            world={'base': 'fn', 'mkpath': turns_then_moves(lever)}) for lever in (0.02, 0.05)},
         'only turns, two cameras': Day(name='mix2_f2', world=turning),
         'radial1 stated': Day(facts={'distortion': 'radial1'}),
         'fisheye, plumb_bob stated': Day(world={'cam': fisheye},

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 import logging
 from typing import Any
@@ -37,6 +37,7 @@ from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit
                                                          judge_rotations, RotationFit)
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
+from selfcal_ros.calibration.estimators.turning_views import better_without, frames_in_motion
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
 from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
 from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
@@ -179,6 +180,19 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
     if mirrored is not None:
         return NotCalibrated.of(NoEstimate('images_mirrored', mirrored=tuple(
             graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=software)
+    result = _of_graph(graph, tracks, size, motion, facts, start, translation_frames, views)
+    if views is not None or motion not in MOTION_MODELS:
+        return result
+    return _beside_turns(result, replace(tracks, image_size=size), motion=motion, facts=facts,
+                         start=start)
+
+
+def _of_graph(graph: ViewGraph, tracks: Tracks, size: tuple[int, int], motion: str,
+              facts: CameraFacts, start: Camera | None,
+              translation_frames: Sequence[int] | None, views: int | None,
+              ) -> Calibration | NotCalibrated:
+    """Calibrate from connected views by one motion or by the one that is found."""
+    software = f'selfcal_ros {__version__}'
     result: Calibration | NoEstimate
     if motion == 'rotation':
         result = calibrate_rotating(graph.tracks, size, facts)
@@ -201,6 +215,25 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
     hint = only_a_hint(result)
     return result if hint is None else NotCalibrated.of(hint, frames=result.frames,
                                                         software=software)
+
+
+def _beside_turns(whole: Calibration | NotCalibrated, tracks: Tracks, **how: Any,
+                  ) -> Calibration | NotCalibrated:
+    """Leave frames out that turn on the spot, where they do more harm than good."""
+    moving: Iterable[int] | None = None
+    if isinstance(whole, NotCalibrated):
+        moving = whole.values.get('in_motion')
+    elif whole.reconstruction is not None:
+        moving = frames_in_motion(whole.reconstruction, tracks)
+    if moving is None:
+        return whole
+    others = calibrate(tracks.in_frames(moving), **how)
+    if not others or (whole and not better_without(whole, others)):
+        return whole
+    left_out = Finding('turning_left_out',
+                       left_out=np.setdiff1d(whole.frames, others.frames).tolist())
+    return replace(others, findings=(left_out, *(
+        one for one in others.findings if one.kind != left_out.kind)))
 
 
 def _beside_still_tracks(result: Calibration | NotCalibrated, rest: Tracks, still: StillTracks,

@@ -255,6 +255,11 @@ REMARKS: dict[str, Phrase] = {
         'all that the images differ by. The frames are all in the result file.',
         'Calibrate the images of each camera by themselves; check that none was cropped, scaled '
         'or zoomed.'),
+    'turning_left_out': Phrase(
+        'Frames in which the camera turns on the spot were left out: {left_out:frames}.',
+        'Such frames show hardly any depth, and an estimate with them is off by more than its '
+        'sigmas say, or fails.',
+        'Nothing is wrong with the result. Move while you turn, if you record again.'),
     # known objects
     'points_of_no_object': Phrase(
         '{count} observations of points that the object does not have were left out.',

@@ -50,25 +50,24 @@ def depth_of(triangles: np.ndarray, pose: np.ndarray, camera: Camera,
     """
     depth = np.full((camera.height, camera.width), np.inf if wall_m is None else wall_m)
     corners = triangles @ pose[:, :3].T + pose[:, 3]
-    pixels = corners[:, :, :2] / corners[:, :, 2:] @ camera.K[:2, :2].T + camera.K[:2, 2]
-    size = [camera.width, camera.height]
-    low = np.clip(np.floor(pixels.min(axis=1)).astype(int), 0, size)
-    high = np.clip(np.ceil(pixels.max(axis=1)).astype(int) + 1, 0, size)
-    for (a, b, c), start, end in zip(corners, low, high):
-        if (start >= end).any():
-            continue
-        x, y = np.meshgrid(np.arange(start[0], end[0]), np.arange(start[1], end[1]))
-        ray = np.stack([(x - camera.K[0, 2]) / camera.K[0, 0],
-                        (y - camera.K[1, 2]) / camera.K[1, 1], np.ones(x.shape)], axis=-1)
-        # the point of the ray in the plane, by its coordinates along the sides
-        inverse = np.linalg.pinv(np.column_stack([b - a, c - a]))
-        normal = np.cross(b - a, c - a)
-        slope = ray @ normal
-        along = np.divide(normal @ a, slope, out=np.full(x.shape, -1.0), where=slope != 0)
-        u, v = np.moveaxis((along[..., None] * ray - a) @ inverse.T, -1, 0)
-        part = depth[start[1]:end[1], start[0]:end[0]]
-        part[:] = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (along > 0) & (along < part),
-                           along, part)
+    homogeneous = corners @ camera.K.T
+    pixels = homogeneous[:, :, :2] / homogeneous[:, :, 2:]
+    low = np.clip(np.floor(pixels.min(axis=1)), 0, (camera.width, camera.height)).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=1)) + 1, 0,
+                   (camera.width, camera.height)).astype(int)
+    columns, rows = np.maximum(high - low, 0).T
+    covered = (np.linalg.det(homogeneous) != 0) & (columns * rows > 0)
+    low, columns, count = low[covered], columns[covered], (columns * rows)[covered]
+    # every pixel in the box about every triangle
+    triangle = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
+    x = low[triangle, 0] + place % columns[triangle]
+    y = low[triangle, 1] + place // columns[triangle]
+    # a pixel is the sum of the corners by weights, which are the corners' shares over the depth
+    weights = np.linalg.inv(homogeneous[covered])[triangle]
+    shares = x[:, None] * weights[:, 0] + y[:, None] * weights[:, 1] + weights[:, 2]
+    inside = (shares >= 0).all(axis=1)
+    np.minimum.at(depth, (y[inside], x[inside]), 1 / shares[inside].sum(axis=1))
     depth = np.where(np.isfinite(depth),
                      scale * depth + noise_m * rng.normal(size=depth.shape), 0.0)
     return np.float32(1e-3) * np.rint(1e3 * depth).astype(np.float32)

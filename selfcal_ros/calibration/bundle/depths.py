@@ -26,7 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS, RobustFit
 from selfcal_ros.geometry.projective import tangent_basis
 
 #: Points that are farther than this behind their cameras, in sigmas, are so not by noise.
@@ -74,8 +74,24 @@ def share_behind(fit: RobustFit) -> float:
 
 
 def cost_ahead(fit: RobustFit) -> float:
-    """Cost, and what it takes to bring all points before their cameras, to second order."""
-    return fit.cost + 0.5 * float(np.sum(np.minimum(inverse_depths(fit), 0)**2))
+    """
+    Cost, and what it takes to bring all points before their cameras, to second order.
+
+    A point costs no more than all its observations as outliers.
+    """
+    behind = np.minimum(inverse_depths(fit), 0)
+    most = OUTLIER_SIGMAS**2 * fit.bundle.blocks.length
+    return fit.cost + 0.5 * float(np.sum(np.minimum(behind**2, most)))
+
+
+def cost_of_all_ahead(fit: RobustFit, sigma_px: float) -> float:
+    """
+    Cost of all observations at a common noise, and of points behind: to compare optima by.
+
+    Outliers count what makes them such.
+    """
+    common = replace(fit, bundle=fit.bundle.with_sigma(sigma_px))
+    return cost_ahead(common) + 0.5 * OUTLIER_SIGMAS**2 * fit.outliers
 
 
 def seen_ahead(fit: RobustFit) -> RobustFit:

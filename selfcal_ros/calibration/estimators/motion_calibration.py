@@ -45,6 +45,8 @@ from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_p
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, may_be_rolling,
                                                                timed)
 from selfcal_ros.calibration.estimators.torn_path import mended, torn_findings
+from selfcal_ros.calibration.estimators.turning_stretch import turned_about
+from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
@@ -247,7 +249,7 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     fit = first_fit(window, medium, state)
     if near is not None:
         fit = nearer(fit, first_fit(window, medium, near_state(near, medium) or state), medium)
-    fit = mended(fit, medium, window)
+    fit = mended(turned_about(fit, medium, window), medium, window)
     if problem.motion.keeps_plane:
         # before what the plane forbids is taken for something else
         fit = as_uneven_as_told(fit, medium)
@@ -296,8 +298,10 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
         # a lens that was chosen is no fact
         stated = replace(known, facts=problem.facts)
         return _parted_or_zooming(stated, graph, proposals, first, model.fit)
-    if not result or isinstance(whole, NoEstimate):
+    if isinstance(whole, NoEstimate):
         return result
+    if isinstance(result, NoEstimate):
+        return saying_what_moves(result, whole, np.array(graph.frames))
     findings += torn_findings(known.observations, whole.observations, np.array(graph.frames))
     return _unbent(whole, replace(result, findings=(*findings, *result.findings)), known, graph)
 

@@ -26,13 +26,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.depths import cost_ahead
+from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
-                                                       OUTLIER_SIGMAS, refit, RobustFit,
-                                                       with_all_points)
+                                                       refit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -230,15 +229,10 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
         standing = with_all_points(state, medium)
         if standing is not None:
             fit = fit_robustly(medium, standing, problem.motion, priors, noise_px, rounds=3)
-            rivals.append(replace(fit, bundle=fit.bundle.with_sigma(least_px)))
+            rivals.append(fit)
     # the mirror image of a scene explains its images about as well
-    return (min(rivals, key=_badness).state if rivals
+    return (min(rivals, key=lambda one: cost_of_all_ahead(one, least_px)).state if rivals
             else NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown'))
-
-
-def _badness(fit: RobustFit) -> float:
-    """Cost of all observations: of outliers what makes them such."""
-    return cost_ahead(fit) + 0.5 * OUTLIER_SIGMAS**2 * fit.outliers
 
 
 def _without_lever(state: SceneState) -> SceneState:
