@@ -39,11 +39,11 @@ from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 
-#: Steps shorter than this share of the longest, each over the depth of what is seen, are those of
-#: a camera that stays where it is.
-SHORT_STEP = 0.2
+#: Steps shorter than this share of the longest, and of the depth of what is seen, are those of a
+#: camera that stays where it is.
+SHORT_STEP = (0.2, 0.015)
 #: So many views at least make a stretch, and it must turn by so much.
-LEAST_VIEWS, LEAST_TURN_RAD = 3, np.radians(5.0)
+LEAST_VIEWS, LEAST_TURN_RAD = 4, np.radians(5.0)
 #: Levers that are tried, as shares of the usual depth.
 LEVERS = (0.005, 0.015, 0.05)
 #: So many of the best starts are followed to the end.
@@ -146,8 +146,8 @@ def _followed(fit: RobustFit, few: Observations, state: SceneState, noise_px: fl
     return left_px if np.isfinite(left_px) else np.inf, state
 
 
-def turning_stretches(fit: RobustFit, short: float = SHORT_STEP, most: float = np.inf,
-                      ) -> list[tuple[int, int]]:
+def turning_stretches(fit: RobustFit, short: float = SHORT_STEP[0],
+                      most: float = SHORT_STEP[1]) -> list[tuple[int, int]]:
     """
     Find stretches of successive views that turn and hardly move.
 
@@ -233,7 +233,7 @@ def starts_about(fit: RobustFit, first: int, last: int) -> list[SceneState]:
     path, lens = state.path, state.lens
     steps = _step_shares(path.centres(), near)
     # where it hardly moves depths are not known: of what is seen from elsewhere
-    travels = np.append(steps, 0.0) >= SHORT_STEP * steps.max(initial=0.0)
+    travels = np.append(steps, 0.0) >= SHORT_STEP[0] * steps.max(initial=0.0)
     usual = np.median(near[travels])
     if not usual > 0:
         return []
