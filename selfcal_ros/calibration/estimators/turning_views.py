@@ -113,7 +113,8 @@ def better_without(whole: Calibration, others: Calibration) -> bool:
     bool
 
     """
-    if others.sigma['fx'] > VAGUE * others.camera.K[0, 0]:
+    # a focal length that varies has no one value to compare, and all views tell it best
+    if whole.focal is not None or others.sigma['fx'] > VAGUE * others.camera.K[0, 0]:
         return False
     if whole.motion == 'general':
         return True
