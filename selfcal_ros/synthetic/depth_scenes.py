@@ -52,9 +52,9 @@ def depth_of(triangles: np.ndarray, pose: np.ndarray, camera: Camera,
     corners = triangles @ pose[:, :3].T + pose[:, 3]
     homogeneous = corners @ camera.K.T
     pixels = homogeneous[:, :, :2] / homogeneous[:, :, 2:]
-    low = np.clip(np.floor(pixels.min(axis=1)), 0, (camera.width, camera.height)).astype(int)
-    high = np.clip(np.ceil(pixels.max(axis=1)) + 1, 0,
-                   (camera.width, camera.height)).astype(int)
+    size = (camera.width, camera.height)
+    low = np.clip(np.floor(pixels.min(axis=1)), 0, size).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=1)) + 1, 0, size).astype(int)
     columns, rows = np.maximum(high - low, 0).T
     covered = (np.linalg.det(homogeneous) != 0) & (columns * rows > 0)
     low, columns, count = low[covered], columns[covered], (columns * rows)[covered]

@@ -122,12 +122,15 @@ def _of_all(fit: RobustFit, tried: Observations, problem: SelfCalibrationProblem
     state = bundle.refine_points(state)
     off_px = np.linalg.norm(bundle.residuals(state), axis=1)
     explained = off_px < OUTLIER_SIGMAS * fit.bundle.sigma_px
-    some, points = tried.select(explained & verified(tried.point, explained))
+    vouched = explained & verified(tried.point, explained)
+    some, points = tried.select(vouched)
     if not len(some.view) or len(np.unique(some.view)) < len(state.path):
         return None
     again = first_fit(problem, some, replace(state, points=state.points[points]))
-    left = len(tried.view) - int(np.sum(explained & ~verified(tried.point, explained)))
-    return replace(again, outliers=left - len(again.observations.view))
+    # what agrees but goes with the rest of its track is no outlier
+    contradict = len(tried.view) - np.count_nonzero(explained)
+    lost = np.count_nonzero(vouched) - len(again.observations.view)
+    return replace(again, outliers=int(contradict + lost))
 
 
 def _followed(fit: RobustFit, few: Observations, state: SceneState, noise_px: float,
@@ -206,11 +209,31 @@ def _step_shares(centres: np.ndarray, inverse_depths: np.ndarray) -> np.ndarray:
 
 
 def _inverse_depths(fit: RobustFit) -> np.ndarray:
-    """Median inverse distance of what each view sees, shape (V,)."""
+    """Usual ones of what each view sees, shape (V,)."""
     state, seen = fit.state, fit.observations
-    distance = np.linalg.norm(state.placed(fit.bundle.blocks), axis=1)
-    inverse = np.abs(state.points[seen.point, 3]) / np.maximum(distance, 1e-300)
-    return np.array([np.median(inverse[seen.view == view]) for view in range(len(state.path))])
+    return usual_inverse_depths(state.points[seen.point], seen.view, state.path.centres())
+
+
+def usual_inverse_depths(points: np.ndarray, view: np.ndarray, centres: np.ndarray,
+                         ) -> np.ndarray:
+    """
+    Median inverse distance of what each view sees.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 4)
+        Homogeneous point of every observation.
+    view : ndarray of int, shape (N,)
+    centres : ndarray, shape (V, 3)
+
+    Returns
+    -------
+    ndarray, shape (V,)
+
+    """
+    distance = np.linalg.norm(points[:, :3] - points[:, 3:] * centres[view], axis=1)
+    inverse = np.abs(points[:, 3]) / np.maximum(distance, 1e-300)
+    return np.array([np.median(inverse[view == one]) for one in range(len(centres))])
 
 
 def starts_about(fit: RobustFit, first: int, last: int) -> list[SceneState]:

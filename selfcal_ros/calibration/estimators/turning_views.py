@@ -24,7 +24,8 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.turning_stretch import (stretches_of,
-                                                                turning_stretches)
+                                                                turning_stretches,
+                                                                usual_inverse_depths)
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
@@ -63,10 +64,7 @@ def frames_in_motion(scene: Reconstruction, tracks: Tracks) -> np.ndarray | None
     seen = tracks.select(np.isin(tracks.frame, scene.frames) & np.isin(tracks.track, scene.tracks))
     view = np.searchsorted(scene.frames, seen.frame)
     points = scene.points[np.searchsorted(scene.tracks, seen.track)]
-    distance = np.linalg.norm(points[:, :3] - points[:, 3:] * centres[view], axis=1)
-    inverse = np.abs(points[:, 3]) / np.maximum(distance, 1e-300)
-    usual = np.array([np.median(inverse[view == k]) if (view == k).any() else 0.0
-                      for k in range(len(scene.frames))])
+    usual = usual_inverse_depths(points, view, centres)
     return _in_motion(scene.frames, stretches_of(centres, R, usual, *ON_THE_SPOT))
 
 
