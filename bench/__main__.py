@@ -35,6 +35,7 @@ BENCHES = {
     'si_degenerate': 'degenerate motions and scenes: right, or refused for the right reason',
     'hard_scenes': 'sequences at the edge: never confidently wrong, never refused needlessly',
     'suppositions': 'wrong facts, two cameras, mirrored images, a prism: named or silent',
+    'rough_shares': 'sigmas true beside rolling shutter, zoom, levers, wrong facts? hours',
     'further_worlds': 'bad days beside the shared ones: turned, torn, rounded, two at once',
     'short_clips': 'clips that turn by 2 to 15 degrees: calibration, hint or refusal',
     'rendered_drive': 'rendered drive, images to K, beside COLMAP',
@@ -80,7 +81,7 @@ BENCHES = {
 }
 #: Only when asked for by name.
 LONG = ('coverage', 'hostile_inputs', 'lenses', 'long_recording', 'mounts', 'wide_lenses',
-        'shutter')
+        'rough_shares', 'shutter')
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -21,13 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import cache, partial
-import json
-from pathlib import Path
+from functools import cache
 
 from bench.lens_population import (brand_weights, lenses_of, profile_path, Profiles,
                                    read_profiles)
-from bench.monte_carlo import run_seeds
+from bench.monte_carlo import kept_runs
 import numpy as np
 from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
@@ -309,39 +307,20 @@ def one_decentred(task: tuple, stated: str) -> Outcome:
     return compared(calibrate(sequence.tracks, facts=facts), camera)
 
 
-def kept_runs(tasks, options) -> dict[tuple, Outcome]:
+def kept_outcomes(tasks, options) -> dict[tuple, Outcome]:
     """Return all runs that lie in the cache, and those of the tasks that do not, made now."""
-    if not options.cache:
-        return dict(zip(tasks, run_seeds(one_run, tasks, options.processes)))
-    folder = Path(options.cache)
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / 'runs.jsonl'
-    kept = read_runs(file)
-    missing = [task for task in tasks if task not in kept]
-    run_seeds(partial(one_kept_run, file=file), missing, options.processes)
-    return read_runs(file)
+    runs = kept_runs(_fields, tasks, options.cache, options.processes)
+    return {task: _outcome(fields) for task, fields in runs.items()}
 
 
-def one_kept_run(task: tuple, file: Path) -> None:
-    """Make one run and write its line at once, so that an interruption costs one run."""
-    fields = asdict(one_run(task)) | {'task': task}
-    line = json.dumps(fields, default=lambda value: value.tolist()) + '\n'
-    with file.open('a', encoding='utf-8') as out:
-        out.write(line)
+def _fields(task: tuple) -> dict:
+    return asdict(one_run(task))
 
 
-def read_runs(file: Path) -> dict[tuple, Outcome]:
-    """Read the runs of a file, by (lens, motion, seed); none where there is no file."""
-    if not file.exists():
-        return {}
-    runs = {}
-    for line in file.read_text(encoding='utf-8').splitlines():
-        fields = json.loads(line)
-        task = tuple(fields.pop('task'))
-        for name in ('error', 'error_px'):
-            fields[name] = None if fields[name] is None else np.array(fields[name])
-        for name in ('rays', 'ray_px'):
-            if fields[name]:
-                fields[name] = {place: np.array(one) for place, one in fields[name].items()}
-        runs[task] = Outcome(**fields)
-    return runs
+def _outcome(fields: dict) -> Outcome:
+    for name in ('error', 'error_px'):
+        fields[name] = None if fields[name] is None else np.array(fields[name])
+    for name in ('rays', 'ray_px'):
+        if fields[name]:
+            fields[name] = {place: np.array(one) for place, one in fields[name].items()}
+    return Outcome(**fields)

@@ -29,7 +29,7 @@ from functools import partial
 from itertools import product
 
 from bench.lens_population import profile_path
-from bench.lens_runs import (CIRCLE, DECENTRING, kept_runs, LENSES, MOTIONS, NOISES_PX,
+from bench.lens_runs import (CIRCLE, DECENTRING, kept_outcomes, LENSES, MOTIONS, NOISES_PX,
                              one_decentred, PLACES, TRACKS, VIEWS)
 from bench.monte_carlo import run_seeds
 from bench.tables import Report
@@ -71,7 +71,7 @@ def run(report: Report, options) -> None:
 def _every_lens(report: Report, options) -> None:
     seeds = range(options.runs or 1000)
     tasks = [(lens, motion, seed) for seed, lens, motion in product(seeds, LENSES, MOTIONS)]
-    outcome = kept_runs(tasks, options)
+    outcome = kept_outcomes(tasks, options)
     rows, rays, verdicts = [], [], []
     for lens, motion in product(LENSES, MOTIONS):
         every = [one for task, one in outcome.items() if task[:2] == (lens, motion)]

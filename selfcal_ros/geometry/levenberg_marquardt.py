@@ -32,11 +32,12 @@ from selfcal_ros.geometry.reduced_system import ReducedSystem
 _SMALL, _HOPELESS = 1e-2, 1e8
 
 _State = TypeVar('_State')
+_Seen = TypeVar('_Seen')
 _Shared = TypeVar('_Shared')
 
 
-def minimise(state: _State, cost_of: Callable[[_State], float],
-             linearise: Callable[[_State], _Shared],
+def minimise(state: _State, evaluate: Callable[[_State], tuple[float, _Seen]],
+             linearise: Callable[[_State, _Seen], _Shared],
              attempt: Callable[[_State, _Shared, float], tuple[_State | None, float]],
              iterations: int, tolerance: float, least: float = 1e-10) -> _State:
     """
@@ -46,10 +47,11 @@ def minimise(state: _State, cost_of: Callable[[_State], float],
     ----------
     state
         Where to start.
-    cost_of : callable
-        state to its cost, infinite where it is impossible.
+    evaluate : callable
+        state to its cost, infinite where it is impossible, and to what else is known then.
     linearise : callable
-        state to what every attempt from it shares; called once for each state that is reached.
+        state, and what else is known of it, to what every attempt from there shares; called once
+        for each state that is reached.
     attempt : callable
         (state, what it shares, damping) to a state one damped step further, None where there is
         none, and the decrease of the cost by the linear model.
@@ -64,13 +66,13 @@ def minimise(state: _State, cost_of: Callable[[_State], float],
     state
 
     """
-    cost = cost_of(state)
+    cost, seen = evaluate(state)
     linearisation: _Shared | None = None
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        linearisation = linearise(state) if linearisation is None else linearisation
+        linearisation = linearise(state, seen) if linearisation is None else linearisation
         moved, expected = attempt(state, linearisation, damping)
-        new_cost = np.inf if moved is None else cost_of(moved)
+        new_cost, new_seen = (np.inf, seen) if moved is None else evaluate(moved)
         decrease = cost - new_cost
         if abs(decrease) < tolerance and damping < _SMALL:
             return moved if moved is not None and decrease > 0 else state
@@ -78,7 +80,7 @@ def minimise(state: _State, cost_of: Callable[[_State], float],
             # trust the model as far as it held (Nielsen 1999)
             gain = min(decrease / max(expected, 1e-300), 1.0)
             damping = max(damping * max(0.1, 1 - (2 * gain - 1)**3), least)
-            state, cost, linearisation, growth = moved, new_cost, None, 2.0
+            state, cost, seen, linearisation, growth = moved, new_cost, new_seen, None, 2.0
         else:
             damping, growth = max(damping, 1e-8) * growth, growth * 2
             if damping > _HOPELESS:
@@ -145,11 +147,12 @@ class DampedFactor:
         if self._places is not None:
             self._members, scale = 1.0, diagonal[self._places]
         else:
-            taking_part = abs(E)
+            taking_part, self._collecting = abs(E), E.T
             self._members, scale = taking_part.sum(axis=0), taking_part.T @ diagonal
         scale = np.maximum(scale, 1e-300)
         # an unknown that nothing measures must not blow up the scaled matrix
-        self._root = np.sqrt(np.maximum(scale, 1e-12 * np.median(scale)))
+        middle = np.partition(scale, len(scale) // 2)[len(scale) // 2] if len(scale) else 0.0
+        self._root = np.sqrt(np.maximum(scale, 1e-12 * middle))
         self._factor: np.ndarray | ChainFactor
         if isinstance(matrix, ChainMatrix):
             try:
@@ -160,7 +163,7 @@ class DampedFactor:
         H = restricted(matrix, E)
         H /= self._root[:, None]
         H /= self._root
-        H[np.diag_indices_from(H)] += damping
+        np.einsum('ii->i', H)[:] += damping
         # of a symmetric matrix rows are columns, which saves a copy
         factor, failed = dpotrf(H.T, lower=1, overwrite_a=1, clean=0)
         self._factor = factor
@@ -168,7 +171,7 @@ class DampedFactor:
 
     def _independent(self, values: np.ndarray) -> np.ndarray:
         """Collect values (n, ...) by the independent unknowns (k, ...)."""
-        collected: np.ndarray = (self._unknowns.T @ values if self._places is None
+        collected: np.ndarray = (self._collecting @ values if self._places is None
                                  else values[self._places])
         return collected
 

@@ -30,6 +30,7 @@ from scipy.sparse import csr_array, csr_matrix
 
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.reduced_system import ReducedSystem
+from selfcal_ros.geometry.small_cholesky import inverse_cholesky
 from selfcal_ros.geometry.view_chain import chain_of_views
 
 #: Points are reduced in groups that share a few views, so that the cost grows with the length of
@@ -194,7 +195,7 @@ class PointBlocks:
         for k in range(self.view_count):
             rows = self._by_view[self._view_first[k]:self._view_first[k + 1]]
             if len(rows):
-                J = full[rows].reshape(-1, full.shape[2])
+                J = np.take(full, rows, axis=0).reshape(-1, full.shape[2])
                 yield k, J.T @ J
 
     def _summed(self, full: np.ndarray, g: int, v: int) -> np.ndarray:
@@ -274,11 +275,11 @@ class PointBlocks:
                 cross = np.add.reduceat(cross, self._cells, axis=0)
         else:
             H, shared = self._products(jac_point, full)
-        scale = np.einsum('pii->pi', H)
+        scale = np.einsum('pii->pi', H)      # a view: what is added to it is added to H
         # a floor keeps points without parallax invertible
-        H = H + np.einsum('pi,ij->pij', scale * damping + 1e-12 * scale.sum(1, keepdims=True)
-                          + 1e-300, np.eye(p))
-        inverse_root = np.linalg.inv(np.linalg.cholesky(H))   # L⁻¹, H⁻¹ = L⁻ᵀ L⁻¹
+        floor = scale * damping + 1e-12 * scale.sum(1, keepdims=True) + 1e-300
+        scale += floor
+        inverse_root = inverse_cholesky(H)
         factors = []
         for members, rows, slot, column, window in self._groups:
             W = np.zeros((len(members), p, g + len(window) * v))

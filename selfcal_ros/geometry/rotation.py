@@ -20,14 +20,19 @@ import numpy as np
 from selfcal_ros.geometry.projective import about_axis
 
 
-def _sine_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return sin a / a, (1 - cos a) / a², (a - sin a) / a³, with their limits at zero."""
+def _sine_terms(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return sin a / a and (1 - cos a) / a², with their limits at zero."""
+    # at such angles the limits are exact to the last digit
+    safe = np.maximum(angle, 1e-9)
+    half = np.sin(safe / 2) / safe
+    return np.sin(safe) / safe, 2 * half * half
+
+
+def _third_term(angle: np.ndarray) -> np.ndarray:
+    """Return (a - sin a) / a³, with its limit at zero."""
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)
-    square = angle * angle
-    return (np.where(small, 1 - square / 6, np.sin(safe) / safe),
-            np.where(small, 0.5 - square / 24, 2 * np.sin(safe / 2)**2 / safe**2),
-            np.where(small, 1 / 6 - square / 120, (safe - np.sin(safe)) / safe**3))
+    return np.where(small, 1 / 6 - angle * angle / 120, (safe - np.sin(safe)) / safe**3)
 
 
 def rotation_matrix(vector: np.ndarray) -> np.ndarray:
@@ -46,7 +51,7 @@ def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """
     vector = np.asarray(vector, float)
     angle = np.sqrt(np.einsum('...i,...i->...', vector, vector))
-    sine, cosine, _ = _sine_terms(angle)
+    sine, cosine = _sine_terms(angle)
     return about_axis(vector, 1 - cosine * angle * angle, sine, cosine)
 
 
@@ -102,7 +107,7 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     """
     vector = np.asarray(vector, float)
     angle = np.sqrt(np.einsum('...i,...i->...', vector, vector))
-    _, cosine, cubic = _sine_terms(angle)
+    cosine, cubic = _sine_terms(angle)[1], _third_term(angle)
     return about_axis(vector, 1 - cubic * angle * angle, cosine, cubic)
 
 

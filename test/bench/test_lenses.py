@@ -82,8 +82,8 @@ def test_runs_that_lie_in_the_cache_are_not_made_again(tmp_path, monkeypatch):
 
     monkeypatch.setattr(lens_runs, 'one_run', one_run)
     options = SimpleNamespace(cache=tmp_path / 'runs', processes=1)
-    first = lens_runs.kept_runs([('none', 'drive', 0)], options)
-    both = lens_runs.kept_runs([('none', 'drive', 0), ('none', 'drive', 1)], options)
+    first = lens_runs.kept_outcomes([('none', 'drive', 0)], options)
+    both = lens_runs.kept_outcomes([('none', 'drive', 0), ('none', 'drive', 1)], options)
     assert made == [('none', 'drive', 0), ('none', 'drive', 1)]
     again, before = both['none', 'drive', 0], first['none', 'drive', 0]
     assert again.distance == before.distance

@@ -73,8 +73,8 @@ def test_derivatives_of_the_rig(problem):
     at, size, h = bundle.linearise(state), len(bundle.unknowns), 1e-5
 
     def difference(step, points=None):
-        ahead, back = (bundle.linearise(bundle.moved(
-            state, sign * step, None if points is None else sign * points), False).residual
+        ahead, back = (bundle.predict(bundle.moved(
+            state, sign * step, None if points is None else sign * points)).residual
             for sign in (1, -1))
         return (ahead - back) / (2 * h)
 

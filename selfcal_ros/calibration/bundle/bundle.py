@@ -29,7 +29,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.information import (huber_factors, HUBER_SIGMAS, Information,
                                                         inverse_information, winsorised_square)
-from selfcal_ros.calibration.bundle.model import Linearisation, Model
+from selfcal_ros.calibration.bundle.model import Linearisation, Model, Prediction
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
@@ -37,6 +37,7 @@ from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor,
                                                       straight_step)
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
+from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.reduced_system import ReducedSystem
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
@@ -94,9 +95,13 @@ class Bundle:
 
     # ------------------------------------------------------------------ model
 
-    def linearise(self, state: Any, jacobians: bool = True) -> Linearisation:
+    def predict(self, state: Any) -> Prediction:
+        """Project every observation."""
+        return self.model.predict(state, self.blocks, self.xy)
+
+    def linearise(self, state: Any) -> Linearisation:
         """Project every observation and differentiate."""
-        return self.model.linearise(state, self.blocks, self.xy, self.unknowns, jacobians)
+        return self.predict(state).differentiated(self.unknowns)
 
     def moved(self, state: Any, step: np.ndarray, steps: np.ndarray | None = None) -> Any:
         """Move a state by a step (n,) of what remains, and of what is eliminated (P, p)."""
@@ -106,8 +111,8 @@ class Bundle:
 
     def residuals(self, state: Any) -> np.ndarray:
         """Residuals in pixels (N, m); NaN behind the camera."""
-        linearisation = self.linearise(state, jacobians=False)
-        return np.where(linearisation.ahead[:, None], linearisation.residual, np.nan)
+        seen = self.predict(state)
+        return np.where(seen.ahead[:, None], seen.residual, np.nan)
 
     def prior_terms(self, state: Any) -> tuple[float, np.ndarray, np.ndarray]:
         """
@@ -174,25 +179,27 @@ class Bundle:
 
     def cost(self, state: Any) -> float:
         """Robust cost in units of sigma²; infinite where the state is impossible."""
+        return self._evaluated(state)[0]
+
+    def _evaluated(self, state: Any) -> tuple[float, Prediction | None]:
+        """Return the cost, and what it was computed from."""
         if not state.lens.is_possible:
-            return np.inf
-        distance = self._misfits(self.linearise(state, jacobians=False))
+            return np.inf, None
+        seen = self.predict(state)
+        distance = self._misfits(seen)
         if not np.isfinite(distance).all():
-            return np.inf
-        return float(huber_loss(distance, HUBER_SIGMAS).sum()) + self.prior_terms(state)[0]
+            return np.inf, None
+        loss = float(huber_loss(distance, HUBER_SIGMAS).sum())
+        return loss + self.prior_terms(state)[0], seen
 
-    def _misfits(self, linearisation: Linearisation) -> np.ndarray:
+    def _misfits(self, seen: Prediction | Linearisation) -> np.ndarray:
         """Return the length of every residual (N,) in sigmas."""
-        distance = self._lengths(linearisation) / self.sigma_px
-        return np.where(linearisation.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
-
-    def _lengths(self, linearisation: Linearisation) -> np.ndarray:
-        lengths: np.ndarray = np.linalg.norm(linearisation.residual, axis=1)
-        return lengths
+        distance = lengths(seen.residual) / self.sigma_px
+        return np.where(seen.ahead, distance, np.maximum(distance, BEHIND_SIGMAS))
 
     def _root_weights(self, linearisation: Linearisation, robust: bool) -> np.ndarray:
         """Return the root of every observation's weight, (N, 1): Huber's, over the noise."""
-        distance = self._lengths(linearisation) / self.sigma_px
+        distance = lengths(linearisation.residual) / self.sigma_px
         weight = huber_weights(distance, HUBER_SIGMAS) if robust else np.ones(len(distance))
         root: np.ndarray = np.sqrt(weight * linearisation.ahead) / self.sigma_px
         return root[:, None]
@@ -238,6 +245,9 @@ class Bundle:
         BundleState
 
         """
+        def linearise(state: Any, seen: Prediction | None) -> Linearisation:
+            return self.linearise(state) if seen is None else seen.differentiated(self.unknowns)
+
         def attempt(state: Any, linearisation: Linearisation, damping: float,
                     ) -> tuple[Any, float]:
             system, root = self.weighted_equations(state, damping, linearisation=linearisation)
@@ -250,12 +260,11 @@ class Bundle:
                 if self.model.is_bent else straight_step(system, factor))
             return self.moved(state, step, steps), -0.5 * float(system.gradient @ step)
 
-        return minimise(state, self.cost, self.linearise, attempt, iterations, tolerance)
+        return minimise(state, self._evaluated, linearise, attempt, iterations, tolerance)
 
     def _weighted_residuals(self, state: Any, root: np.ndarray, step: np.ndarray,
                             steps: np.ndarray) -> np.ndarray:
-        ahead = self.linearise(self.moved(state, step, steps), jacobians=False)
-        residual: np.ndarray = root * ahead.residual
+        residual: np.ndarray = root * self.predict(self.moved(state, step, steps)).residual
         return residual
 
     def refine_points(self, state: Any, iterations: int = 5) -> Any:

@@ -27,7 +27,6 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import OUTLIER_SIGMAS, RobustFit
-from selfcal_ros.geometry.projective import tangent_basis
 
 #: Points that are farther than this behind their cameras, in sigmas, are so not by noise.
 BEHIND_BY = 3.0
@@ -54,7 +53,7 @@ def inverse_depths(fit: RobustFit) -> np.ndarray:
     H = blocks.sum_over_points(np.swapaxes(J, 1, 2) @ J)
     floor = _FLOOR * np.einsum('pii->p', H) + 1e-300
     inverse = np.linalg.inv(H + floor[:, None, None] * np.eye(3))
-    by_weight = tangent_basis(state.points)[:, 3]
+    by_weight = state.tangents[:, 3]
     sigma = np.sqrt(np.einsum('pi,pij,pj->p', by_weight, inverse, by_weight))
     placed = state.placed(blocks) @ state.path.mount.T
     if state.lens.model.is_perspective:

@@ -165,7 +165,10 @@ class Projection:
         self.lens, self._image = lens, lens.model.image(X, lens.distortion)
         f, aspect, cx, cy, skew = lens.values[:5]
         self.xd, self.yd = self._image.xy[:, 0], self._image.xy[:, 1]
-        self.uv = np.stack([f * self.xd + skew * self.yd + cx, f * aspect * self.yd + cy], axis=1)
+        self.uv = self._image.xy * [f, f * aspect]
+        self.uv += [cx, cy]
+        if skew:
+            self.uv[:, 0] += skew * self.yd
 
     def by_points(self) -> np.ndarray:
         """Differentiate by the points; shape (N, 2, 3)."""

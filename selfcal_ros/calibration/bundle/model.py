@@ -22,6 +22,7 @@ object whose points are known. What remains has names (`Unknowns`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -59,6 +60,26 @@ class Linearisation:
     shared: np.ndarray
     view: np.ndarray
     eliminated: np.ndarray
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """
+    Residuals of every observation; derivatives are made of what is known here, when asked for.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (N, m)
+        See `Linearisation`.
+    ahead : ndarray of bool, shape (N,)
+    differentiated : callable
+        (Unknowns) -> Linearisation; derivatives by fixed ones may be left at zero.
+
+    """
+
+    residual: np.ndarray
+    ahead: np.ndarray
+    differentiated: Callable[[Unknowns], Linearisation]
 
 
 class Model(Protocol):
@@ -99,9 +120,8 @@ class Model(Protocol):
         """Lay out what remains, facts not yet regarded."""
         ...
 
-    def linearise(self, state: Any, blocks: PointBlocks, xy: np.ndarray,
-                  unknowns: Unknowns, jacobians: bool) -> Linearisation:
-        """Project every observation and differentiate."""
+    def predict(self, state: Any, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
+        """Project every observation."""
         ...
 
     def moved(self, state: Any, step: np.ndarray, steps: np.ndarray, unknowns: Unknowns) -> Any:
@@ -124,8 +144,3 @@ class Model(Protocol):
         """Return the direction (n,) that no image can determine, if there is one."""
         ...
 
-
-def residuals_only(residual: np.ndarray, ahead: np.ndarray) -> Linearisation:
-    """Return a linearisation without derivatives."""
-    empty = np.empty(0)
-    return Linearisation(residual, ahead, empty, empty, empty)

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Lens, Projection
-from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
@@ -125,25 +125,26 @@ class KnownPoints(_PoseElimination):
         """Count the measurements that `prior_terms` stands for."""
         return 0 if self.bend is None else len(BEND_NAMES)
 
-    def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
-                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
-        """Project every point and differentiate; see `SceneModel.linearise`."""
+    def predict(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
+        """Project every point; see `SceneModel.predict`."""
         points = self.points if self.bend is None else self.points + self.bend.off(state.bend)
         turned = state.path.turned(points, blocks.view)
         X = turned + state.path.translations(blocks.view)
         ahead, pixels = _look(state.lens, X, xy)
         residual = pixels.uv - xy
-        if not jacobians:
-            return residuals_only(residual, ahead)
-        J = pixels.by_points()
-        shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
-        if self.bend is not None:
-            normal = state.path.cam_from_object[:, :, :3] @ self.bend.normal
-            along = np.einsum('nij,nj->ni', J, normal[blocks.view])
-            shared[:, :, unknowns.places(BEND_NAMES)] = (
-                along[:, :, None] * self.bend.modes[:, None])
-        return Linearisation(residual, ahead, shared, np.empty((len(xy), 2, 0)),
-                             ObjectPoses.by_steps(J, turned))
+
+        def differentiated(unknowns: Unknowns) -> Linearisation:
+            J = pixels.by_points()
+            shared = pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
+            if self.bend is not None:
+                normal = state.path.cam_from_object[:, :, :3] @ self.bend.normal
+                along = np.einsum('nij,nj->ni', J, normal[blocks.view])
+                shared[:, :, unknowns.places(BEND_NAMES)] = (
+                    along[:, :, None] * self.bend.modes[:, None])
+            return Linearisation(residual, ahead, shared, np.empty((len(xy), 2, 0)),
+                                 ObjectPoses.by_steps(J, turned))
+
+        return Prediction(residual, ahead, differentiated)
 
 
 @dataclass(frozen=True)
@@ -189,18 +190,19 @@ class KnownEdges(_PoseElimination):
 
     dimension = 1
 
-    def linearise(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray,
-                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
-        """Measure every edgel from its edge and differentiate; see `SceneModel.linearise`."""
+    def predict(self, state: ObjectState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
+        """Measure every edgel from its edge; see `SceneModel.predict`."""
         feet = self._nearest(state, blocks.view, xy)
         residual = np.einsum('ni,ni->n', feet.pixels.uv - xy, feet.normal)[:, None]
-        if not jacobians:
-            return residuals_only(residual, feet.ahead)
-        J = np.einsum('nij,ni->nj', feet.by_point, feet.normal)[:, None]
-        by_lens = feet.pixels.by_intrinsics(unknowns.free)
-        shared = np.einsum('nij,ni->nj', by_lens, feet.normal)[:, None]
-        return Linearisation(residual, feet.ahead, shared, np.empty((len(xy), 1, 0)),
-                             ObjectPoses.by_steps(J, feet.turned))
+
+        def differentiated(unknowns: Unknowns) -> Linearisation:
+            J = np.einsum('nij,ni->nj', feet.by_point, feet.normal)[:, None]
+            by_lens = feet.pixels.by_intrinsics(unknowns.free)
+            shared = np.einsum('nij,ni->nj', by_lens, feet.normal)[:, None]
+            return Linearisation(residual, feet.ahead, shared, np.empty((len(xy), 1, 0)),
+                                 ObjectPoses.by_steps(J, feet.turned))
+
+        return Prediction(residual, feet.ahead, differentiated)
 
     def normals(self, state: ObjectState, view: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """Unit normals (N, 2) of the projected edges, where each lies nearest to its edgel."""

@@ -98,7 +98,8 @@ class AxisPath:
 
     @cached_property
     def _rotations(self) -> np.ndarray:
-        turned: np.ndarray = self._swings @ twist_matrix(self.angle)
+        twists = twist_matrix(self.angle)
+        turned: np.ndarray = self._swings @ twists if self.tilt.any() else twists
         return turned
 
     def cam_from_world(self) -> np.ndarray:
@@ -151,7 +152,9 @@ class AxisPath:
 
     def moved(self, shared: np.ndarray, steps: np.ndarray) -> AxisPath:
         """Return the path after steps of `SHARED_NAMES` (2,) and `VIEW_NAMES` (V, 6)."""
-        mount = self.mount @ rotation_matrix(np.array([shared[0], shared[1], 0.0]))
+        mount = self.mount
+        if shared.any():
+            mount = mount @ rotation_matrix(np.array([shared[0], shared[1], 0.0]))
         return AxisPath(mount, self.angle + steps[:, 0], self.tilt + steps[:, 3:5],
                         self.translation + steps[:, [1, 2, 5]])
 
@@ -283,7 +286,7 @@ def path_prior(path: AxisPath, motion: MotionModel, unknowns: Unknowns) -> Prior
     """
     gradient, diagonal = np.zeros(len(unknowns)), np.zeros(len(unknowns))
     cost = 0.0
-    scale = path.step_length() if motion.height_sigma else 1.0
+    scale = path.step_length() if 0 < motion.height_sigma < np.inf else 1.0
     for name, values, sigma in (('tilt_x', path.tilt[:, 0], motion.tilt_sigma_rad),
                                 ('tilt_y', path.tilt[:, 1], motion.tilt_sigma_rad),
                                 ('height', path.translation[:, 2], motion.height_sigma * scale)):

@@ -16,18 +16,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import Projection
-from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.path import crossed, SHARED_NAMES
 from selfcal_ros.calibration.bundle.rig import Rig
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.projective import lengths
 
 
 @dataclass(frozen=True)
@@ -135,17 +136,20 @@ class RigModel(SceneModel):
             seen.append((rows, pixels))
         return _Seen(uv, toward * sign > MINIMUM_DEPTH, seen, before, sign)
 
-    def linearise(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray,
-                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
-        """Project every observation and differentiate; see `SceneModel.linearise`."""
+    def predict(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
+        """Project every observation; see `SceneModel.predict`."""
         assert isinstance(state, RigState)
-        path, view = state.path, blocks.view
         at = self._place(state, blocks, xy)
-        residual, weight = at.seen.uv - xy, at.Y[:, 3:]
-        if not jacobians:
-            return residuals_only(residual, at.seen.ahead)
+        residual = at.seen.uv - xy
+        return Prediction(residual, at.seen.ahead,
+                          partial(self._of_rig, state, blocks, at, residual))
+
+    def _of_rig(self, state: RigState, blocks: PointBlocks, at: _Placed, residual: np.ndarray,
+                unknowns: Unknowns) -> Linearisation:
+        """Differentiate."""
+        path, view, weight = state.path, blocks.view, at.Y[:, 3:]
         by_rig = self._by_rig(state.lens, at.seen)
-        shared = np.zeros((len(xy), 2, unknowns.shared.stop))
+        shared = np.zeros((len(residual), 2, unknowns.shared.stop))
         self._by_cameras(state.lens, at.seen, by_rig, weight, unknowns, shared)
         J = by_rig @ path.mount
         path.by_axis(J, at.placed, shared[:, :, unknowns.lens.stop:])
@@ -188,7 +192,7 @@ class RigModel(SceneModel):
         by_point = (by_rig @ state.path.mount) @ at.placing
         places = np.stack([state.lens.place(k) for k in range(len(state.lens.cameras))])
         by_point[:, :, 3] -= np.einsum('nki,ni->nk', by_rig, places[self.camera])
-        tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
+        tangent = np.take(state.tangents, blocks.point, axis=0)
         by_steps: np.ndarray = by_point @ tangent
         return by_steps
 
@@ -208,8 +212,8 @@ class RigModel(SceneModel):
               unknowns: Unknowns) -> SceneState:
         """Move a state by a step (n,) of what remains and steps (P, 3) of the points."""
         assert isinstance(state, RigState)
-        points = state.points + np.einsum('pij,pj->pi', tangent_basis(state.points), steps)
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        points = state.points + np.einsum('pij,pj->pi', state.tangents, steps)
+        points /= lengths(points)[:, None]
         path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
         return replace(state, lens=state.lens.moved(step[unknowns.lens]), path=path,
                        points=points)

@@ -16,11 +16,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, residuals_only
+from selfcal_ros.calibration.bundle.model import Linearisation, MINIMUM_DEPTH, Prediction
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.path import (path_prior, path_prior_count, path_unknowns,
                                                  scale_gauge, SHARED_NAMES)
@@ -31,7 +32,7 @@ from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, projection, RATE_NAME,
                                                  VIEW_NAME, walk_count, with_walk, with_zoom, Zoom)
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.projective import lengths
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class _Seen:
 
     def by_points(self, J: np.ndarray, state: SceneState, blocks: PointBlocks) -> np.ndarray:
         """Differentiate by small moves of the homogeneous points, (N, 2, 3)."""
-        tangent = np.take(tangent_basis(state.points), blocks.point, axis=0)
+        tangent = np.take(state.tangents, blocks.point, axis=0)
         by_point: np.ndarray = (J @ self.placing) @ tangent
         return by_point
 
@@ -99,10 +100,9 @@ class SceneModel:
             unknowns = with_line_delay(unknowns, self.shutter)
         return unknowns if self.motion.zoom is None else with_zoom(unknowns, self.motion.zoom)
 
-    def linearise(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray,
-                  unknowns: Unknowns, jacobians: bool = True) -> Linearisation:
+    def predict(self, state: SceneState, blocks: PointBlocks, xy: np.ndarray) -> Prediction:
         """
-        Project every observation and differentiate.
+        Project every observation.
 
         Parameters
         ----------
@@ -111,21 +111,19 @@ class SceneModel:
             Point and view of every observation.
         xy : ndarray, shape (N, 2)
             Observed pixels.
-        unknowns : Unknowns
-            Derivatives by fixed ones may be left at zero.
-        jacobians : bool
-            False: residuals only.
 
         Returns
         -------
-        Linearisation
+        Prediction
 
         """
-        path, view = state.path, blocks.view
         seen = self._seen(state, blocks, xy)
-        if not jacobians:
-            return residuals_only(seen.residual, seen.ahead)
+        return Prediction(seen.residual, seen.ahead,
+                          partial(self._differentiated, state, blocks, seen))
 
+    def _differentiated(self, state: SceneState, blocks: PointBlocks, seen: _Seen,
+                        unknowns: Unknowns) -> Linearisation:
+        path, view = state.path, blocks.view
         J = seen.by_placed(state)
         shared = seen.pixels.by_intrinsics(unknowns.free, unknowns.shared.stop)
         path.by_axis(J, seen.placed, shared[:, :, unknowns.lens.stop:])
@@ -166,8 +164,8 @@ class SceneModel:
     def moved(self, state: SceneState, step: np.ndarray, steps: np.ndarray,
               unknowns: Unknowns) -> SceneState:
         """Move a state by a step (n,) of what remains and steps (P, 3) of the points."""
-        points = state.points + np.einsum('pij,pj->pi', tangent_basis(state.points), steps)
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        points = state.points + np.einsum('pij,pj->pi', state.tangents, steps)
+        points /= lengths(points)[:, None]
         path = state.path.moved(step[unknowns.places(SHARED_NAMES)], step[unknowns.by_view])
         delay = state.line_delay
         if self.shutter is not None:

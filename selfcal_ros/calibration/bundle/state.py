@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.zoom import Zoom
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import tangent_basis
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,11 @@ class SceneState(BundleState):
     points: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     zoom: Zoom | None = None
     line_delay: float = 0.0
+
+    @cached_property
+    def tangents(self) -> np.ndarray:
+        """Directions in which the points may move, shape (P, 4, 3)."""
+        return tangent_basis(self.points)
 
     def of_views(self, kept: np.ndarray, points: np.ndarray) -> SceneState:
         """Return the state of some of the views and points, by index or mask."""

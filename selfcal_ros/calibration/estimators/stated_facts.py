@@ -281,8 +281,8 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
     if LENS_MODEL in about:
         free = bundle.unknowns.free.copy()
         free[bundle.unknowns.lens] = True
-        shared = bundle.model.linearise(fit.state, bundle.blocks, bundle.xy,
-                                        replace(bundle.unknowns, free=free), True).shared
+        shared = bundle.predict(fit.state).differentiated(
+            replace(bundle.unknowns, free=free)).shared
     joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
                                     for fact, names in about.items()], known,
                               None if hidden is None else hidden.columns,

@@ -39,7 +39,8 @@ class PerspectiveImage:
         z = rays[..., 2]
         self._depth = np.where(np.abs(z) > _LEAST_DEPTH, z, _LEAST_DEPTH)
         self.x, self.y = rays[..., 0] / self._depth, rays[..., 1] / self._depth
-        self.xy = np.stack(lens.distorted(values, self.x, self.y), axis=-1)
+        self.xy = np.empty((*z.shape, 2))
+        self.xy[..., 0], self.xy[..., 1] = lens.distorted(values, self.x, self.y)
 
     def by_ray(self) -> np.ndarray:
         """Differentiate by the rays, shape (..., 2, 3)."""
