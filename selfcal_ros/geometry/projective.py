@@ -102,7 +102,8 @@ def tangent_basis(points: np.ndarray) -> np.ndarray:
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths of vectors (N, k), shape (N,), in less time than `numpy.linalg.norm`."""
     squares: np.ndarray = np.einsum('nk,nk->n', vectors, vectors)
-    return np.sqrt(squares, out=squares)
+    np.sqrt(squares, out=squares)
+    return squares
 
 
 def normalising_transform(xy: ArrayLike) -> np.ndarray:

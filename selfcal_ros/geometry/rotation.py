@@ -32,7 +32,9 @@ def _third_term(angle: np.ndarray) -> np.ndarray:
     """Return (a - sin a) / a³, with its limit at zero."""
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)
-    return np.where(small, 1 / 6 - angle * angle / 120, (safe - np.sin(safe)) / safe**3)
+    term: np.ndarray = np.where(small, 1 / 6 - angle * angle / 120,
+                                (safe - np.sin(safe)) / safe**3)
+    return term
 
 
 def rotation_matrix(vector: np.ndarray) -> np.ndarray:

@@ -88,7 +88,8 @@ def test_without_noise_it_is_exact(target, poses, camera):
     assert result, result
     np.testing.assert_allclose(result.camera.parameters, camera.parameters, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(result.reconstruction.cam_from_world, poses, atol=1e-6)
-    np.testing.assert_allclose(result.reconstruction.points[:, :3], target.points)
+    np.testing.assert_allclose(result.reconstruction.points[:, :3], target.points,
+                               atol=1e-12)
     assert result.motion == 'known-object' and result.facts.distortion == 'plumb_bob'
     assert result.status['skew'] == 'held' and result.status['k1'] == 'estimated'
     assert result.outlier_count == 0

@@ -143,4 +143,3 @@ class Model(Protocol):
     def gauge(self, state: Any, unknowns: Unknowns) -> np.ndarray | None:
         """Return the direction (n,) that no image can determine, if there is one."""
         ...
-
