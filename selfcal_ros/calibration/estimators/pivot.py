@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.centres import all_rays
 from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
@@ -42,10 +43,11 @@ from selfcal_ros.calibration.estimators.motion_calibration import (MODEL_TRACKS_
 from selfcal_ros.calibration.estimators.rotation import RotationFit
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
-from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
+from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.optimise import PointBlocks
 
 #: So many starts are followed to the end.
 RIVALS = 4
@@ -130,15 +132,13 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         No estimate where it does not turn, or nothing to start with is found.
 
     """
-    place = {int(frame): k for k, frame in enumerate(turning.frames)}
-    if set(place) != {int(frame) for frame in graph.frames}:
-        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     fit = turning.lens.fit
     state = fit.state
     if state.lens.model.is_perspective:
         state = with_lens(state, fit.observations.xy, 'plumb_bob')
-    rotations = state.path.cam_from_world()[[place[int(f)] for f in graph.frames], :, :3]
-    rotations = rotations @ rotations[0].T
+    rotations = _of_all_views(problem, graph, turning, state)
+    if rotations is None:
+        return NoEstimate('no_start', noise_px=problem.noise_px, motion='unknown')
     problem = replace(problem, motion=PIVOT, is_weak=True, pivot=PivotPath(rotations, np.zeros(3)))
     window = problem.window()
     moved = NoEstimate('moved_not_rotated', left_px=turning.left_px, noise_px=problem.noise_px)
@@ -176,14 +176,49 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
         free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
 
 
+def _of_all_views(problem: SelfCalibrationProblem, graph: ViewGraph, turning: RotationFit,
+                  state: SceneState) -> np.ndarray | None:
+    """Return orientations (V, 3, 3) from the first view; None where some cannot be had."""
+    views, known = np.searchsorted(graph.frames, turning.frames), np.isin(turning.frames,
+                                                                          graph.frames)
+    rotations = np.full((len(graph.frames), 3, 3), np.nan)
+    rotations[views[known]] = state.path.cam_from_world()[known, :, :3]
+    if np.isnan(rotations).any():
+        # homographies, which know no lens, do not reach every view
+        seen = problem.observations
+        rays = all_rays(state.camera(*problem.size), seen.xy)
+        every = (completed_rotations(PointBlocks(seen.point, seen.view), rays, rotations)
+                 if np.isfinite(rays).all() else None)
+        if every is None:
+            return None
+        rotations = every
+    return rotations @ rotations[0].T
+
+
 def _moved_shares(state: SceneState) -> tuple[float, float]:
     """Return the extent of the camera's path, and its lever, over the usual depth of points."""
-    centres, points = state.path.centres(), state.points
+    centres, lever = state.path.centres(), float(np.linalg.norm(state.path.translation[0]))
+    return moved_share(centres, state.points), lever * _inverse_depth(centres, state.points)
+
+
+def moved_share(centres: np.ndarray, points: np.ndarray) -> float:
+    """
+    Return the extent of a path over the usual depth of points.
+
+    Parameters
+    ----------
+    centres : ndarray, shape (V, 3)
+    points : ndarray, shape (P, 4)
+        Homogeneous.
+
+    """
+    return float(np.linalg.norm(np.ptp(centres, axis=0))) * _inverse_depth(centres, points)
+
+
+def _inverse_depth(centres: np.ndarray, points: np.ndarray) -> float:
     # not from the point that rests: along a common axis of all turns it may be anywhere
     far = np.linalg.norm(points[:, :3] - points[:, 3:] * centres.mean(axis=0), axis=1)
-    inverse_depth = float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
-    return (float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth,
-            float(np.linalg.norm(state.path.translation[0])) * inverse_depth)
+    return float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
 
 
 def _lever_share(state: SceneState) -> float:

@@ -45,6 +45,8 @@ from selfcal_ros.geometry.rotation import swing_twist
 _ROUNDS = 5
 #: Ways between views that are shorter than this share of what the lever allows weigh no more.
 _LEAST_WAY = 0.1
+#: A view is turned by so many points at least.
+_LEAST_SHARED = 6
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,58 @@ class PivotPath:
             moved = path.about(lever)
             yield rescaled(SceneState(Lens.of(camera), moved, points_from_centres(
                 blocks, directions, moved.centres())))
+
+
+def completed_rotations(blocks: PointBlocks, rays: np.ndarray, rotations: np.ndarray,
+                        ) -> np.ndarray | None:
+    """
+    Turn the remaining views so that they see points where the others do.
+
+    The view that shares most points with those that are known comes first.
+
+    Parameters
+    ----------
+    blocks : PointBlocks
+    rays : ndarray, shape (N, 3)
+        Unit rays of the observations, in the cameras' frames.
+    rotations : ndarray, shape (V, 3, 3)
+        Camera from world; NaN where it is not known.
+
+    Returns
+    -------
+    ndarray, shape (V, 3, 3), or None
+        None where a view shares too few points with the others.
+
+    """
+    rotations = rotations.copy()
+    known = np.isfinite(rotations[:, 0, 0])
+    while not known.all():
+        of_known = known[blocks.view]
+        turned = np.einsum('nji,nj->ni', rotations[blocks.view[of_known]], rays[of_known])
+        total = np.stack([np.bincount(blocks.point[of_known], column, blocks.point_count)
+                          for column in turned.T], axis=1)
+        length = np.linalg.norm(total, axis=1)
+        shared = ~of_known & (length[blocks.point] > 0)
+        counts = np.bincount(blocks.view[shared], minlength=len(known))
+        view = int(np.argmax(counts))
+        if counts[view] < _LEAST_SHARED:
+            return None
+        rows = np.flatnonzero(shared & (blocks.view == view))
+        point = blocks.point[rows]
+        rotations[view] = _turned_onto(total[point] / length[point, None], rays[rows])
+        known[view] = True
+    return rotations
+
+
+def _turned_onto(world: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) of directions (n, 3) onto rays (n, 3), robustly."""
+    weight = np.ones(len(rays))
+    for _ in range(_ROUNDS):
+        U, _, Vt = np.linalg.svd((rays * weight[:, None]).T @ world)
+        rotation: np.ndarray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        misfit = np.linalg.norm(rays - world @ rotation.T, axis=1)
+        weight = 1 / (1 + (misfit / max(float(np.median(misfit)), 1e-12))**2)
+    return rotation
 
 
 def _across(axis: np.ndarray) -> np.ndarray:
