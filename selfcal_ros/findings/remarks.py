@@ -48,6 +48,12 @@ REMARKS: dict[str, Phrase] = {
         'rolling shutter: sigmas are {ratio:.1f} times as wide.',
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Record a calmer drive, or a scene where nothing moves.'),
+    'points_ahead_counted': Phrase(
+        'The images alone would give fx = {images[value]:.1f} ± {images[sigma]:.1f}, with '
+        '{share:.0%} of the points behind the camera; that all points lie before it moves that.',
+        'The camera moved little beside its rotations. A longer focal length explains its images '
+        'about as well, with all points farther away, beyond infinity at last.',
+        'Move the camera by more beside its rotations, before near objects.'),
     'errors_at_object_points': Phrase(
         'Errors are shared at the same points of the object in every view, as when its '
         'coordinates are wrong: sigmas are {ratio:.1f} times as wide.',

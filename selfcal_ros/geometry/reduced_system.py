@@ -89,6 +89,8 @@ class ReducedSystem:
     gradient : ndarray, shape (n,)
     half_b : ndarray, shape (P, p)
         The points' share of the right-hand side, divided by the root of their blocks.
+    inverse_root : ndarray, shape (P, p, p)
+        Inverse Cholesky factors of the points' blocks.
 
     """
 
@@ -98,7 +100,7 @@ class ReducedSystem:
     residual: np.ndarray
     jac_rest: np.ndarray
     jac_point: np.ndarray
-    _inverse_root: np.ndarray
+    inverse_root: np.ndarray
     _factors: list[tuple[np.ndarray, np.ndarray, slice | np.ndarray]]
     _shared: int
     gradient: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -162,7 +164,7 @@ class ReducedSystem:
         if len(gradient) > g:
             gradient[g:] = self.blocks.sum_over_views(self._by_view(residual)).ravel()
         b = self.blocks.sum_over_points(np.einsum('nmk,nm->nk', self.jac_point, residual))
-        half_b = np.einsum('pij,pj->pi', self._inverse_root, b)
+        half_b = np.einsum('pij,pj->pi', self.inverse_root, b)
         for members, M, own in self._factors:
             part = M.T @ half_b[members].ravel()
             gradient[:g] -= part[:g]
@@ -175,8 +177,31 @@ class ReducedSystem:
         for members, M, own in self._factors:
             local = np.concatenate([step[:self._shared], step[own]])
             half[members] += (M @ local).reshape(len(members), -1)
-        steps: np.ndarray = -np.einsum('pji,pj->pi', self._inverse_root, half)
+        steps: np.ndarray = -np.einsum('pji,pj->pi', self.inverse_root, half)
         return steps
+
+    def point_rows(self, half: np.ndarray) -> np.ndarray:
+        """
+        Tell how a linear form of every point follows the rest.
+
+        Parameters
+        ----------
+        half : ndarray, shape (P, p)
+            `inverse_root` times the forms.
+
+        Returns
+        -------
+        ndarray, shape (P, n)
+            Change of each form by a step of the rest, the points following.
+
+        """
+        rows = np.zeros((len(half), len(self.gradient)))
+        for members, M, own in self._factors:
+            by_rest = -np.einsum('mi,min->mn', half[members],
+                                 M.reshape(len(members), half.shape[1], -1))
+            columns = np.r_[:self._shared, np.arange(len(self.gradient))[own]]
+            rows[members[:, None], columns] = by_rest
+        return rows
 
     def influence(self, rows: np.ndarray) -> np.ndarray:
         """
@@ -206,7 +231,7 @@ class ReducedSystem:
             local = np.concatenate([rows[:, :g], rows[:, own]], axis=1)
             through_points[members] = (M @ local.T).reshape(len(members), -1, len(rows))
         own_points = np.einsum('nmk,nm->nk', self.jac_point, self.residual)
-        half = np.einsum('nij,nj->ni', self._inverse_root[self.blocks.point], own_points)
+        half = np.einsum('nij,nj->ni', self.inverse_root[self.blocks.point], own_points)
         effect -= np.einsum('ni,nik->nk', half, through_points[self.blocks.point])
         influence: np.ndarray = -effect
         return influence
@@ -231,7 +256,7 @@ class ReducedSystem:
             rows = selection[np.r_[:g, every[own]]]
             columns = np.unique(rows.indices)
             factors.append((members, M @ rows[:, columns], columns))
-        return Elimination(self._inverse_root, factors, selection.shape[1])
+        return Elimination(self.inverse_root, factors, selection.shape[1])
 
     def predict(self, step: np.ndarray, point_steps: np.ndarray) -> np.ndarray:
         """Change J · step of the residuals (N, m) to first order."""

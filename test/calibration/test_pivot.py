@@ -32,7 +32,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
 from selfcal_ros.calibration.estimators.pivot import _moved_shares, decide_pivot, PivotDecision
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
-from selfcal_ros.calibration.initialisation.pivot_start import lever_direction
+from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -70,6 +70,42 @@ def test_a_short_lever_is_found_and_the_result_is_right_from_any_start():
         assert result.motion == 'pivot'
         assert away(result) < 4
     assert np.ptp([result.camera.K[0, 0] for result in results]) < 0.1 * results[0].sigma['fx']
+
+
+@pytest.mark.parametrize('seed, turn_deg, views', [(101, 28, 14), (110, 28, 14), (104, 36, 12),
+                                                   (112, 36, 12)])
+def test_a_head_that_turns_far_is_told_though_homographies_reach_few_views(seed, turn_deg, views):
+    # taken for a free path, or refused for points behind the camera, before
+    tracks = head(seed, (0.0, -0.024, -0.08) if views == 14 else (0.0, -0.02, -0.06), turn_deg,
+                  views, 260).tracks
+    result = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert result.motion == 'pivot'
+    assert away(result) < 3
+
+
+def test_views_that_are_not_known_are_turned_to_where_others_see_points():
+    rng = np.random.default_rng(8)
+    R = rotation_matrix(np.outer(np.linspace(0, 1.2, 7), [0.2, 1.0, 0.1]))
+    R = R @ R[0].T
+    directions = rng.standard_normal((60, 3)) * [1, 1, 0.3] + [0, 0, 2]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # each view sees those of its neighbours, and one in eight is a mistake
+    point, view = np.nonzero(rng.random((60, 7)) < 0.6)
+    rays = np.einsum('nij,nj->ni', R[view], directions[point])
+    astray = rng.random(len(rays)) < 0.125
+    rays[astray] += rng.uniform(-0.1, 0.1, (astray.sum(), 3))
+    rays += 1e-4 * rng.standard_normal(rays.shape)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    known = R.copy()
+    known[[4, 6]] = np.nan
+    found = completed_rotations(PointBlocks(point, view), rays, known)
+
+    np.testing.assert_allclose(found, R, atol=2e-3)
+    few = np.isin(view, [4]) & (point > 3)
+    rows = ~few
+    names, index = np.unique(point[rows], return_inverse=True)
+    assert completed_rotations(PointBlocks(index, view[rows]), rays[rows], known) is None
 
 
 def test_without_a_lever_it_is_a_rotation():

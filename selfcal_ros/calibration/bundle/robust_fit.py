@@ -38,6 +38,7 @@ from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.values.tracks import of_longest, Tracks
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of
@@ -45,6 +46,9 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
+#: Where no more than this share of the observations are behind the camera at the start, or so far
+#: from where they should be as only points beside the camera are, it goes on without.
+FEW_ABSURD, ABSURD_PX = 0.02, 1e5
 #: The rows' displacements are renewed so often at most, and until they change by no more than
 #: this share of the noise (root mean square).
 RENEWALS, SETTLED = 6, 0.03
@@ -303,6 +307,8 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
             state = bundle.refine_points(state)
+            observations, state = _predicted(bundle, observations, state)
+            bundle = bundle_of(observations, motion, priors, sigma_px)
         # no finer than the choice of outliers needs
         state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
                  if k == 0 else bundle.optimise(state, iterations=3, tolerance=1.0))
@@ -336,6 +342,19 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         observations = renewed
     return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                      before - len(observations.view))
+
+
+def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
+               ) -> tuple[Observations, SceneState]:
+    """Leave out the few observations that a start knows nothing of: they decide every step."""
+    # NaN behind the camera
+    known = lengths(bundle.residuals(state)) < ABSURD_PX
+    if known.all() or np.mean(~known) > FEW_ABSURD:
+        return observations, state
+    kept, points = observations.select(known)
+    if len(np.unique(kept.view)) < len(state.path):
+        return observations, state
+    return kept, replace(state, points=state.points[points])
 
 
 def out_of_plane(fit: RobustFit) -> tuple[float, float]:

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,7 @@ from selfcal_ros.calibration.uncertainty.hidden_decentring import (
     hidden_decentring, possible_decentring)
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior
+from selfcal_ros.calibration.uncertainty.points_ahead import points_ahead
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
@@ -103,6 +104,7 @@ class _Optimum:
     field: DistortionMisfit | None
     stated: FactsVerdict
     covariance: np.ndarray
+    behind: float
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -152,8 +154,7 @@ def _is_ahead(found: _Optimum) -> NoEstimate | None:
     """Refuse a scene inside out, which free translations find beside large rotations."""
     if not found.problem.is_weak:
         return None
-    share = share_behind(found.fit)
-    return None if share < MAX_BEHIND else NoEstimate('points_behind', share=share)
+    return None if found.behind < MAX_BEHIND else NoEstimate('points_behind', share=found.behind)
 
 
 def _is_determined(found: _Optimum) -> NoEstimate | None:
@@ -244,6 +245,17 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     posterior = lens_posterior(fit, state, inner, residuals)
     if posterior is not None:
         state, inner, residuals = posterior.state, posterior.covariance, posterior.residual
+    behind = share_behind(fit) if problem.is_weak else 0.0
+    if behind >= MAX_BEHIND and problem.motion.fixed_pivot:
+        # what the images leave open along the valley is settled by where points can be
+        behind = share_behind(replace(fit, state=state))
+        if behind >= MAX_BEHIND:
+            share = behind
+            ahead, behind = points_ahead(fit, state, inner, residuals)
+            if ahead is not None:
+                findings += (Finding('points_ahead_counted', share=share, images={
+                    'value': state.lens['f'], 'sigma': float(np.sqrt(inner[0, 0]))}),)
+                state, inner, residuals = ahead.state, ahead.covariance, ahead.residual
     if hidden is not None:
         inner, findings = inner + hidden.covariance, findings + hidden.findings()
     prism = possible_prism(fit, inner, dependence.inflation**2)
@@ -262,7 +274,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     if most_agree(rejected, fit.motion.zoom is not None) is not None:
         rejected = min(rejected, share_that_contradicts(fit, graph))
     optimum = _Optimum(fit, model, problem, path, status, held, rejected, graph.noise_px, field,
-                       verdict, covariance)
+                       verdict, covariance, behind)
     for accepted in ACCEPTANCE_TESTS:
         refusal = accepted(optimum)
         if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):

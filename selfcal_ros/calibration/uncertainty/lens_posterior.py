@@ -106,7 +106,7 @@ def lens_posterior(fit: RobustFit, state: SceneState, covariance: np.ndarray,
         return None
     change, widened = np.zeros(len(state.lens.values)), covariance.copy()
     change[free], widened[square] = step * sigma, after * scale
-    found = _moved(fit, state, change, residual)
+    found = moved_lens(fit, state, change, residual)
     return found and LensPosterior(found[0], widened, found[1])
 
 
@@ -156,8 +156,8 @@ def _known_beforehand(fit: RobustFit, state: SceneState) -> tuple[np.ndarray, np
     return priors.soft_information(), gradient
 
 
-def _moved(fit: RobustFit, state: SceneState, step: np.ndarray, residual: np.ndarray,
-           ) -> tuple[SceneState, np.ndarray] | None:
+def moved_lens(fit: RobustFit, state: SceneState, step: np.ndarray, residual: np.ndarray,
+               ) -> tuple[SceneState, np.ndarray] | None:
     """
     Move the lens by a step (k,), and path and points to where they fit it best.
 
