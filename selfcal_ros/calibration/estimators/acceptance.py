@@ -253,8 +253,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
             share = behind
             ahead, behind = points_ahead(fit, state, inner, residuals)
             if ahead is not None:
-                findings += (Finding('points_ahead_counted', share=share, images={
-                    'value': state.lens['f'], 'sigma': float(np.sqrt(inner[0, 0]))}),)
+                alone = {'value': state.lens['f'], 'sigma': float(np.sqrt(inner[0, 0]))}
+                findings += (Finding('points_ahead_counted', share=share, images_fx=alone),)
                 state, inner, residuals = ahead.state, ahead.covariance, ahead.residual
     if hidden is not None:
         inner, findings = inner + hidden.covariance, findings + hidden.findings()
