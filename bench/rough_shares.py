@@ -15,8 +15,8 @@
 Are the stated sigmas true where the laboratory ends? 1000 runs a world, in the independent rooms.
 
 Rows read in turn, a zoom, a head whose centre is not the camera's, an aspect ratio stated with a
-sigma; in every run another measured lens. The share of runs with the true fx, cx, cy inside
-the stated ellipsoids. Each run is kept in a folder by `--cache FOLDER`, and the table is made of all
+sigma; in every run another measured lens. The share of runs with the true fx, cx, cy inside the
+stated ellipsoids. Each run is kept in a folder by `--cache FOLDER`, and the table is made of all
 that lie there.
 """
 

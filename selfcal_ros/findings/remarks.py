@@ -49,8 +49,8 @@ REMARKS: dict[str, Phrase] = {
         'Errors that observations share do not average out. The sigmas allow for it.',
         'Record a calmer drive, or a scene where nothing moves.'),
     'points_ahead_counted': Phrase(
-        'The images alone would give fx = {images_fx}, with {share:.0%} of the points behind '
-        'the camera; that all lie before it counts.',
+        'The images alone would give fx = {images_fx:measured}, with {share:.0%} of the points '
+        'behind the camera; that all lie before it counts.',
         'The camera moved little beside its rotations. A longer focal length explains its images '
         'about as well, with all points farther away, beyond infinity at last.',
         'Move the camera by more beside its rotations, before near objects.'),
