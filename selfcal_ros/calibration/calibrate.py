@@ -30,7 +30,7 @@ from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, sp
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
                                                                    MOTION_MODELS, problem_of,
                                                                    UNEXPLAINED)
-from selfcal_ros.calibration.estimators.pivot import decide_pivot, moved_share
+from selfcal_ros.calibration.estimators.pivot import decide_pivot, left_by_turns
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
@@ -78,6 +78,9 @@ HIDDEN_NOISE = 1.1
 #: A path is short when its extent is less than this share of the points' depth. A longer one
 #: shows in the images, and needs no model of its own.
 SHORT_WAY = 0.3
+#: A free path is weak where rotations alone, with the same lens, leave less than so many times the
+#: noise in the middle. Heads with a lever of 8 cm leave 1.0 to 1.3, drives and hands 11 and more.
+NEARLY_TURNS = 5.0
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
 #: Refusals of circular motion, which name the fact that is missing.
@@ -292,13 +295,16 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
                 return plane
     moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
                                    is_weak=is_weak)
-    if moving and enough and turning is None and facts.focal != 'varying' and _is_short(moving):
-        # pairs may show much that is no parallax
-        short = fit_rotations(graph.tracks, size, facts, HOPELESS * graph.noise_px)
-        if isinstance(short, RotationFit):
-            turned, turned_px = _about_a_point(graph, size, facts, motion, short)
+    if (moving and enough and turning is None and facts.focal != 'varying'
+            and left_by_turns(graph, moving.camera) < NEARLY_TURNS):
+        # what pairs show beside a homography was no parallax
+        nearly = fit_rotations(graph.tracks, size, facts, HOPELESS * graph.noise_px)
+        if isinstance(nearly, RotationFit):
+            turned, turned_px = _about_a_point(graph, size, facts, motion, nearly)
             if turned and not _may_be_another_path(turned, turned_px, graph):
                 return turned
+        moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
+                                       is_weak=True)
     if turned is not None:
         # a path that only looks like a turn contradicts the facts, too
         left_px = turned.noise_sigma_px if turned else turned_px
@@ -321,13 +327,6 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         # a plane that turns in itself is not for want of parallax
         return plane if plane or plane.kind in OF_CIRCLES else moving
     return moving
-
-
-def _is_short(moving: Calibration) -> bool:
-    """Tell whether the camera moved by little, measured by the depth of the points."""
-    seen = moving.reconstructed
-    centres = -np.einsum('vji,vj->vi', seen.cam_from_world[:, :, :3], seen.cam_from_world[:, :, 3])
-    return moved_share(centres, seen.points) < SHORT_WAY
 
 
 def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,

@@ -32,7 +32,7 @@ from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
-                                                       refit, with_all_points)
+                                                       Observations, refit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -46,6 +46,7 @@ from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
 
@@ -195,30 +196,44 @@ def _of_all_views(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Ro
     return rotations @ rotations[0].T
 
 
-def _moved_shares(state: SceneState) -> tuple[float, float]:
-    """Return the extent of the camera's path, and its lever, over the usual depth of points."""
-    centres, lever = state.path.centres(), float(np.linalg.norm(state.path.translation[0]))
-    return moved_share(centres, state.points), lever * _inverse_depth(centres, state.points)
-
-
-def moved_share(centres: np.ndarray, points: np.ndarray) -> float:
+def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     """
-    Return the extent of a path over the usual depth of points.
+    Tell what a camera that only turned would leave of the images, in closed form.
 
     Parameters
     ----------
-    centres : ndarray, shape (V, 3)
-    points : ndarray, shape (P, 4)
-        Homogeneous.
+    graph : ViewGraph
+    camera : Camera
+        With its lens.
+
+    Returns
+    -------
+    float
+        The median misfit over the noise of pairs; infinite where views share too few points.
 
     """
-    return float(np.linalg.norm(np.ptp(centres, axis=0))) * _inverse_depth(centres, points)
+    seen = Observations.of(graph.tracks, graph.frames)
+    blocks, rays = PointBlocks(seen.point, seen.view), all_rays(camera, seen.xy)
+    rotations = np.full((len(graph.frames), 3, 3), np.nan)
+    rotations[0] = np.eye(3)
+    every = (completed_rotations(blocks, rays, rotations) if np.isfinite(rays).all() else None)
+    if every is None:
+        return np.inf
+    turned = np.einsum('nji,nj->ni', every[seen.view], rays)
+    mean = np.stack([np.bincount(seen.point, column) for column in turned.T], axis=1)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    misfit = np.linalg.norm(turned - mean[seen.point], axis=1)
+    return float(np.median(misfit) * camera.K[0, 0] / max(graph.noise_px, 0.02))
 
 
-def _inverse_depth(centres: np.ndarray, points: np.ndarray) -> float:
+def _moved_shares(state: SceneState) -> tuple[float, float]:
+    """Return the extent of the camera's path, and its lever, over the usual depth of points."""
+    centres, points = state.path.centres(), state.points
     # not from the point that rests: along a common axis of all turns it may be anywhere
     far = np.linalg.norm(points[:, :3] - points[:, 3:] * centres.mean(axis=0), axis=1)
-    return float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
+    inverse_depth = float(np.median(np.abs(points[:, 3]) / np.maximum(far, 1e-300)))
+    return (float(np.linalg.norm(np.ptp(centres, axis=0))) * inverse_depth,
+            float(np.linalg.norm(state.path.translation[0])) * inverse_depth)
 
 
 def _lever_share(state: SceneState) -> float:
