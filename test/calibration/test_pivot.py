@@ -30,7 +30,8 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, R
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
-from selfcal_ros.calibration.estimators.pivot import _moved_shares, decide_pivot, PivotDecision
+from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
+                                                      PivotDecision)
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
@@ -106,6 +107,18 @@ def test_views_that_are_not_known_are_turned_to_where_others_see_points():
     rows = ~few
     names, index = np.unique(point[rows], return_inverse=True)
     assert completed_rotations(PointBlocks(index, view[rows]), rays[rows], known) is None
+
+
+def test_rotations_alone_leave_little_of_a_head_and_much_of_a_free_hand():
+    rng = np.random.default_rng(4)
+    views, camera = 10, Camera([[520, 0, 328], [0, 520, 235], [0, 0, 1]], [-0.12, 0.05], 640, 480)
+    turns = np.radians(10) * rng.standard_normal((views, 3))
+    free = np.concatenate([rotation_matrix(turns), 0.3 * rng.standard_normal((views, 3, 1))], 2)
+    left = [left_by_turns(build_view_graph(one.tracks, np.random.default_rng(0)), camera)
+            for one in (head(3, lever=(0, -0.024, -0.08), turn_deg=20, camera=camera),
+                        scene(rng, free, count=160, depth_m=(1.0, 6.0), camera=camera))]
+
+    assert left[0] < 4 and left[1] > 10
 
 
 def test_without_a_lever_it_is_a_rotation():

@@ -49,6 +49,7 @@ from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.projective import unit
 
 #: So many starts are followed to the end.
 RIVALS = 4
@@ -220,8 +221,7 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     if every is None:
         return np.inf
     turned = np.einsum('nji,nj->ni', every[seen.view], rays)
-    mean = np.stack([np.bincount(seen.point, column) for column in turned.T], axis=1)
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    mean = unit(blocks.sum_over_points(turned))
     misfit = np.linalg.norm(turned - mean[seen.point], axis=1)
     return float(np.median(misfit) * camera.K[0, 0] / max(graph.noise_px, 0.02))
 
