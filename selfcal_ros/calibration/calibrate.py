@@ -79,8 +79,8 @@ HIDDEN_NOISE = 1.1
 #: shows in the images, and needs no model of its own.
 SHORT_WAY = 0.3
 #: A free path is weak where rotations alone, with the same lens, leave less than so many times the
-#: noise in the middle. Heads with a lever of 8 cm leave 1.0 to 1.3, drives and hands 11 and more.
-NEARLY_TURNS = 5.0
+#: noise in the middle. Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
+NEARLY_TURNS = 10.0
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
 #: Refusals of circular motion, which name the fact that is missing.

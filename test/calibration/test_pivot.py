@@ -29,6 +29,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.calibrate import NEARLY_TURNS
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
 from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
                                                       PivotDecision)
@@ -118,7 +119,7 @@ def test_rotations_alone_leave_little_of_a_head_and_much_of_a_free_hand():
             for one in (head(3, lever=(0, -0.024, -0.08), turn_deg=20, camera=camera),
                         scene(rng, free, count=160, depth_m=(1.0, 6.0), camera=camera))]
 
-    assert left[0] < 4 and left[1] > 10
+    assert left[0] < NEARLY_TURNS < 2 * NEARLY_TURNS < left[1]
 
 
 def test_without_a_lever_it_is_a_rotation():
