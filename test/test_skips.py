@@ -14,6 +14,7 @@
 """A skip for a reason that nobody expects fails the run, and every skip is told."""
 
 from importlib.util import find_spec
+import os
 from pathlib import Path
 import shutil
 import subprocess
@@ -26,18 +27,18 @@ HERE = Path(__file__).resolve().parent
 
 @pytest.fixture(params=['one process', 'xdist'])
 def run(request, tmp_path):
-    """Run tests with the conftest of this folder."""
+    """Run tests with the conftest of this folder, and without what ROS adds to pytest."""
     if request.param == 'xdist' and not find_spec('xdist'):
         pytest.fail('pytest-xdist is one of the tools of the extra test')
     shutil.copy(HERE / 'conftest.py', tmp_path)
 
     def started(text, *arguments):
         (tmp_path / 'test_it.py').write_text('import pytest\n' + text, encoding='utf-8')
-        parallel = ['-n', '1'] if request.param == 'xdist' else ['-p', 'no:xdist']
+        parallel = ['-p', 'xdist', '-n', '1'] if request.param == 'xdist' else []
         done = subprocess.run(
             [sys.executable, '-m', 'pytest', '--import-mode=importlib', '-p', 'no:cacheprovider',
              *parallel, *arguments, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True,
-            timeout=120)
+            timeout=120, env={**os.environ, 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'})
         return done.returncode, done.stdout
 
     return started

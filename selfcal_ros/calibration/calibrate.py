@@ -81,6 +81,9 @@ SHORT_WAY = 0.3
 #: A free path is weak where rotations alone, with the same lens, leave less than so many times the
 #: noise in the middle. Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
 NEARLY_TURNS = 10.0
+#: Where rotations leave less than so many times the noise, what moved was too little to change the
+#: focal length by more than this share: those of heads with a lever were up to 4 % off.
+AS_LITTLE, FAR_FROM_TURNS = 2.0, 0.1
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
 #: Refusals of circular motion, which name the fact that is missing.
@@ -293,8 +296,8 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
                                           flat=True)
             if plane or plane.kind in OF_CIRCLES:
                 return plane
-    moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
-                                   is_weak=is_weak)
+    moving = _as_turns_say(calibrate_from_motion(
+        graph, size, facts, proposals, MOTION_MODELS[motion], is_weak=is_weak), turning, graph)
     if (moving and enough and turning is None and facts.focal != 'varying'
             and left_by_turns(graph, moving.camera) < NEARLY_TURNS):
         # what pairs show beside a homography was no parallax
@@ -303,8 +306,8 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
             turned, turned_px = _about_a_point(graph, size, facts, motion, nearly)
             if turned and not _may_be_another_path(turned, turned_px, graph):
                 return turned
-        moving = calibrate_from_motion(graph, size, facts, proposals, MOTION_MODELS[motion],
-                                       is_weak=True)
+        moving = _as_turns_say(calibrate_from_motion(
+            graph, size, facts, proposals, MOTION_MODELS[motion], is_weak=True), nearly, graph)
     if turned is not None:
         # a path that only looks like a turn contradicts the facts, too
         left_px = turned.noise_sigma_px if turned else turned_px
@@ -327,6 +330,19 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
         # a plane that turns in itself is not for want of parallax
         return plane if plane or plane.kind in OF_CIRCLES else moving
     return moving
+
+
+def _as_turns_say(result: Calibration | NoEstimate, turning: RotationFit | NoEstimate | None,
+                  graph: ViewGraph) -> Calibration | NoEstimate:
+    """Refuse a path beside which rotations alone leave as little, with quite another camera."""
+    if (not isinstance(turning, RotationFit) or isinstance(result, NoEstimate)
+            or turning.left_px > AS_LITTLE * graph.noise_px):
+        return result
+    turned_px, focal_px = turning.lens.fit.state.lens['f'], float(result.camera.K[0, 0])
+    if abs(np.log(focal_px / turned_px)) < FAR_FROM_TURNS:
+        return result
+    return NoEstimate('unlike_rotations', focal_px=focal_px, turned_px=float(turned_px),
+                      motion=result.motion, facts=result.facts, status=result.status)
 
 
 def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,
@@ -373,7 +389,8 @@ def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, 
     # a lever that no pair shows has to explain all that rotations leave
     explained = noise_px < (HIDDEN_NOISE if hidden else PIVOT_NOISE) * problem.noise_px
     if decision.holds and explained and decision.moved_share < SHORT_WAY:
-        result = finish(settled(problem, decision.model), decision.model, graph, facts)
+        result = _as_turns_say(finish(settled(problem, decision.model), decision.model, graph,
+                                      facts), turning, graph)
         # a focal length that varies is for the free motions
         if result or result.kind not in (NOT_CONSTANT, *UNEXPLAINED):
             return result, noise_px

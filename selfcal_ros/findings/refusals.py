@@ -172,6 +172,12 @@ REFUSALS: dict[str, Phrase] = {
         'Beside large rotations a small translation is nearly confounded with the focal length '
         'and the principal point.',
         'Move the camera further between the images, or turn it about its optical centre.'),
+    'unlike_rotations': Phrase(
+        'The images do not determine the camera, which moved little beside its rotations: '
+        'fx = {focal_px:.0f} with a path, {turned_px:.0f} without one, explain them alike.',
+        'Beside large rotations a small translation is nearly confounded with the focal length '
+        'and the principal point. A scene inside out then explains the images as well.',
+        'Move the camera further between the images, or turn it about its optical centre.'),
     'rotations_leave_open': Phrase(
         'The rotations do not determine {missing}; turn the camera further and about more than '
         'one axis.',

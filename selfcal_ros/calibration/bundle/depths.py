@@ -76,11 +76,12 @@ def cost_ahead(fit: RobustFit) -> float:
     """
     Cost, and what it takes to bring all points before their cameras, to second order.
 
-    A point costs no more than all its observations as outliers.
+    A point costs no more than all its observations as outliers. The mirror image of a scene, with
+    all translations the other way, has the same images: the better of the two counts.
     """
-    behind = np.minimum(inverse_depths(fit), 0)
-    most = OUTLIER_SIGMAS**2 * fit.bundle.blocks.length
-    return fit.cost + 0.5 * float(np.sum(np.minimum(behind**2, most)))
+    depths, most = inverse_depths(fit), OUTLIER_SIGMAS**2 * fit.bundle.blocks.length
+    return fit.cost + 0.5 * min(float(np.sum(np.minimum(np.minimum(side * depths, 0)**2, most)))
+                                for side in (1, -1))
 
 
 def cost_of_all_ahead(fit: RobustFit, sigma_px: float) -> float:
