@@ -40,7 +40,7 @@ from selfcal_ros.calibration.estimators.model_selection import (choose_model, fi
                                                                 robust_covariance_of)
 from selfcal_ros.calibration.estimators.motion_calibration import (MODEL_TRACKS_PER_VIEW,
                                                                    of_two_cameras)
-from selfcal_ros.calibration.estimators.rotation import RotationFit
+from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
@@ -201,6 +201,8 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     """
     Tell what a camera that only turned would leave of the images, in closed form.
 
+    Of a long recording a stretch in the middle is asked.
+
     Parameters
     ----------
     graph : ViewGraph
@@ -213,9 +215,11 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
         The median misfit over the noise of pairs; infinite where views share too few points.
 
     """
-    seen = Observations.of(graph.tracks, graph.frames)
+    middle = max(len(graph.frames) // 2 - STRETCH // 2, 0)
+    frames = graph.frames[middle:middle + STRETCH]
+    seen = Observations.of(graph.tracks.in_frames(frames), frames)
     blocks, rays = PointBlocks(seen.point, seen.view), all_rays(camera, seen.xy)
-    rotations = np.full((len(graph.frames), 3, 3), np.nan)
+    rotations = np.full((len(frames), 3, 3), np.nan)
     rotations[0] = np.eye(3)
     every = (completed_rotations(blocks, rays, rotations) if np.isfinite(rays).all() else None)
     if every is None:
