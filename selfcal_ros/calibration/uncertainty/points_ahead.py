@@ -46,6 +46,8 @@ ASTRAY = 0.02
 PLACES = np.linspace(-6.0, 6.0, 481)
 #: The valley is bent: it is looked at anew so often, or until the place moves by so few sigmas.
 ROUNDS, SETTLED = 4, 0.1
+#: The cost along the valley may rise by so much more than twice what the sigmas say.
+MOST_RISE = 2.0
 #: A sigma that is narrowed by less than this share, and a place that moves by less, stay.
 LEAST_CHANGE = 0.01
 
@@ -97,7 +99,7 @@ def points_ahead(fit: RobustFit, state: SceneState, covariance: np.ndarray,
     prior, values = covariance[np.ix_(free, free)], state.lens.values
     if isinstance(fit.covariance, ChainInverse) or not (np.diag(prior) > 0).all():
         return None, before
-    at, place, after = replace(fit, state=state), 0.0, None
+    at, place, after, settled = replace(fit, state=state), 0.0, None, False
     for _ in range(ROUNDS):
         depths = _depths(at, free)
         valley = _valley(depths, prior)
@@ -116,8 +118,9 @@ def points_ahead(fit: RobustFit, state: SceneState, covariance: np.ndarray,
         if settled:
             break
     share = share_behind(at)
-    # an estimate that the knowledge contradicts is none, however it is weighed
-    if abs(place) > PLACES[-1] / 2:
+    # what lies so far along the valley, or costs so much more than its distance, is not known
+    rise = fit.bundle.cost(at.state) - fit.bundle.cost(state)
+    if not settled or abs(place) > PLACES[-1] / 2 or rise > place**2 + MOST_RISE:
         return None, max(before, share)
     changed = abs(place) > LEAST_CHANGE or sigma < 1 - LEAST_CHANGE
     return (after if changed else None), share
