@@ -46,9 +46,12 @@ from selfcal_ros.values.tracks import of_longest, Tracks
 OUTLIER_SIGMAS = 4.0
 #: Fewer outliers than this share of the observations end the search for them.
 FEW = 0.003
-#: Where no more than this share of the observations are behind the camera at the start, or so far
+#: Where no more than this share of the observations are behind the camera at the start, or as far
 #: from where they should be as only points beside the camera are, it goes on without.
 FEW_ABSURD, ABSURD_PX = 0.02, 1e5
+#: A start that leaves so many times the supposed noise is a good one, and what it leaves beyond so
+#: many sigmas a gross error.
+FOUND, GROSS_SIGMAS = 1.2, 20.0
 #: The rows' displacements are renewed so often at most, and until they change by no more than
 #: this share of the noise (root mean square).
 RENEWALS, SETTLED = 6, 0.03
@@ -307,7 +310,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
             state = bundle.refine_points(state)
-            observations, state = _predicted(bundle, observations, state)
+            observations, state = _predicted(bundle, observations, state, motion)
             bundle = bundle_of(observations, motion, priors, sigma_px)
         # no finer than the choice of outliers needs
         state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
@@ -345,10 +348,14 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
 
 
 def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
-               ) -> tuple[Observations, SceneState]:
+               motion: MotionModel) -> tuple[Observations, SceneState]:
     """Leave out the few observations that a start knows nothing of: they decide every step."""
+    limit_px, found_px = ABSURD_PX, bundle.noise_sigma(state)
+    if motion.fixed_pivot and found_px < FOUND * bundle.sigma_px:
+        # along the valley of a short lever a few gross errors lead away from a good start
+        limit_px = GROSS_SIGMAS * found_px
     # NaN behind the camera
-    known = lengths(bundle.residuals(state)) < ABSURD_PX
+    known = lengths(bundle.residuals(state)) < limit_px
     if known.all() or np.mean(~known) > FEW_ABSURD:
         return observations, state
     kept, points = observations.select(known)

@@ -46,7 +46,7 @@ _ROUNDS = 5
 #: Ways between views that are shorter than this share of what the lever allows weigh no more.
 _LEAST_WAY = 0.1
 #: A view is turned by so many points at least.
-_LEAST_SHARED = 6
+_LEAST_SHARED = 4
 
 
 @dataclass(frozen=True)
