@@ -26,14 +26,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 
-from bench.coverage import ALLOWED, distances, SHARES
+from bench.coverage import ALLOWED, SHARES, shares
 from bench.further_worlds import SQUARE
 from bench.lens_runs import draw_camera
 from bench.monte_carlo import kept_runs
 from bench.suppositions import load_worlds, MAX_SIGMAS
 from bench.tables import Report
 import numpy as np
-from scipy.stats import chi2
 from selfcal_ros import calibrate, CameraFacts, Tracks
 
 VIEWS, PER_VIEW = 14, 70
@@ -150,8 +149,7 @@ def row(report: Report, name: str, results: list[dict]) -> tuple:
     """Return a line of the table, and judge it; the bar is widened for fewer than 1000 runs."""
     done = [one for one in results if not one['refused']]
     estimates = [(np.array(one['error']), np.array(one['covariance'])) for one in done]
-    distance, size = distances(estimates)
-    held = np.mean(distance[:, None] < chi2.ppf(SHARES, size), axis=0)
+    held = shares(estimates)
     z = np.array([error / np.sqrt(np.diag(covariance)) for error, covariance in estimates])
     report.verdict(f'{name}: largest distance from the shares',
                    float(np.abs(held - SHARES).max()), ALLOWED if len(done) >= 1000 else

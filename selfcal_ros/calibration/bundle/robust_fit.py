@@ -310,8 +310,10 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         bundle = bundle_of(observations, motion, priors, sigma_px)
         if k == 0:
             state = bundle.refine_points(state)
+            offered = observations
             observations, state = _predicted(bundle, observations, state, motion)
-            bundle = bundle_of(observations, motion, priors, sigma_px)
+            if observations is not offered:
+                bundle = bundle_of(observations, motion, priors, sigma_px)
         # no finer than the choice of outliers needs
         state = (bundle.optimise(state, iterations=12, tolerance=2e-3 * bundle.cost(state))
                  if k == 0 else bundle.optimise(state, iterations=3, tolerance=1.0))
@@ -350,10 +352,12 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
 def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
                motion: MotionModel) -> tuple[Observations, SceneState]:
     """Leave out the few observations that a start knows nothing of: they decide every step."""
-    limit_px, found_px = ABSURD_PX, bundle.noise_sigma(state)
-    if motion.fixed_pivot and found_px < FOUND * bundle.sigma_px:
-        # along the valley of a short lever a few gross errors lead away from a good start
-        limit_px = GROSS_SIGMAS * found_px
+    limit_px = ABSURD_PX
+    if motion.fixed_pivot:
+        found_px = bundle.noise_sigma(state)
+        if found_px < FOUND * bundle.sigma_px:
+            # along the valley of a short lever a few gross errors lead away from a good start
+            limit_px = GROSS_SIGMAS * found_px
     # NaN behind the camera
     known = lengths(bundle.residuals(state)) < limit_px
     if known.all() or np.mean(~known) > FEW_ABSURD:

@@ -95,11 +95,11 @@ def points_ahead(fit: RobustFit, state: SceneState, covariance: np.ndarray,
     """
     lens = fit.bundle.unknowns.lens
     free = np.flatnonzero(fit.bundle.unknowns.free[lens])
-    before = share_behind(replace(fit, state=state))
+    at, place, after, settled = replace(fit, state=state), 0.0, None, False
+    before = share_behind(at)
     prior, values = covariance[np.ix_(free, free)], state.lens.values
     if isinstance(fit.covariance, ChainInverse) or not (np.diag(prior) > 0).all():
         return None, before
-    at, place, after, settled = replace(fit, state=state), 0.0, None, False
     for _ in range(ROUNDS):
         depths = _depths(at, free)
         valley = _valley(depths, prior)
