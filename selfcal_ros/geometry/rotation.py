@@ -57,6 +57,18 @@ def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     return about_axis(vector, 1 - cosine * angle * angle, sine, cosine)
 
 
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """
+    Return the rotation (3, 3) nearest to a matrix (3, 3).
+
+    Of targetᵀ source, both (m, 3), it is the turn that takes the source nearest to the target
+    (Kabsch 1976).
+    """
+    U, _, Vt = np.linalg.svd(matrix)
+    rotation: np.ndarray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return rotation
+
+
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """
     Angle-axis vector of a rotation matrix, angle in [0, pi].

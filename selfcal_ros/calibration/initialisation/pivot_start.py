@@ -39,7 +39,7 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
-from selfcal_ros.geometry.rotation import swing_twist
+from selfcal_ros.geometry.rotation import nearest_rotation, swing_twist
 
 #: Rounds of re-weighting.
 _ROUNDS = 5
@@ -163,8 +163,7 @@ def _turned_onto(world: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) of directions (n, 3) onto rays (n, 3), robustly."""
     weight = np.ones(len(rays))
     for _ in range(_ROUNDS):
-        U, _, Vt = np.linalg.svd((rays * weight[:, None]).T @ world)
-        rotation: np.ndarray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        rotation = nearest_rotation((rays * weight[:, None]).T @ world)
         misfit = np.linalg.norm(rays - world @ rotation.T, axis=1)
         weight = 1 / (1 + (misfit / max(float(np.median(misfit)), 1e-12))**2)
     return rotation

@@ -40,7 +40,7 @@ from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.chances import chi2_limit
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.rotation import nearest_rotation, rotation_vector
 from selfcal_ros.values.body_poses import BodyPoses
 
 #: The parameters of a score: a small turn about the body's axes, the place, the clocks.
@@ -144,8 +144,7 @@ def _start(mount: Mount, camera: CameraPoses, body: BodyAt, offset: float,
     M, t = mount.T_body_camera[:3, :3], np.nan_to_num(mount.T_body_camera[:3, 3])
     # the mean of what each view says of the turn between the worlds
     told = body.rotation @ M @ np.swapaxes(camera.rotation, 1, 2)
-    U, _, Vt = np.linalg.svd(told.sum(axis=0))
-    G = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    G = nearest_rotation(told.sum(axis=0))
     at = metre * body.position + body.rotation @ t
     there, ours = at - at.mean(axis=0), (camera.centre - camera.centre.mean(axis=0)) @ G.T
     scale = float(np.sum(there * ours) / np.sum(ours**2))

@@ -39,7 +39,8 @@ from selfcal_ros.calibration.mounting.integrated_rates import RateSteps
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import (left_jacobian, nearest_rotation, rotation_matrix,
+                                           rotation_vector)
 from selfcal_ros.values.angular_rates import AngularRates
 
 #: Offsets of the clocks that are tried, seconds.
@@ -171,8 +172,7 @@ def _start(gyro: RateSteps, views: _Views,
         measured = rotation_vector(turned)
         for _ in range(START_ROUNDS):
             there = measured + np.einsum('mij,j->mi', by_bias, bias)
-            U, _, Vt = np.linalg.svd((there * (weight * root**2)[:, None]).T @ seen)
-            R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+            R = nearest_rotation((there * (weight * root**2)[:, None]).T @ seen)
             rest = seen @ R.T - measured
             scaled = (np.sqrt(weight) * root)[:, None, None]
             bias = np.linalg.lstsq((by_bias * scaled).reshape(-1, 3),

@@ -30,7 +30,8 @@ import numpy as np
 from selfcal_ros.calibration.mounting.body_track import BodyAt
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.model import State
-from selfcal_ros.geometry.rotation import align_z, rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import (align_z, nearest_rotation, rotation_matrix,
+                                           rotation_vector)
 
 #: Images so many apart make pairs.
 LAGS = (1, 2, 3, 5, 8, 13, 21, 34)
@@ -134,9 +135,7 @@ def _weights(misfit: np.ndarray) -> np.ndarray:
 
 def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the rotation that takes vectors (m, 3) nearest to others (Kabsch)."""
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    rotation: np.ndarray = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    return rotation
+    return nearest_rotation(target.T @ source)
 
 
 def _robust_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:

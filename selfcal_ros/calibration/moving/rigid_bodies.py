@@ -40,6 +40,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import (PairGeomet
 from selfcal_ros.calibration.moving.track_test import test_tracks, TrackTest
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.relative_pose import relative_motion
+from selfcal_ros.geometry.rotation import nearest_rotation
 
 #: Views of a body are compared with so many successors.
 SUCCESSORS = 2
@@ -284,9 +285,7 @@ def _from_afar(bundle: Bundle, camera: Camera, pairs: list[PairGeometry],
         if pair.first == new:
             a, b = b, a
         # the turn that carries rays onto rays
-        U, _, Vt = np.linalg.svd(b.T @ a)
-        turn = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-        rotations[new] = turn @ rotations[standing]
+        rotations[new] = nearest_rotation(b.T @ a) @ rotations[standing]
         distance[new] = distance[standing] + np.median(np.log(_apart(a) / _apart(b)))
     distance = np.exp(distance - distance.mean())
     directions = np.einsum('nji,nj->ni', rotations[blocks.view], all_rays(camera, bundle.xy))

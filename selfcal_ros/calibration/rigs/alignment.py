@@ -28,7 +28,7 @@ import itertools
 
 import numpy as np
 
-from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
+from selfcal_ros.geometry.rotation import nearest_rotation, rotation_matrix, rotation_vector
 
 #: Turns about other axes than the main one count where their squares sum to more than this share.
 OFF_AXIS = 1e-2
@@ -114,9 +114,7 @@ def align(first: np.ndarray, second: np.ndarray) -> list[Alignment]:
 
 def _world_turn(R: np.ndarray, R_a: np.ndarray, R_b: np.ndarray) -> np.ndarray:
     """Return the mean Q of all instants, from R."""
-    U, _, Vt = np.linalg.svd(np.mean(np.swapaxes(R_a, 1, 2) @ R @ R_b, axis=0))
-    Q: np.ndarray = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    return Q
+    return nearest_rotation(np.mean(np.swapaxes(R_a, 1, 2) @ R @ R_b, axis=0))
 
 
 def _centres(poses: np.ndarray) -> np.ndarray:
