@@ -55,9 +55,9 @@ FOUND, GROSS_SIGMAS = 1.2, 20.0
 #: The rows' displacements are renewed so often at most, and until they change by no more than
 #: this share of the noise (root mean square).
 RENEWALS, SETTLED = 6, 0.03
-#: At the ends of the path only observations within this share of the image of its middle row
-#: count where rows are read one after the other, but so many at least.
-SURE_ROWS, LEAST_AT_ENDS = 0.12, 20
+#: At the ends of the path only so many observations, the nearest to the middle row, count where
+#: rows are read one after the other: the camera may stand still before the first or after the last.
+AT_ENDS = 8
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
@@ -131,7 +131,7 @@ class Observations:
         Keep the observations of which it is known how the camera moved until they were read.
 
         The first and the last view have neighbours on one side alone, unless a video goes on
-        there: then only those near the middle row, read at the instant of the view.
+        there: then only the few nearest to the middle row, which give the view a pose.
         """
         if self.clock is None:
             return self
@@ -142,9 +142,7 @@ class Observations:
                     LEAST_FOLLOWED):
                 continue
             late = np.abs(self.clock.delays(self.xy[rows]))
-            # but so many that the view has a pose
-            keep[rows[np.argsort(late)[LEAST_AT_ENDS:]]] = False
-            keep[rows[late < SURE_ROWS]] = True
+            keep[rows[np.argsort(late)[AT_ENDS:]]] = False
         return self.select(keep)[0]
 
     def displaced(self, state: SceneState) -> Observations:
