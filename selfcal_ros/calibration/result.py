@@ -39,8 +39,8 @@ from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.values.measured_digits import with_sigma
 from selfcal_ros.values.track_labels import TrackLabels
 
-#: Kind of a refusal that knows something of the camera, too little for a calibration.
-HINT = 'only_a_hint'
+#: Kinds of refusals that know something of the camera, too little for a calibration.
+HINT, CENTRE_OUTSIDE = 'only_a_hint', 'centre_outside'
 #: Motions that `Calibration.motion` and `NotCalibrated.motion` may name.
 MOTIONS = ('none', 'rotation', 'pivot', 'translation', 'planar', 'circular', 'general',
            'known-object', 'unknown')
@@ -327,7 +327,7 @@ class NotCalibrated:
     findings : tuple of Finding
         What else was found, for example the motion that would help most.
     hint : Calibration, optional
-        With the kind 'only_a_hint', what the images suggest: not to be used as a calibration.
+        Where `is_hint`, what the images suggest: not to be used as a calibration.
 
     Examples
     --------
@@ -386,7 +386,7 @@ class NotCalibrated:
     @property
     def is_hint(self) -> bool:
         """Whether `values` has a focal length, which is a hint and no calibration."""
-        return self.kind == HINT
+        return self.kind in (HINT, CENTRE_OUTSIDE)
 
     @property
     def grade(self) -> str:

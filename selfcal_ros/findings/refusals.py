@@ -166,6 +166,13 @@ REFUSALS: dict[str, Phrase] = {
         'So small a turn shows the focal length by tiny differences. Drift of the tracks, or a '
         'path that is not quite as supposed, makes as much. No camera file is written.',
         'Turn the camera by 20 degrees or more, or walk further round the scene.'),
+    'centre_outside': Phrase(
+        'The images suggest a focal length of {focal_px:.0f} ± {sigma_px:.0f} px, with a principal '
+        'point outside of the image, at {cx:.0f}, {cy:.0f}.',
+        'Hardly a camera has such a principal point. What is supposed of noise and path weighs '
+        'more here than the images do. No camera file is written.',
+        'Record more views, and turn the camera by 20 degrees or more; of a cropped image, state '
+        'the principal point.'),
     'points_behind': Phrase(
         'The images do not determine the camera, which moved little beside its rotations: their '
         'best explanation puts {share:percent} % of the points behind it.',

@@ -21,7 +21,7 @@ from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
 from selfcal_ros.calibration.estimators.motion_class import widest_turn_rad
 from selfcal_ros.calibration.reconstruction import Reconstruction
-from selfcal_ros.calibration.result import HINT
+from selfcal_ros.calibration.result import CENTRE_OUTSIDE, HINT, NotCalibrated
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.hard_scenes import hand, one_curve, scene, vehicle
 
@@ -55,22 +55,43 @@ def test_a_small_turn_that_shows_the_focal_length_is_a_calibration():
     assert result and result.sigma['fx'] < 0.01 * result.camera.K[0, 0]
 
 
+def _turning(known, turn_deg, share, **changed):
+    """Return a result with another turn, and another sigma of fx as a share of it."""
+    focal_px = known.camera.K[0, 0]
+    # there and back: neither end is the first view
+    R = rotation_matrix(np.radians(turn_deg) * np.array([[0, 0, 0.5], [0, 0, 0], [0, 0, 1.0]]))
+    poses = np.concatenate([R, np.zeros((3, 3, 1))], axis=2)
+    return replace(known, covariance=known.covariance * (share * focal_px / known.sigma['fx'])**2,
+                   reconstruction=Reconstruction(np.arange(3), poses, np.zeros(0, int),
+                                                 np.zeros((0, 4))), **changed)
+
+
 @pytest.mark.parametrize('motion', ['planar', 'circular', 'general', 'pivot', 'rotation'])
 @pytest.mark.parametrize('turn_deg, share, is_hint', [
     (14.9, 0.011, True), (15.2, 0.05, False), (3, 0.0099, False), (14.9, 0.0099, False)])
 def test_the_gate_is_one_for_all_motions(curve, motion, turn_deg, share, is_hint):
-    known = curve[1].hint
-    focal_px = known.camera.K[0, 0]
-    covariance = known.covariance * (share * focal_px / known.sigma['fx'])**2
-    # there and back: neither end is the first view
-    R = rotation_matrix(np.radians(turn_deg) * np.array([[0, 0, 0.5], [0, 0, 0], [0, 0, 1.0]]))
-    poses = np.concatenate([R, np.zeros((3, 3, 1))], axis=2)
-    shown = replace(known, motion=motion, covariance=covariance, reconstruction=Reconstruction(
-        np.arange(3), poses, np.zeros(0, int), np.zeros((0, 4))))
-    found = only_a_hint(shown)
+    found = only_a_hint(_turning(curve[1].hint, turn_deg, share, motion=motion))
     assert (found is not None) == is_hint
     if is_hint:
         assert found.kind == HINT and found.values['motion'] == motion
+
+
+@pytest.mark.parametrize('centre, share, stated, is_hint', [
+    ((320, -3), 0.011, None, True), ((645, 240), 0.05, None, True), ((320, 3), 0.05, None, False),
+    ((320, -3), 0.009, None, False), ((320, -3), 0.05, (320, -3), False)])
+def test_an_unsure_camera_whose_principal_point_is_outside_of_the_image_is_a_hint(
+        curve, centre, share, stated, is_hint):
+    known = curve[1].hint
+    K = known.camera.K.copy()
+    K[:2, 2] = centre
+    shown = _turning(known, 40, share, camera=replace(known.camera, K=K),
+                     facts=replace(known.facts, principal_point=stated))
+    found = only_a_hint(shown)
+    assert (found is not None) == is_hint
+    if is_hint:
+        refusal = NotCalibrated.of(found)
+        assert refusal.kind == CENTRE_OUTSIDE and refusal.is_hint
+        assert f'at {centre[0]}, {centre[1]}' in refusal.reason
 
 
 def test_the_widest_turn_is_between_any_two_views():

@@ -37,7 +37,7 @@ from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
                                                    without_held)
 from selfcal_ros.calibration.reconstruction import Reconstruction
-from selfcal_ros.calibration.result import Calibration, FixedPoints, HINT
+from selfcal_ros.calibration.result import Calibration, CENTRE_OUTSIDE, FixedPoints, HINT
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
@@ -309,7 +309,10 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
 
 def only_a_hint(result: Calibration) -> NoEstimate | None:
     """
-    Call a doubtful focal length from a small turn what it is, whatever the motion was.
+    Call a doubtful focal length what it is, whatever the motion was.
+
+    It is doubtful from a small turn, and beside a principal point outside of the image, which
+    hardly a camera has: what is supposed of noise and path then weighs more than the images.
 
     Parameters
     ----------
@@ -319,15 +322,23 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
     Returns
     -------
     NoEstimate or None
-        Of the kind `HINT`; None where the result is a calibration.
+        Of the kind `HINT` or `CENTRE_OUTSIDE`; None where the result is a calibration.
 
     """
-    focal_px, sigma_px = float(result.camera.K[0, 0]), result.sigma['fx']
-    turned = widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3])
-    if turned >= SMALL_TURN_RAD or sigma_px <= HINT_SIGMA * focal_px:
+    camera = result.camera
+    focal_px, sigma_px = float(camera.K[0, 0]), result.sigma['fx']
+    if sigma_px <= HINT_SIGMA * focal_px:
         return None
-    return NoEstimate(HINT, focal_px=focal_px, sigma_px=sigma_px,
-                      turned_deg=float(np.degrees(turned)), motion=result.motion,
+    turned = widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3])
+    centre = camera.K[:2, 2]
+    outside = (result.facts.principal_point is None
+               and bool(((centre < 0) | (centre > [camera.width, camera.height])).any()))
+    if turned >= SMALL_TURN_RAD and not outside:
+        return None
+    shown = ({'turned_deg': float(np.degrees(turned))} if turned < SMALL_TURN_RAD
+             else {'cx': float(centre[0]), 'cy': float(centre[1])})
+    return NoEstimate(HINT if turned < SMALL_TURN_RAD else CENTRE_OUTSIDE, focal_px=focal_px,
+                      sigma_px=sigma_px, **shown, motion=result.motion,
                       facts=result.facts, status=result.status, hint=result,
                       further=tuple(one for one in result.findings
                                     if one.kind == 'motion_suggestion'))
