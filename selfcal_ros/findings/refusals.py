@@ -167,8 +167,8 @@ REFUSALS: dict[str, Phrase] = {
         'path that is not quite as supposed, makes as much. No camera file is written.',
         'Turn the camera by 20 degrees or more, or walk further round the scene.'),
     'centre_outside': Phrase(
-        'The images suggest a focal length of {focal_px:.0f} ± {sigma_px:.0f} px, with a principal '
-        'point outside of the image, at {cx:.0f}, {cy:.0f}.',
+        'The images suggest a focal length of {focal_px:.0f} ± {sigma_px:.0f} px, with a '
+        'principal point outside of the image, at {cx:.0f}, {cy:.0f}.',
         'Hardly a camera has such a principal point. What is supposed of noise and path weighs '
         'more here than the images do. No camera file is written.',
         'Record more views, and turn the camera by 20 degrees or more; of a cropped image, state '

@@ -227,6 +227,9 @@ def test_two_kinds_of_focal_lengths_alternate_or_zoom():
     spread = 0.001 * np.random.default_rng(0).standard_normal(12)
 
     assert two_focal_lengths(spread + 0.1 * (np.arange(12) % 4 == 1)).sum() == 3
+    t = np.linspace(-1, 1, 20)
+    bent = 0.08 * (np.arange(20) % 2) + 0.02 * t**3 - 0.03 * t**2
+    assert (two_focal_lengths(bent) == (np.arange(20) % 2 == 1)).all()
     assert two_focal_lengths(0.1 * np.sin(np.arange(12))) is None
     assert two_focal_lengths(spread + 0.1 * (np.arange(12) > 5)) is None
 

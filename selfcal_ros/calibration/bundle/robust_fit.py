@@ -56,7 +56,7 @@ FOUND, GROSS_SIGMAS = 1.2, 20.0
 #: this share of the noise (root mean square).
 RENEWALS, SETTLED = 6, 0.03
 #: At the ends of the path only so many observations, the nearest to the middle row, count where
-#: rows are read one after the other: the camera may stand still before the first or after the last.
+#: rows are read one after the other: the camera may stand still before the first of them.
 AT_ENDS = 8
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5

@@ -30,7 +30,7 @@ COARSE = 10.0
 
 
 def coherent_fit(problem: SelfCalibrationProblem, per_view: int, proposals: Iterable[Camera],
-                 ) -> RobustFit | None:
+                 enough: float = GOOD_ENOUGH) -> RobustFit | None:
     """
     Fit the most coherent half of the tracks, from pairs of views under supposed calibrations.
 
@@ -41,6 +41,8 @@ def coherent_fit(problem: SelfCalibrationProblem, per_view: int, proposals: Iter
         Of the longest tracks, so many in every view.
     proposals : iterable of Camera
         Tried until one leaves little more than pairs of views do.
+    enough : float
+        So many times that noise is little; what moves adds to it, too.
 
     Returns
     -------
@@ -58,6 +60,6 @@ def coherent_fit(problem: SelfCalibrationProblem, per_view: int, proposals: Iter
             if half is not None and (best is None
                                      or half.bundle.sigma_px < best.bundle.sigma_px):
                 best = half
-        if best is not None and best.bundle.sigma_px < GOOD_ENOUGH * problem.noise_px:
+        if best is not None and best.bundle.sigma_px < enough * problem.noise_px:
             break
     return best

@@ -50,10 +50,11 @@ from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
-from selfcal_ros.calibration.initialisation.multi_start import best_start, FOCAL_SWEEP
+from selfcal_ros.calibration.initialisation.multi_start import (best_start, FOCAL_SWEEP,
+                                                                GOOD_ENOUGH)
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
-from selfcal_ros.calibration.initialisation.supposed_lens import (likely_focal_lengths,
+from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
                                                                   supposed_camera)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
@@ -87,6 +88,8 @@ UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Refusals that things that move may be the reason of, and focal lengths from which to part them.
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
 COHERENT_STARTS = 4
+#: Things that move bend the focal length, too: factors of the ones to part them from.
+BESIDE_BENT = (1.0, 0.9, 1.1)
 #: Where less than this share of what a view shows stands still, it may as well be the rest.
 LEAST_STILL = 0.5
 #: A zoom that makes more than this share of what moves stand still may be the cause.
@@ -149,10 +152,8 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         # most of what the starts look at may move, as long tracks ahead of a vehicle do
         unexplained = result.kind in UNEXPLAINED
         for motion in motions:
-            focal_px = likely_focal_lengths(size, problem.bend, FOCAL_SWEEP)[:COHERENT_STARTS]
-            found = _of_coherent_tracks(replace(problem, motion=motion), graph, (
-                supposed_camera(one, size, facts, problem.bend) for one in focal_px),
-                may_stand=unexplained)
+            found = _of_coherent_tracks(replace(problem, motion=motion), graph,
+                                        _straight_and_bent(problem), may_stand=unexplained)
             if found:
                 return found
     if result and result.focal is not None and motion is not motions[0]:
@@ -160,6 +161,14 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
         result = planar if planar and planar.focal is not None else result
     return result
+
+
+def _straight_and_bent(problem: SelfCalibrationProblem) -> list[Camera]:
+    """Suppose cameras; what moves may look like a lens that bends lines, so without that first."""
+    bends = ((), problem.bend) if is_strong(problem.bend) else (problem.bend,)
+    return [supposed_camera(focal_px, problem.size, problem.facts, bend)
+            for k in range(COHERENT_STARTS) for bend in bends
+            for focal_px in likely_focal_lengths(problem.size, bend, FOCAL_SWEEP)[k:k + 1]]
 
 
 def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
@@ -320,7 +329,11 @@ def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
                        ) -> Calibration | NoEstimate:
     """Part what moves, which bends the path until a zoom seems to mend it; else let it zoom."""
     rival = zoomed_fit(first, problem.window().instants)
-    parted = _of_coherent_tracks(problem, graph, [first.state.camera(*problem.size)], rival)
+    bent = first.state.camera(*problem.size)
+    scales = np.ones((len(BESIDE_BENT), 3, 3))
+    scales[:, :2, :2] *= np.array(BESIDE_BENT)[:, None, None]
+    parted = _of_coherent_tracks(problem, graph, [
+        replace(bent, K=scale * bent.K) for scale in scales], rival)
     return parted or _attempt(zooming(problem), graph, proposals, near)
 
 
@@ -405,7 +418,8 @@ def _of_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
     if (graph.given is None or not problem.instants or problem.observations.shutter is not None
             or problem.window().views < problem.views):
         return None
-    half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals)
+    half = coherent_fit(problem, MODEL_TRACKS_PER_VIEW, proposals,
+                        enough=GOOD_ENOUGH if rival is None else 0.0)
     if half is None:
         return None
     parted = _of_sorted(half, problem, graph, rival)

@@ -37,8 +37,8 @@ EXPLAINED_SHARE = 0.85
 #: Changes from one camera to the other that no zoom makes. With fewer, the principal point must
 #: tell as much as the second, and as that share of all, in chi-square.
 CHANGES, OF_PRINCIPAL_POINT = 3, (50.0, 0.2)
-#: Two kinds of focal lengths are two where each spreads by less than this share of the gap; an
-#: even spread would have 0.3.
+#: Two kinds of focal lengths are two where they spread by less than this share of the gap about a
+#: common bend; an even spread would have 0.3.
 TIGHT = 0.1
 #: Rounds of single views that change sides.
 ROUNDS = 100
@@ -103,14 +103,18 @@ def two_focal_lengths(log_focal: np.ndarray) -> np.ndarray | None:
         alternate.
 
     """
-    ordered = np.sort(log_focal)
-    place = int(np.argmax(np.diff(ordered)))
-    second = log_focal > ordered[place]
+    views = len(log_focal)
+    # another principal point bends both kinds alike
+    bend = np.polynomial.legendre.legvander(np.linspace(-1, 1, views), min(3, views // 5))
+    straight = log_focal - bend @ np.linalg.lstsq(bend, log_focal, rcond=None)[0]
+    ordered = np.sort(straight)
+    second = straight > ordered[np.argmax(np.diff(ordered))]
     if min(second.sum(), (~second).sum()) < 2 or np.count_nonzero(np.diff(second)) < CHANGES:
         return None
-    gap = log_focal[second].mean() - log_focal[~second].mean()
-    within = max(log_focal[second].std(), log_focal[~second].std())
-    return second if within < TIGHT * gap else None
+    levels = np.column_stack([bend, second])
+    found = np.linalg.lstsq(levels, log_focal, rcond=None)[0]
+    spread = np.linalg.norm(log_focal - levels @ found) / np.sqrt(max(views - len(found), 1))
+    return second if spread < TIGHT * found[-1] else None
 
 
 def _halves(joint: JointInformation) -> list[np.ndarray]:
