@@ -347,10 +347,10 @@ def _as_turns_say(result: Calibration | NoEstimate, turning: RotationFit | NoEst
 
 def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,
                          ) -> bool:
-    """Tell whether a turn contradicts the facts, or leaves more than pairs of images do."""
+    """Tell whether a turn contradicts facts or lens, or leaves more than pairs of images do."""
     if turned:
         return left_px > WORSE_THAN_PAIRS * graph.noise_px
-    return turned.kind == 'fact_contradicted' or _is_open(turned)
+    return turned.kind in ('fact_contradicted', 'smooth_misfit') or _is_open(turned)
 
 
 def _is_open(turned: Calibration | NoEstimate) -> bool:

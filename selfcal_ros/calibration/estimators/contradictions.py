@@ -25,10 +25,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.calibration.bundle.bundle import Bundle
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, OUTLIER_SIGMAS,
-                                                       RobustFit)
+                                                       RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.geometry.projective import lengths
 
 
 def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
@@ -44,25 +47,33 @@ def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
     Returns
     -------
     float
-        Of tracks without a point all count, if they are long enough to vouch for themselves.
+        Tracks without a point are given one, if they are long enough to vouch for themselves.
         One where it is not known.
 
     """
     if graph.given is None or fit.observations.shutter is not None:
         return 1.0
     given = graph.given.in_frames(graph.frames)
-    place = np.searchsorted(fit.observations.track, given.track)
-    place = np.minimum(place, len(fit.observations.track) - 1)
-    known = fit.observations.track[place] == given.track
-    _, which, length = np.unique(given.track[~known], return_inverse=True, return_counts=True)
-    lost = int(np.sum(length[which] > VERIFYING_VIEWS))
-    order = np.lexsort((given.frame[known], place[known]))
-    points, index = np.unique(place[known][order], return_inverse=True)
-    every = Observations(np.searchsorted(graph.frames, given.frame[known][order]), index,
-                         given.xy[known][order], fit.observations.track[points])
-    state = replace(fit.state, points=fit.state.points[points])
-    bundle = bundle_of(every, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
-    distance = np.linalg.norm(bundle.residuals(state), axis=1)
+    placed = np.isin(given.track, fit.observations.track)
+    every = Observations.of(given.select(placed), graph.frames)
+    points = np.searchsorted(fit.observations.track, every.track)
+    known = replace(fit.state, points=fit.state.points[points])
+    lost = _contradicting(fit, every, known)
+    others = Observations.of(given.select(~placed).with_at_least(VERIFYING_VIEWS + 1),
+                             graph.frames)
+    if len(others.view):
+        state = with_all_points(fit.state, others)
+        lost += len(others.view) if state is None else _contradicting(
+            fit, others, _bundle(fit, others).refine_points(state))
+    return lost / max(len(every.view) + len(others.view), 1)
+
+
+def _bundle(fit: RobustFit, observations: Observations) -> Bundle:
+    return bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
+
+
+def _contradicting(fit: RobustFit, observations: Observations, state: SceneState) -> int:
+    """Count the observations that are not where a state, which knows their points, has them."""
+    distance = lengths(_bundle(fit, observations).residuals(state))
     # behind the camera: not a number, and not less
-    lost += int(np.sum(~(distance < OUTLIER_SIGMAS * fit.bundle.sigma_px)))
-    return lost / max(len(given) - int(np.sum(length[which] <= VERIFYING_VIEWS)), 1)
+    return int(np.sum(~(distance < OUTLIER_SIGMAS * fit.bundle.sigma_px)))

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import with_fixed
+from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
                                                        Observations, refit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -280,7 +281,8 @@ def best_pivot_start(problem: SelfCalibrationProblem, turned: SceneState,
         problem.observations.longest(MODEL_TRACKS_PER_VIEW))
     rivals = []
     for noise_px, state in sorted(tried, key=lambda one: one[0])[:RIVALS]:
-        standing = with_all_points(state, medium)
+        # far along a common axis of all turns it would end in a false optimum
+        standing = with_all_points(resting_near(state) or state, medium)
         if standing is not None:
             fit = fit_robustly(medium, standing, problem.motion, priors, noise_px, rounds=3)
             rivals.append(fit)
