@@ -26,7 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators import motion_calibration
+from selfcal_ros.calibration.estimators import motion_calibration, stated_facts
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.initialisation.problem import observations_of
@@ -90,6 +90,18 @@ def test_true_facts_are_let_pass():
     for seed in range(2, 6):
         assert not verdict(seen_by(seed), principal_point=(328, 235)).contradicted
     assert not verdict(seen_by(2, aspect=1.02), aspect_ratio_sigma=0.02).contradicted
+
+
+@pytest.mark.parametrize('seed', range(2, 8))
+def test_what_becomes_of_every_fact_is_told_wherever_the_limit_of_doubt_lies(seed, monkeypatch):
+    """Between what the score says and what a fit says a fact was dropped: 10 sigma in silence."""
+    fit = optimum(seen_by(seed, aspect=1.001))
+    tested, = stated_facts._tested(fit, {'aspect ratio': ('aspect',)}, 1.0, None)
+    between = np.sqrt(tested.p_value * stated_facts._released(fit, tested, SIZE)[1])
+    monkeypatch.setattr(stated_facts, 'DOUBTED', between)
+    found = examine_facts(fit, SQUARE, SIZE, 1.0)
+    assert 'aspect ratio' in [one.fact for one in (*found.contradicted, *found.doubted)] + [
+        fact for fact, *_ in found.unchecked]
 
 
 def deviating(seed, bumps_px=0.0):

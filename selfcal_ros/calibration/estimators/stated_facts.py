@@ -258,6 +258,9 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
                 break
             if p_value < DOUBTED:
                 doubted.append(released)
+            else:
+                # the step of the score was a chance; what it lets pass it does not tell either
+                unchecked += tuple(_unchecked(fit, one))
         else:
             return FactsVerdict(tuple(found), tuple(doubted), unchecked, facts.trusted)
 
