@@ -88,6 +88,8 @@ UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 #: Refusals that things that move may be the reason of, and focal lengths from which to part them.
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
 COHERENT_STARTS = 4
+#: Noise of still tracks over that of pairs of images, which what moves only adds to.
+PARTED_NOISE = 1.3
 #: Things that move bend the focal length, too: factors of the ones to part them from.
 BESIDE_BENT = (1.0, 0.9, 1.1)
 #: Where less than this share of what a view shows stands still, it may as well be the rest.
@@ -148,9 +150,9 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         in_the_way = _of_wrong_fact(replace(problem, motion=motions[-1]), graph, proposals)
         if in_the_way is not None:
             return in_the_way
-    if not result and result.kind in MAY_BE_MOVING:
+    if (not result and result.kind in MAY_BE_MOVING) or _is_ill_parted(result, problem):
         # most of what the starts look at may move, as long tracks ahead of a vehicle do
-        unexplained = result.kind in UNEXPLAINED
+        unexplained = not result and result.kind in UNEXPLAINED
         for motion in motions:
             found = _of_coherent_tracks(replace(problem, motion=motion), graph,
                                         _straight_and_bent(problem), may_stand=unexplained)
@@ -183,6 +185,12 @@ def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals:
     if not free or _rejected(free, graph) > MANY_REJECTED:
         return None
     return fact_in_the_way(problem.facts, free)
+
+
+def _is_ill_parted(result: Calibration | NoEstimate, problem: SelfCalibrationProblem) -> bool:
+    """Tell whether what was left as still leaves more than pairs of images, of all tracks, do."""
+    return (isinstance(result, Calibration) and result.labels is not None
+            and result.noise_sigma_px > PARTED_NOISE * problem.noise_px)
 
 
 def _rejected(result: Calibration, graph: ViewGraph) -> float:

@@ -51,6 +51,8 @@ LEAST_MATCHES, LEAST_TRACKS, LEAST_VIEWS = 7, 8, 3
 LEAST_SHARE = 0.3
 #: A body explains a track that loses no more than this share to gross errors.
 MOST_LOST = 0.2
+#: Share of the pairs that show it in which a track of a body agrees.
+OF_PAIRS = 0.6
 #: Matches agree within so many sigmas.
 MATCH_SIGMAS = 4.0
 #: Turns of leaving out what agrees least.
@@ -164,7 +166,7 @@ def _body(observations: Observations, camera: Camera, sigma_px: float,
     views = np.unique([[pair.first, pair.second] for pair in pairs])
     if len(views) < LEAST_VIEWS:
         return None
-    members = np.unique(np.concatenate([pair.track for pair in pairs]))
+    members = _members(observations, pairs)
     mask = np.isin(observations.view, views) & np.isin(observations.point, members)
     within, points = observations.select(mask, LEAST_VIEWS)
     if len(points) < LEAST_TRACKS or len(np.unique(within.view)) < len(views):
@@ -194,6 +196,17 @@ def _pairs(observations: Observations, rays: np.ndarray, limit: float,
                 continue
             yield PairGeometry(first, first + gap, _cross(t) @ R, both[agree],
                                observations.xy[a[agree]], observations.xy[b[agree]]), R
+
+
+def _members(observations: Observations, pairs: list[PairGeometry]) -> np.ndarray:
+    """Return the tracks that agree in most of the pairs that show them, not by chance in one."""
+    seen = np.zeros((int(observations.view.max()) + 1, len(observations.track)), bool)
+    seen[observations.view, observations.point] = True
+    shown, agrees = np.zeros((2, len(observations.track)), int)
+    for pair in pairs:
+        shown += seen[pair.first] & seen[pair.second]
+        agrees[pair.track] += 1
+    return np.flatnonzero(agrees > OF_PAIRS * shown)
 
 
 def _cross(t):
