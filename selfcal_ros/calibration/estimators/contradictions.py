@@ -62,7 +62,9 @@ def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
     others = Observations.of(given.select(~placed).with_at_least(VERIFYING_VIEWS + 1),
                              graph.frames)
     if len(others.view):
-        state = with_all_points(fit.state, others)
+        # an adjustment counts the views that it is given
+        shown = np.arange(others.view.max() + 1)
+        state = with_all_points(fit.state.of_views(shown, np.zeros(0, int)), others)
         lost += len(others.view) if state is None else _contradicting(
             fit, others, _bundle(fit, others).refine_points(state))
     return lost / max(len(every.view) + len(others.view), 1)
