@@ -30,6 +30,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, R
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.calibrate import NEARLY_TURNS
+from selfcal_ros.calibration.estimators import pivot
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
 from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
                                                       PivotDecision)
@@ -216,6 +217,18 @@ def test_turns_about_one_axis_have_their_scene_before_the_camera(seed):
 
     assert result, result.reason
     assert away(result) < 4
+
+
+@pytest.mark.parametrize('seed', [0, 4, 6])
+def test_an_arc_is_started_from_the_nearest_point_of_its_axis(seed, monkeypatch):
+    """From one 12 levers along it points were left behind the camera, and the arc was refused."""
+    started, first_fit = [], pivot.first_fit
+    monkeypatch.setattr(pivot, 'first_fit', lambda window, tried, state: (
+        started.append(state.path.translation[0]) or first_fit(window, tried, state)))
+    assert calibrate(arc(seed).tracks, facts=STRAIGHT)
+
+    along = started[0] @ [0, np.cos(0.3), np.sin(0.3)]
+    assert abs(along) < 0.05 * np.linalg.norm(started[0])
 
 
 @pytest.mark.parametrize('seed', [11, 30, 34])

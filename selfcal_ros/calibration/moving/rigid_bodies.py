@@ -37,7 +37,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
                                                                       planar_start,
                                                                       spanning_order)
-from selfcal_ros.calibration.moving.track_test import test_tracks, TrackTest
+from selfcal_ros.calibration.moving.track_test import freedom_of, test_tracks, TrackTest
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.relative_pose import relative_motion
 from selfcal_ros.geometry.rotation import nearest_rotation
@@ -49,10 +49,12 @@ LEAST_MATCHES, LEAST_TRACKS, LEAST_VIEWS = 7, 8, 3
 #: Share of the tracks in its views that a body has to explain, of those that are not explained
 #: otherwise: chance explains few.
 LEAST_SHARE = 0.3
+#: Or it explains so many degrees of freedom a view, of which its own path takes six.
+PROVED = 24.0
 #: A body explains a track that loses no more than this share to gross errors.
 MOST_LOST = 0.2
 #: Share of the pairs that show it in which a track of a body agrees.
-OF_PAIRS = 0.6
+OF_PAIRS = 0.5
 #: Matches agree within so many sigmas.
 MATCH_SIGMAS = 4.0
 #: Turns of leaving out what agrees least.
@@ -147,7 +149,9 @@ def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
         # of a track that the body's views show in part, the greater part has to be explained
         whole = np.bincount(rest.point, minlength=len(places))[seen]
         fits = test.explained & (2 * test.length > whole) & (test.lost <= MOST_LOST * test.length)
-        if fits.sum() < max(LEAST_TRACKS, LEAST_SHARE * test.tested.sum()):
+        spare = freedom_of((test.length - test.lost)[fits]).sum() / len(body.views)
+        if fits.sum() < LEAST_TRACKS or (spare < PROVED
+                                         and fits.sum() < LEAST_SHARE * test.tested.sum()):
             return
         explained = places[seen[fits]]
         yield body, explained
