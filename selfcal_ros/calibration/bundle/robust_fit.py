@@ -28,7 +28,7 @@ from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.inliers import verified
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.model import Linearisation
-from selfcal_ros.calibration.bundle.motion import MotionModel, PLANAR
+from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.neighbour_motion import followed, LEAST_FOLLOWED
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.rig_model import RigModel
@@ -58,8 +58,6 @@ RENEWALS, SETTLED = 6, 0.03
 #: At the ends of the path only so many observations, the nearest to the middle row, count where
 #: rows are read one after the other: the camera may stand still before the first of them.
 AT_ENDS = 8
-#: Floor of the out-of-plane sigmas that are estimated from the data.
-MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
 
 @dataclass(frozen=True)
@@ -366,20 +364,6 @@ def _predicted(bundle: Bundle, observations: Observations, state: SceneState,
     return kept, replace(state, points=state.points[points])
 
 
-def out_of_plane(fit: RobustFit) -> tuple[float, float]:
-    """
-    Estimate the standard deviations of tilt (rad) and height (per distance between views).
-
-    Empirical Bayes: the mean of the squared estimates and of their variances.
-    """
-    path, unknowns, variance = fit.state.path, fit.bundle.unknowns, fit.covariance.diagonal()
-    tilt = np.sqrt(np.mean(path.tilt**2 + variance[unknowns.of_views('tilt_x', 'tilt_y')]))
-    of_height = variance[unknowns.of_views('height')[1:, 0]]
-    height = np.sqrt(np.mean(path.translation[1:, 2]**2 + of_height))
-    return (max(float(tilt), MINIMUM_TILT_RAD),
-            max(float(height) / path.step_length(), MINIMUM_HEIGHT))
-
-
 def _optimum(bundle: Bundle, state: SceneState, motion: MotionModel) -> SceneState:
     """Optimise, and from the nearest point that may rest, too; return the better one."""
     starts = [state, resting_near(state) if motion.fixed_pivot else None]
@@ -398,40 +382,3 @@ def refit(fit: RobustFit, motion: MotionModel, state: SceneState | None = None) 
 def is_chance(excess: float, freedom: float) -> bool:
     """Tell whether so many unknowns lower twice the cost so much by chance, at 4 sigma."""
     return bool(excess <= freedom + 4 * np.sqrt(2 * freedom))
-
-
-def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFit, bool]:
-    """
-    Decide whether the plane of motion is exact.
-
-    It is when its cost exceeds that of the relaxed motion by no more than the additional
-    freedom explains (a likelihood ratio test at 4 sigma). Otherwise the out-of-plane sigmas are
-    estimated from the data.
-
-    Parameters
-    ----------
-    relaxed : RobustFit
-        Of nearly planar motion.
-    dependence : float
-        Variance of the estimate over that with independent errors; the excess is divided by it.
-
-    Returns
-    -------
-    fit : RobustFit
-    exact : bool
-
-    """
-    flat = replace(relaxed.state, path=relaxed.state.path.flat())
-    exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
-    freedom = 3 * len(flat.path) - 1
-    excess = 2 * (exact.cost - relaxed.cost) / dependence
-    if is_chance(excess, freedom):
-        return exact, True
-    fit = relaxed
-    for _ in range(3):
-        before = fit.motion
-        tilt, height = out_of_plane(fit)
-        fit = refit(fit, replace(before, tilt_sigma_rad=tilt, height_sigma=height))
-        if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
-            break
-    return fit, False

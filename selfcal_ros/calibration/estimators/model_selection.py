@@ -21,9 +21,10 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.motion import GENERAL
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, choose_motion, fit_robustly,
-                                                       is_chance, Observations, out_of_plane,
-                                                       refit, RobustFit, with_all_points)
+from selfcal_ros.calibration.bundle.plane_of_motion import choose_motion, out_of_plane
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
+                                                       Observations, refit, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
                                                                REGULARISED)

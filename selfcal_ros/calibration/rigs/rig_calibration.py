@@ -28,9 +28,10 @@ import numpy as np
 
 from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.bundle.motion import GENERAL, NEARLY_PLANAR
+from selfcal_ros.calibration.bundle.plane_of_motion import choose_motion
 from selfcal_ros.calibration.bundle.rig import RigPriors
 from selfcal_ros.calibration.bundle.rig_model import RigState
-from selfcal_ros.calibration.bundle.robust_fit import choose_motion, fit_robustly
+from selfcal_ros.calibration.bundle.robust_fit import fit_robustly
 from selfcal_ros.calibration.calibrate import calibrate
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.judgement import judge, RigOptimum

@@ -77,6 +77,9 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
     total *= joint.pull**2 / joint.factor
     if total - 3 < EXPLAINED_SHARE * (every.chi2 - every.freedom):
         return None
+    if fit.observations.shutter is not None and len(set(second[1:-1].tolist())) < 2:
+        # of the first and the last view few rows count, and those tell no camera
+        return None
     if np.count_nonzero(np.diff(second)) < CHANGES:
         focal = np.zeros((len(joint.score), 1))
         focal[joint.places[_CAMERA][second, 0]] = 1

@@ -1,0 +1,107 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+How planar a motion is: exactly, or out of its plane by sigmas that the images tell.
+
+A vehicle keeps to its ground but for tilt and height of its views, which are small and soft. They
+cost freedom, which few views hardly have, so they are held where the images do not need them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from selfcal_ros.calibration.bundle.motion import PLANAR
+from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance, refit,
+                                                       RobustFit)
+
+#: Of fewer views a gross error in a short track looks like a way out of the plane; no more than
+#: this share of the observations may be such.
+FEW_VIEWS, FEW_GROSS = 8, 0.025
+#: Floor of the out-of-plane sigmas that are estimated from the data.
+MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
+
+
+def out_of_plane(fit: RobustFit) -> tuple[float, float]:
+    """
+    Estimate the standard deviations of tilt (rad) and height (per distance between views).
+
+    Empirical Bayes: the mean of the squared estimates and of their variances.
+    """
+    path, unknowns, variance = fit.state.path, fit.bundle.unknowns, fit.covariance.diagonal()
+    tilt = np.sqrt(np.mean(path.tilt**2 + variance[unknowns.of_views('tilt_x', 'tilt_y')]))
+    of_height = variance[unknowns.of_views('height')[1:, 0]]
+    height = np.sqrt(np.mean(path.translation[1:, 2]**2 + of_height))
+    return (max(float(tilt), MINIMUM_TILT_RAD),
+            max(float(height) / path.step_length(), MINIMUM_HEIGHT))
+
+
+def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFit, bool]:
+    """
+    Decide whether the plane of motion is exact.
+
+    It is when its cost exceeds that of the relaxed motion by no more than the additional
+    freedom explains (a likelihood ratio test at 4 sigma). With few views it is, too, when that
+    holds but for few observations. Otherwise the out-of-plane sigmas are estimated from the data.
+
+    Parameters
+    ----------
+    relaxed : RobustFit
+        Of nearly planar motion.
+    dependence : float
+        Variance of the estimate over that with independent errors; the excess is divided by it.
+
+    Returns
+    -------
+    fit : RobustFit
+    exact : bool
+
+    """
+    flat = replace(relaxed.state, path=relaxed.state.path.flat())
+    exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
+    freedom = 3 * len(flat.path) - 1
+    excess = 2 * (exact.cost - relaxed.cost) / dependence
+    if is_chance(excess, freedom):
+        return exact, True
+    if len(flat.path) < FEW_VIEWS:
+        sound = _but_for_few(relaxed, exact, freedom, dependence)
+        if sound is not None:
+            return sound, True
+    fit = relaxed
+    for _ in range(3):
+        before = fit.motion
+        tilt, height = out_of_plane(fit)
+        fit = refit(fit, replace(before, tilt_sigma_rad=tilt, height_sigma=height))
+        if abs(tilt / before.tilt_sigma_rad - 1) < 0.2:
+            break
+    return fit, False
+
+
+def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, dependence: float,
+                 ) -> RobustFit | None:
+    """Return a fit whose plane is exact but for few observations, if there is one."""
+    sound = fit_robustly(relaxed.observations, exact.state, exact.motion, relaxed.bundle.priors,
+                         relaxed.bundle.sigma_px)
+    kept, before = sound.observations, relaxed.observations
+    if len(kept.view) < (1 - FEW_GROSS) * len(before.view):
+        return None
+    points = np.searchsorted(before.track, kept.track)
+    start = replace(relaxed.state, points=relaxed.state.points[points])
+    free = refit(RobustFit(bundle_of(kept, relaxed.motion, relaxed.bundle.priors,
+                                     sound.bundle.sigma_px), start, kept, 0), relaxed.motion)
+    excess = 2 * (sound.bundle.cost(sound.state) - free.cost) / dependence
+    sound = replace(sound, outliers=relaxed.outliers + len(before.view) - len(kept.view))
+    return sound if is_chance(excess, freedom) else None
