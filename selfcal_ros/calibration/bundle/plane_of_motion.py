@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
 
 #: Of fewer views a gross error in a short track looks like a way out of the plane; no more than
 #: this share of the observations may be such.
-FEW_VIEWS, FEW_GROSS = 8, 0.025
+FEW_VIEWS, FEW_GROSS = 16, 0.025
 #: Floor of the out-of-plane sigmas that are estimated from the data.
 MINIMUM_TILT_RAD, MINIMUM_HEIGHT = 1e-5, 1e-5
 
