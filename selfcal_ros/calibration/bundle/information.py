@@ -101,7 +101,8 @@ def inverse_information(matrix: np.ndarray | ChainMatrix, selection: csr_array,
     if isinstance(matrix, ChainMatrix):
         return _inverse_of_chain(matrix, E, diagonal)
     H = restricted(matrix, E)
-    scale = np.maximum(np.diag(H), 1e-300)
+    # what nothing measures has a very large variance, of which products are still numbers
+    scale = np.maximum(np.diag(H), max(1e-300, 1e-100 * float(np.diag(H).max(initial=0))))
     if diagonal is not None:
         scale = np.maximum(scale, RANK_TOLERANCE * (
             abs(E).T @ diagonal if places is None else diagonal[places]))

@@ -111,7 +111,8 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
             if seen is None:
                 continue
             total = at_hand + _information(*seen, with_facts=False)
-            scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+            known = np.diag(total)
+            scale = 1 / np.sqrt(np.maximum(known, max(1e-300, 1e-100 * float(known.max()))))
             covariance = np.zeros((len(state.lens),) * 2)
             covariance[np.ix_(free, free)] = np.linalg.pinv(
                 total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
