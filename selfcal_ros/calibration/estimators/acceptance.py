@@ -55,6 +55,7 @@ from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import lengths
 
 #: A start, or an optimum, explains the images when it leaves less than so many times the noise
 #: of the epipolar geometry (which has more freedom, and absorbs distortion).
@@ -290,6 +291,8 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
     precision, shutter = precision_of(fit), readout_of(fit, dependence.inflation)
+    # beside the camera the model predicts as little as behind it
+    residuals = np.where(lengths(residuals)[:, None] < max(problem.size), residuals, np.nan)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
         facts=facts, frames=tuple(int(f) for f in graph.frames),
