@@ -219,7 +219,7 @@ def test_turns_about_one_axis_have_their_scene_before_the_camera(seed):
     assert away(result) < 4
 
 
-@pytest.mark.parametrize('seed', [0, 4, 6])
+@pytest.mark.parametrize('seed', [0, 4])
 def test_an_arc_is_started_from_the_nearest_point_of_its_axis(seed, monkeypatch):
     """From one 12 levers along it points were left behind the camera, and the arc was refused."""
     started, first_fit = [], pivot.first_fit
