@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.estimators import motion_calibration
+from selfcal_ros.calibration.estimators.coherent_start import straight_and_bent
 from selfcal_ros.calibration.estimators.zoom_selection import contradicted, zoomed_fit
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.supposed_lens import supposed_camera
@@ -302,12 +302,12 @@ def test_what_agrees_with_a_body_in_a_pair_by_chance_is_no_part_of_it(seed):
 def test_things_are_parted_from_straight_starts_too_where_they_seem_to_bend_lines():
     """Pairs told a fisheye of 72 px of what kept ahead of a vehicle: 520 px was never tried."""
     problem = SimpleNamespace(size=(640, 480), facts=CameraFacts(), bend=(-2.5,))
-    cameras = motion_calibration._straight_and_bent(problem)
+    cameras = straight_and_bent(problem)
     straight = [not camera.distortion.any() for camera in cameras]
     assert straight == [True, False] * (len(cameras) // 2) and len(cameras) == 8
     assert cameras[0].K[0, 0] == 640 and cameras[1].K[0, 0] < 320
     problem.bend = (-0.05,)
-    assert len(motion_calibration._straight_and_bent(problem)) == 4
+    assert len(straight_and_bent(problem)) == 4
 
 
 def observed(tracks):

@@ -25,8 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.motion import PLANAR
-from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance, refit,
-                                                       RobustFit)
+from selfcal_ros.calibration.bundle.robust_fit import fit_robustly, is_chance, refit, RobustFit
 
 #: Of fewer views a gross error in a short track looks like a way out of the plane; no more than
 #: this share of the observations may be such.
@@ -100,8 +99,7 @@ def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, dependenc
         return None
     points = np.searchsorted(before.track, kept.track)
     start = replace(relaxed.state, points=relaxed.state.points[points])
-    free = refit(RobustFit(bundle_of(kept, relaxed.motion, relaxed.bundle.priors,
-                                     sound.bundle.sigma_px), start, kept, 0), relaxed.motion)
-    excess = 2 * (sound.bundle.cost(sound.state) - free.cost) / dependence
+    free = refit(sound, relaxed.motion, start)
+    excess = 2 * (sound.cost - free.cost) / dependence
     sound = replace(sound, outliers=relaxed.outliers + len(before.view) - len(kept.view))
     return sound if is_chance(excess, freedom) else None

@@ -336,12 +336,13 @@ def only_a_hint(result: Calibration) -> NoEstimate | None:
     centre = camera.K[:2, 2]
     outside = (result.facts.principal_point is None
                and bool(((centre < 0) | (centre > [camera.width, camera.height])).any()))
-    if turned >= SMALL_TURN_RAD and not outside:
+    if turned < SMALL_TURN_RAD:
+        kind, shown = HINT, {'turned_deg': float(np.degrees(turned))}
+    elif outside:
+        kind, shown = CENTRE_OUTSIDE, {'cx': float(centre[0]), 'cy': float(centre[1])}
+    else:
         return None
-    shown = ({'turned_deg': float(np.degrees(turned))} if turned < SMALL_TURN_RAD
-             else {'cx': float(centre[0]), 'cy': float(centre[1])})
-    return NoEstimate(HINT if turned < SMALL_TURN_RAD else CENTRE_OUTSIDE, focal_px=focal_px,
-                      sigma_px=sigma_px, **shown, motion=result.motion,
+    return NoEstimate(kind, focal_px=focal_px, sigma_px=sigma_px, **shown, motion=result.motion,
                       facts=result.facts, status=result.status, hint=result,
                       further=tuple(one for one in result.findings
                                     if one.kind == 'motion_suggestion'))

@@ -19,14 +19,26 @@ from collections.abc import Iterable
 
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.initialisation.multi_start import GOOD_ENOUGH
+from selfcal_ros.calibration.initialisation.multi_start import FOCAL_SWEEP, GOOD_ENOUGH
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
+from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
+                                                                  supposed_camera)
 from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.optimise import PointBlocks
 
 #: Scale at which starts from pairs of views begin, in units of the noise.
 COARSE = 10.0
+#: Focal lengths from which to seek, of each kind of lens.
+FOCAL_LENGTHS = 4
+
+
+def straight_and_bent(problem: SelfCalibrationProblem) -> list[Camera]:
+    """Suppose cameras; what moves may look like a lens that bends lines, so without that first."""
+    bends = ((), problem.bend) if is_strong(problem.bend) else (problem.bend,)
+    return [supposed_camera(focal_px, problem.size, problem.facts, bend)
+            for k in range(FOCAL_LENGTHS) for bend in bends
+            for focal_px in likely_focal_lengths(problem.size, bend, FOCAL_SWEEP)[k:k + 1]]
 
 
 def coherent_fit(problem: SelfCalibrationProblem, per_view: int, proposals: Iterable[Camera],

@@ -58,15 +58,16 @@ def share_that_contradicts(fit: RobustFit, graph: ViewGraph) -> float:
     every = Observations.of(given.select(placed), graph.frames)
     points = np.searchsorted(fit.observations.track, every.track)
     known = replace(fit.state, points=fit.state.points[points])
-    lost = _contradicting(fit, every, known)
+    lost = _contradicting(_bundle(fit, every), known)
     others = Observations.of(given.select(~placed).with_at_least(VERIFYING_VIEWS + 1),
                              graph.frames)
     if len(others.view):
         # an adjustment counts the views that it is given
         shown = np.arange(others.view.max() + 1)
         state = with_all_points(fit.state.of_views(shown, np.zeros(0, int)), others)
-        lost += len(others.view) if state is None else _contradicting(
-            fit, others, _bundle(fit, others).refine_points(state))
+        bundle = _bundle(fit, others)
+        lost += (len(others.view) if state is None
+                 else _contradicting(bundle, bundle.refine_points(state)))
     return lost / max(len(every.view) + len(others.view), 1)
 
 
@@ -74,8 +75,8 @@ def _bundle(fit: RobustFit, observations: Observations) -> Bundle:
     return bundle_of(observations, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
 
 
-def _contradicting(fit: RobustFit, observations: Observations, state: SceneState) -> int:
+def _contradicting(bundle: Bundle, state: SceneState) -> int:
     """Count the observations that are not where a state, which knows their points, has them."""
-    distance = lengths(_bundle(fit, observations).residuals(state))
+    distance = lengths(bundle.residuals(state))
     # behind the camera: not a number, and not less
-    return int(np.sum(~(distance < OUTLIER_SIGMAS * fit.bundle.sigma_px)))
+    return int(np.sum(~(distance < OUTLIER_SIGMAS * bundle.sigma_px)))

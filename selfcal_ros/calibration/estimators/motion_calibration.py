@@ -33,7 +33,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations, 
 from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unchecked
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
-from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
+from selfcal_ros.calibration.estimators.coherent_start import coherent_fit, straight_and_bent
 from selfcal_ros.calibration.estimators.facts_in_the_way import fact_in_the_way, without_facts
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
@@ -50,12 +50,9 @@ from selfcal_ros.calibration.estimators.turning_views import saying_what_moves
 from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom, near_state,
                                                                nearer, settle_zoom, zoomed_fit,
                                                                zooming)
-from selfcal_ros.calibration.initialisation.multi_start import (best_start, FOCAL_SWEEP,
-                                                                GOOD_ENOUGH)
+from selfcal_ros.calibration.initialisation.multi_start import best_start, GOOD_ENOUGH
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
-from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, likely_focal_lengths,
-                                                                  supposed_camera)
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
@@ -85,9 +82,8 @@ MAX_TURN_RAD = np.radians(1.0)
 LITTLE_TURN_RAD, MANY_REJECTED = np.radians(35.0), 0.05
 #: Refusals that a focal length that varies may be the reason of.
 UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
-#: Refusals that things that move may be the reason of, and focal lengths from which to part them.
+#: Refusals that things that move may be the reason of.
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
-COHERENT_STARTS = 4
 #: Noise of still tracks over that of pairs of images, which what moves only adds to.
 PARTED_NOISE = 1.3
 #: Things that move bend the focal length, too: factors of the ones to part them from.
@@ -155,7 +151,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         unexplained = not result and result.kind in UNEXPLAINED
         for motion in motions:
             found = _of_coherent_tracks(replace(problem, motion=motion), graph,
-                                        _straight_and_bent(problem), may_stand=unexplained)
+                                        straight_and_bent(problem), may_stand=unexplained)
             if found:
                 return found
     if result and result.focal is not None and motion is not motions[0]:
@@ -163,14 +159,6 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
         planar = _attempt(zooming(replace(problem, motion=motions[0])), graph, proposals)
         result = planar if planar and planar.focal is not None else result
     return result
-
-
-def _straight_and_bent(problem: SelfCalibrationProblem) -> list[Camera]:
-    """Suppose cameras; what moves may look like a lens that bends lines, so without that first."""
-    bends = ((), problem.bend) if is_strong(problem.bend) else (problem.bend,)
-    return [supposed_camera(focal_px, problem.size, problem.facts, bend)
-            for k in range(COHERENT_STARTS) for bend in bends
-            for focal_px in likely_focal_lengths(problem.size, bend, FOCAL_SWEEP)[k:k + 1]]
 
 
 def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
@@ -338,10 +326,8 @@ def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
     """Part what moves, which bends the path until a zoom seems to mend it; else let it zoom."""
     rival = zoomed_fit(first, problem.window().instants)
     bent = first.state.camera(*problem.size)
-    scales = np.ones((len(BESIDE_BENT), 3, 3))
-    scales[:, :2, :2] *= np.array(BESIDE_BENT)[:, None, None]
     parted = _of_coherent_tracks(problem, graph, [
-        replace(bent, K=scale * bent.K) for scale in scales], rival)
+        bent.magnified(factor) for factor in BESIDE_BENT], rival)
     return parted or _attempt(zooming(problem), graph, proposals, near)
 
 

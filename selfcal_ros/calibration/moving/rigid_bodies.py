@@ -39,6 +39,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import (PairGeomet
                                                                       spanning_order)
 from selfcal_ros.calibration.moving.track_test import freedom_of, test_tracks, TrackTest
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.relative_pose import relative_motion
 from selfcal_ros.geometry.rotation import nearest_rotation
 
@@ -198,7 +199,7 @@ def _pairs(observations: Observations, rays: np.ndarray, limit: float,
             R, t, agree = motion
             if agree.sum() < LEAST_MATCHES:
                 continue
-            yield PairGeometry(first, first + gap, _cross(t) @ R, both[agree],
+            yield PairGeometry(first, first + gap, cross_matrix(t) @ R, both[agree],
                                observations.xy[a[agree]], observations.xy[b[agree]]), R
 
 
@@ -211,10 +212,6 @@ def _members(observations: Observations, pairs: list[PairGeometry]) -> np.ndarra
         shown += seen[pair.first] & seen[pair.second]
         agrees[pair.track] += 1
     return np.flatnonzero(agrees > OF_PAIRS * shown)
-
-
-def _cross(t):
-    return np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
 
 
 def _agreeing(pairs: list[PairGeometry], turns: list[np.ndarray],
