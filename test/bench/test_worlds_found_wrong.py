@@ -57,6 +57,14 @@ def test_a_wrong_aspect_ratio_that_the_images_hardly_doubt_is_told():
     assert 'aspect ratio' in told
 
 
+def test_every_image_three_times_is_not_mirrored():
+    """One pair that is seen from quite another side counted nine times, and looked mirrored."""
+    result, worst = calibrated('gen_dup', 16002)
+
+    assert result, str(result)
+    assert worst < MAX_SIGMAS
+
+
 @pytest.mark.parametrize('name, seed, kind', [
     # 10 sigma off, with a sigma of 7 %
     ('gen_views3', 13003, 'centre_outside'),

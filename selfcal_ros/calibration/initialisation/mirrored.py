@@ -23,6 +23,7 @@ negative one if one of the two is mirrored.
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
 
 from selfcal_ros.calibration.initialisation.initial_structure import PairGeometry
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
@@ -30,8 +31,10 @@ from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 #: A map that squeezes the plane more than this, or that leaves more than this share of where the
 #: points are (variance), tells nothing of its sense.
 MIN_SINGULAR_RATIO, MAX_UNEXPLAINED = 0.4, 0.2
-#: Pairs that turn the other way, at least.
+#: Pairs that turn the other way, at least, where copies of one view count as one.
 MIN_PAIRS = 3
+#: Views whose points differ less than this (rms) are copies, as where a video repeats images.
+COPY_PX = 1.5
 #: Share of the pairs whose sense is clear that must agree.
 AGREEING = 0.95
 
@@ -56,12 +59,30 @@ def mirrored_views(graph: ViewGraph) -> np.ndarray | None:
         sense[pair.first, pair.second] = sense[pair.second, pair.first] = sense_of(pair)
     if np.count_nonzero(sense < 0) < 2 * MIN_PAIRS:
         return None
+    share = 1.0 / _copies(graph).sum(axis=1)
+    if share @ (sense < 0) @ share < 2 * MIN_PAIRS:
+        return None
     _, vectors = np.linalg.eigh(sense)
     side = np.where(vectors[:, -1] > 0, 1.0, -1.0)
     agreeing = np.count_nonzero(sense * np.outer(side, side) > 0)
     if agreeing < AGREEING * np.count_nonzero(sense) or abs(side.sum()) == views:
         return None
     return side == (1.0 if (side > 0).sum() <= views / 2 else -1.0)
+
+
+def _copies(graph: ViewGraph) -> np.ndarray:
+    """Return which views show the same points at the same places, (V, V); each itself, too."""
+    tracks = graph.tracks
+    at = np.searchsorted(graph.frames, tracks.frame), np.unique(tracks.track,
+                                                                return_inverse=True)[1]
+
+    def table(values):
+        return coo_array((values, at)).tocsr()
+
+    seen, x, y = table(np.ones(len(tracks))), table(tracks.xy[:, 0]), table(tracks.xy[:, 1])
+    own = table(np.sum(tracks.xy**2, axis=1)) @ seen.T
+    away = own + own.T - 2 * (x @ x.T + y @ y.T)
+    return away.toarray() < COPY_PX**2 * (seen @ seen.T).toarray()
 
 
 def sense_of(pair: PairGeometry) -> float:
