@@ -39,7 +39,8 @@ from selfcal_ros.calibration.moving.track_test import judged
 from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_to_json
-from selfcal_ros.values.track_labels import JUMPED, STATIC, TrackLabels, UNEXPLAINED
+from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels,
+                                             UNEXPLAINED)
 
 CAMERA = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), width=640, height=480)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none')
@@ -160,11 +161,22 @@ def test_tracks_that_jump_are_used_in_two_parts():
 def test_few_tracks_that_jump_are_told_beside_few_that_nothing_explains():
     def told(jumped, unexplained, still=500):
         label = np.repeat([JUMPED, UNEXPLAINED, STATIC], [jumped, unexplained, still])
-        return [one.kind for one in moving_findings(TrackLabels(np.arange(len(label)), label))]
+        labels = TrackLabels(np.arange(len(label)), label)
+        return [one.kind for one in moving_findings(labels, np.full(len(label), 8))]
 
     assert told(10, 20) == ['tracks_jump'] and told(6, 20) == []
     # gross errors on a quarter of the observations
     assert told(12, 170) == ['tracks_unexplained_whole']
+
+
+def test_few_tracks_that_move_are_told_where_they_are_seen_all_the_time():
+    label = np.repeat([MOVING, STATIC], [17, 480])
+    labels, length = TrackLabels(np.arange(len(label)), label, bodies=1), np.repeat(
+        [20, 6], [17, 480])
+    finding, = moving_findings(labels, length)
+    assert finding.kind == 'tracks_moving'
+    assert finding.values['share'] == pytest.approx(340 / (340 + 2880))
+    assert not moving_findings(labels, np.full(len(label), 6))
 
 
 @pytest.mark.parametrize('seed', [0, 1])

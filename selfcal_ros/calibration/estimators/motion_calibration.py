@@ -375,7 +375,7 @@ def _of_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph
         return None
     given = graph.given.in_frames(frames)
     found = sort_tracks(fit, graph.given, frames, problem.size, np.random.default_rng(0))
-    findings = moving_findings(found[0].labels, least) if found else ()
+    findings = moving_findings(found[0].labels, found[0].length, least) if found else ()
     if not found or not findings or (
             bodies_alone and 'tracks_moving' not in [one.kind for one in findings]):
         return None

@@ -76,6 +76,8 @@ class SortedTracks:
     static : Tracks
         Observations of still points; both parts of tracks that jumped, the later one under a
         new identity.
+    length : ndarray of int, shape (P,)
+        Observations of each track of the labels.
     contradicting : int
         Observations that nothing explains.
     still_share : float
@@ -85,6 +87,7 @@ class SortedTracks:
 
     labels: TrackLabels
     static: Tracks
+    length: np.ndarray
     contradicting: int
     still_share: float
 
@@ -234,8 +237,8 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
     final = _fitted(fit, static, frames)
     known = label[point] >= UNCLEAR
     return None if final is None else (SortedTracks(
-        TrackLabels(identity, label, bodies), static, int(np.sum(~known & ~test.agrees)),
-        _still_share(observations, label)), final)
+        TrackLabels(identity, label, bodies), static, np.bincount(point, minlength=len(label)),
+        int(np.sum(~known & ~test.agrees)), _still_share(observations, label)), final)
 
 
 def _still_share(observations: Observations, label: np.ndarray) -> float:
@@ -248,17 +251,20 @@ def _still_share(observations: Observations, label: np.ndarray) -> float:
     return float(share.min())
 
 
-def moving_findings(labels: TrackLabels, least: float = FEW) -> tuple[Finding, ...]:
+def moving_findings(labels: TrackLabels, length: np.ndarray,
+                    least: float = FEW) -> tuple[Finding, ...]:
     """
-    Tell what moves by itself and what jumps, on more than the least share of the tracks.
+    Tell what moves by itself, and what jumps, where it is more than the least share.
 
-    What nothing explains is told where it is much; with a smaller least share, where it is all
-    that there is, too.
+    Of what moves that is a share of the observations: what keeps before a vehicle is seen all the
+    time, in few tracks. What nothing explains is told where it is much; with a smaller least
+    share, where it is all that there is, too.
     """
     found = []
-    shares = [labels.share(f'moving {k + 1}') for k in range(labels.bodies)]
-    if sum(shares) > least:
-        found.append(Finding('tracks_moving', share=float(sum(shares)), bodies=len(shares),
+    seen = np.bincount(labels.label, length, MOVING + labels.bodies)
+    shares = seen[MOVING:] / max(seen.sum(), 1)
+    if shares.sum() > least:
+        found.append(Finding('tracks_moving', share=float(shares.sum()), bodies=labels.bodies,
                              shares=[float(share) for share in shares]))
     jumped, unexplained = labels.share('jumped'), labels.share('unexplained')
     if jumped > min(least, max(FEW_JUMPS, OF_UNEXPLAINED * unexplained)):
