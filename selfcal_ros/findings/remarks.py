@@ -138,8 +138,8 @@ REMARKS: dict[str, Phrase] = {
         'The views of a group have one orientation. The closed form starts from the first group.',
         'Nothing.'),
     'tracks_moving': Phrase(
-        '{share:percent} % of the observations show what moves by itself: {bodies:number} '
-        'moving thing{bodies:plural}, without a part in the calibration.',
+        '{share:percent} % of the tracks move by themselves: they belong to {bodies:number} '
+        'moving thing{bodies:plural} and have no part in the calibration.',
         'Tracks that the still scene does not explain fit a rigid motion of their own. They are '
         'labelled, and no outliers.',
         'Nothing; where most of the image moves, record another scene.'),

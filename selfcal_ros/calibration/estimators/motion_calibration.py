@@ -56,8 +56,8 @@ from selfcal_ros.calibration.initialisation.problem import observations_of, Self
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
-                                                    moving_findings, sort_tracks, SortedTracks,
-                                                    stands_out, tested_as_still)
+                                                    hides_body, moving_findings, sort_tracks,
+                                                    SortedTracks, stands_out, tested_as_still)
 from selfcal_ros.calibration.observability import held_facts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
@@ -357,7 +357,8 @@ def _of_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCalibrati
     test = tested_as_still(fit, observations)
     if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
         return _of_sorted(fit, problem, graph)
-    if test is None or not crowd_in_few_views(test, observations):
+    if test is None or not (crowd_in_few_views(test, observations)
+                            or hides_body(fit, observations, test, problem.size)):
         return None
     return _of_sorted(fit, problem, graph, bodies_alone=True)
 

@@ -56,6 +56,9 @@ DRIFTS, FEW_DRIFTING = 1.25, 0.08
 #: it. True zooms and second cameras explain 0.99 and 0.9 and more; false zooms 0.68 to 0.88, or
 #: more if they are small, and 0.28 to 0.59.
 ALL, MOST_MOVING = 0.95, 0.75
+#: What no still point explains hides a body where fewer tracks stand out, if one is seen in so
+#: many views: in three, views that are off by themselves pass for one.
+BODY_VIEWS = 4
 #: Turns of sorting and fitting, unless fewer than this share of the labels change.
 ROUNDS, SETTLED = 6, 0.002
 #: More tracks than this share that nothing explains are told.
@@ -127,6 +130,21 @@ def stands_out(fit: RobustFit, tried: Observations, agreeing: Tracks, given: Tra
     if drifts(test):
         return False
     return bool(share > FEW or np.mean(~test.explained[test.tested]) > UNEXPLAINED_SHARE)
+
+
+def hides_body(fit: RobustFit, observations: Observations, test: TrackTest,
+               size: tuple[int, int]) -> bool:
+    """
+    Tell whether a rigid body is among the tracks that no still point explains, though few.
+
+    Not asked where patches drift.
+    """
+    if drifts(test):
+        return False
+    rest, _ = observations.select((test.tested & ~test.explained)[observations.point])
+    bodies = find_bodies(rest, fit.state.camera(*size), fit.bundle.sigma_px,
+                         np.random.default_rng(0), most=1)
+    return any(len(body.views) >= BODY_VIEWS for body, _ in bodies)
 
 
 def explained_share(fit: RobustFit, given: Tracks, identity: np.ndarray) -> float:
@@ -254,17 +272,17 @@ def _still_share(observations: Observations, label: np.ndarray) -> float:
 def moving_findings(labels: TrackLabels, length: np.ndarray,
                     least: float = FEW) -> tuple[Finding, ...]:
     """
-    Tell what moves by itself, and what jumps, where it is more than the least share.
+    Tell what moves by itself and what jumps, on more than the least share of the tracks.
 
-    Of what moves that is a share of the observations: what keeps before a vehicle is seen all the
+    Of what moves a share of the observations suffices: what keeps before a vehicle is seen all the
     time, in few tracks. What nothing explains is told where it is much; with a smaller least
     share, where it is all that there is, too.
     """
     found = []
-    seen = np.bincount(labels.label, length, MOVING + labels.bodies)
-    shares = seen[MOVING:] / max(seen.sum(), 1)
-    if shares.sum() > least:
-        found.append(Finding('tracks_moving', share=float(shares.sum()), bodies=labels.bodies,
+    shares = [labels.share(f'moving {k + 1}') for k in range(labels.bodies)]
+    seen = np.bincount(labels.label, length)
+    if max(sum(shares), seen[MOVING:].sum() / max(seen.sum(), 1)) > least:
+        found.append(Finding('tracks_moving', share=float(sum(shares)), bodies=labels.bodies,
                              shares=[float(share) for share in shares]))
     jumped, unexplained = labels.share('jumped'), labels.share('unexplained')
     if jumped > min(least, max(FEW_JUMPS, OF_UNEXPLAINED * unexplained)):
