@@ -17,6 +17,7 @@ from bench import mount_worlds as worlds
 import numpy as np
 import pytest
 from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
+from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -84,6 +85,23 @@ def test_odometry_by_its_own_clock_gives_all_but_the_height():
                                  worlds.true_scale(world, calibration), late)
     assert mount.sigma['time_offset'] < 0.03
     assert _in_sigmas(mount, errors)[0] < 24.3
+
+
+def test_poses_that_are_anchored_move_on_at_their_rates_from_there():
+    own = np.arange(0, 6, 0.05)
+    poses = worlds.odometry(np.random.default_rng(5), *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    track = BodyTrack(poses, np.arange(4), {k: (k + 1) * 10**9 for k in range(4)})
+    rows, before = np.arange(4), track.at(0.3, np.arange(4))
+
+    anchored = track.anchored(0.2)
+
+    there, moved = anchored.at(0.2, rows), anchored.at(0.3, rows)
+    np.testing.assert_array_equal(there.position, track.at(0.2, rows).position)
+    np.testing.assert_allclose(moved.position, there.position - 0.1 * there.velocity)
+    # the poses that it was made from are as they were
+    np.testing.assert_array_equal(track.at(0.3, rows).position, before.position)
+    assert np.abs(moved.position - before.position).max() > 1e-4
 
 
 def test_places_that_are_late_behind_turns_are_told_and_widen_the_offset():

@@ -117,7 +117,7 @@ def mount_score(graph: ViewGraph, window: WindowFit, camera: Camera, mount: Moun
     rows = np.flatnonzero(track.known(offset, 0.02 if track.timed else 0.0))
     if len(rows) < MIN_POSES:
         return NoEstimate('window_without_body', poses=len(rows))
-    track.anchor = offset
+    track = track.anchored(offset)
     path = poses_of_fit(frames, _with_lens(window, camera), dependence).chosen(rows)
     metre = facts.scale[0] if facts.scale is not None else 1.0
     start = _start(mount, path, track.at(offset, rows), offset, metre)

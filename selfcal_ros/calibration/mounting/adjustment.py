@@ -98,6 +98,11 @@ class Adjustment:
         """Which unknowns are free, shape (16 + k,)."""
         return self._free
 
+    @property
+    def track(self) -> BodyTrack:
+        """Poses of the body, as they are interpolated here."""
+        return self._track
+
     def near_by(self) -> Adjustment:
         """Return the same of a camera that stays near the body's origin, whatever is shown."""
         other = copy(self)

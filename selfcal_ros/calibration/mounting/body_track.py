@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,9 +75,6 @@ class BodyTrack:
     flat : bool
         Poses are those of motion in a plane: they say nothing of height and tilt.
     odometry : bool
-    anchor : float, optional
-        Poses are interpolated at this offset of the clocks, and moved on from there at their
-        rates. An offset that went along the noise of the poses would fit it.
 
     """
 
@@ -85,7 +83,7 @@ class BodyTrack:
         self._poses = poses
         self.timed = poses.frames is None
         self.odometry = poses.kind == ODOMETRY
-        self.anchor: float | None = None
+        self._anchor: float | None = None
         up = poses.rotation[:, :, 2]
         self.flat = bool(len(poses) and (np.ptp(poses.position[:, 2]) < FLAT_M)
                          and bool(np.all(np.ptp(up, axis=0) < FLAT_RAD))
@@ -114,10 +112,16 @@ class BodyTrack:
         """Instants of the images, seconds from the first pose by the camera's clock, (V,)."""
         return self._instants
 
-    @property
-    def usual_step_s(self) -> float:
-        """Median time between poses."""
-        return self._usual
+    def anchored(self, offset: float) -> BodyTrack:
+        """
+        Return the same poses, interpolated at one offset of the clocks, in seconds.
+
+        To other offsets they are moved on from there at their rates. An offset that went along
+        the noise of the poses would fit it.
+        """
+        other = copy(self)
+        other._anchor = offset
+        return other
 
     def known(self, offset: float = 0.0, margin: float = 0.0) -> np.ndarray:
         """Tell which images have a pose, and keep it if the offset moves by a margin; (V,)."""
@@ -151,7 +155,7 @@ class BodyTrack:
         if not self.timed:
             at, still = self._rows[rows], np.zeros((len(rows), 3))
             return BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
-        anchor = offset if self.anchor is None else self.anchor
+        anchor = offset if self._anchor is None else self._anchor
         when, step = self._instants[rows] - anchor, self._rate_step
         rotation, position = self._interpolated(when)
         earlier = np.maximum(when - step, self._times[0])
@@ -238,7 +242,7 @@ class BodyTrack:
         here = self.at(offset, rows)
         R_back = np.swapaxes(here.rotation, 1, 2)
         if self.timed:
-            when = self._instants[rows] - (offset if self.anchor is None else self.anchor)
+            when = self._instants[rows] - (offset if self._anchor is None else self._anchor)
             lower, upper = np.searchsorted(self._times, when[:-1]), np.searchsorted(
                 self._times, when[1:])
         else:

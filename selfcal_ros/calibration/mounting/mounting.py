@@ -101,13 +101,14 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     part, body = camera.chosen(rows), track.at(tried[0], rows)
     if len(rows) >= LEAST_IMAGES and inverse_is_meant(part, body):
         return replace(calibration, mount=NoEstimate('body_poses_inverse', count=len(poses)))
-    found = [one for offset in tried for one in _from_start(camera, track, poses, facts, offset)]
+    started = [_from_start(camera, track, poses, facts, offset) for offset in tried]
+    found = [one for one in started if one is not None]
     if not found:
         return replace(calibration, mount=why_no_start(part, body, len(poses))
                        if len(rows) >= LEAST_IMAGES
                        else NoEstimate('no_mount_fits', count=len(poses)))
     adjustment, optimum, rows = min(found, key=lambda one: one[1].cost / len(one[2]))
-    part = camera.chosen(rows)
+    part, track = camera.chosen(rows), adjustment.track
     refusal = _contradiction(part, track, optimum, rows)
     if refusal is not None:
         return replace(calibration, mount=refusal)
@@ -133,13 +134,13 @@ def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
 
 
 def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: MountFacts,
-                offset: float) -> list[tuple[Adjustment, Optimum, np.ndarray]]:
-    """Refine the best of the starts at an offset of the clocks; none, or one."""
+                offset: float) -> tuple[Adjustment, Optimum, np.ndarray] | None:
+    """Refine the best of the starts at an offset of the clocks; None where there is none."""
     margin = _MARGIN_S if track.timed else 0.0
     rows = np.flatnonzero(track.known(offset, margin))
     if len(rows) < LEAST_IMAGES:
-        return []
-    track.anchor = offset
+        return None
+    track = track.anchored(offset)
     part = camera.chosen(rows)
     # first with exact poses of the camera, which is quick
     stiff = part.stiff()
@@ -157,7 +158,7 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
         size = np.linalg.slogdet(rough.covariances())[1].sum()
         tried.append((coarse.descend(state, rough)[1] + size, state, rough))
     if not tried:
-        return []
+        return None
     _, best, rough = min(tried, key=lambda one: one[0])
     best = replace(best, w=np.zeros(part.roots.shape[2]))
     if not track.odometry:
@@ -166,14 +167,16 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
     optimum = adjustment.optimum(best, rough)
     late = False
     if track.timed:
-        track.anchor = optimum.state.offset
+        track = track.anchored(optimum.state.offset)
+        adjustment = Adjustment(part, track, rows, facts)
         optimum = adjustment.optimum(optimum.state, rough)
         lag, sigma = adjustment.lag(optimum)
         late = abs(lag) > max(LAG_SHOWS * sigma, LEAST_LAG_S)
     if late:
         adjustment = Adjustment(part, track, rows, facts, may_lag=True)
         optimum = adjustment.optimum(optimum.state, rough)
-        track.anchor = optimum.state.offset
+        track = track.anchored(optimum.state.offset)
+        adjustment = Adjustment(part, track, rows, facts, may_lag=True)
         optimum = adjustment.optimum(optimum.state, rough)
     lost = open_places(optimum, adjustment.free, track.odometry)
     if len(lost):
@@ -185,7 +188,7 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
         held = np.zeros_like(near_optimum.information)
         held[T, T] = lost.T @ lost / NEAR_M**2
         optimum = replace(near_optimum, information=near_optimum.information - held)
-    return [(adjustment, optimum, rows)]
+    return adjustment, optimum, rows
 
 
 def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
