@@ -90,21 +90,29 @@ def tracks_of_table(source: FrameSource, mask: ImageMask | None = None,
         If the mask has another size.
 
     """
+    whole = whole_table(source, mask)
+    frames, chosen = whole.tracks.frames, chosen_frames(whole.tracks, max_keyframes)
+    if len(chosen) == len(frames):
+        return whole
+    return replace(whole, tracks=whole.tracks.in_frames(chosen), findings=(
+        *whole.findings, Finding('keyframes_chosen', keyframes=len(chosen), frames=len(frames))))
+
+
+def whole_table(source: FrameSource, mask: ImageMask | None = None) -> ExtractedTracks:
+    """Return the tracks of a table in all its frames; else as `tracks_of_table`."""
     tracks = source.tracks()
     if mask is not None:
         width, height = tracks.image_size or mask.size
         mask.check((height, width))
         tracks = replace(tracks.select(mask.allows(tracks.xy, 0.0)), image_size=mask.size)
-    findings: tuple[Finding, ...] = ()
-    if not tracks.image_size:
-        findings = (Finding('image_size_not_stated'),)
-    frames = tracks.frames
-    most = MAX_TABLE_FRAMES if max_keyframes is None else max_keyframes
-    if len(frames) > most:
-        tracks = tracks.in_frames(_keyframes(tracks, most))
-        findings += (Finding('keyframes_chosen', keyframes=len(tracks.frames),
-                             frames=len(frames)),)
+    findings = () if tracks.image_size else (Finding('image_size_not_stated'),)
     return ExtractedTracks(tracks, source.description, findings)
+
+
+def chosen_frames(tracks: Tracks, max_keyframes: int | None = None) -> np.ndarray:
+    """Return the frames of a table that are used: where there are many, those that move most."""
+    most = MAX_TABLE_FRAMES if max_keyframes is None else max_keyframes
+    return tracks.frames if len(tracks.frames) <= most else _keyframes(tracks, most)
 
 
 def _keyframes(tracks: Tracks, most: int) -> np.ndarray:

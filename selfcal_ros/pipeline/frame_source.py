@@ -126,6 +126,11 @@ class FrameSource(ABC):
         self.leaves_out_damaged = False
         self._damaged: dict[int, tuple[str, str]] = {}
 
+    @property
+    def names(self) -> list[str]:
+        """File names of all images, in the order of their frames; empty where none has one."""
+        return []
+
     def __enter__(self) -> Self:
         """Return the source itself."""
         return self

@@ -54,7 +54,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
     path, topic, image_size, progress, excerpt
         See `selfcal_ros.pipeline.feature_session.read_tracks`. Tracks are taken as they are;
         their track numbers are those of the object's points.
-    target : Chessboard, Charuco, TsaiGrid or PointList
+    target : Chessboard, Charuco, AprilGrid, CirclesGrid, TsaiGrid or PointList
     max_keyframes : int, optional
         Views that the result may use at most.
     mask : ImageMask, optional
@@ -74,7 +74,7 @@ def read_object_views(path, target: Target, topic: str | None = None,
     most = MAX_VIEWS if max_keyframes is None else max_keyframes
     with open_source(path, topic, image_size, excerpt=excerpt) as source:
         if source.kind == 'tracks':
-            return tracks_of_table(source, mask)
+            return tracks_of_table(source, mask, max_keyframes)
         if target.find is None:
             raise InputError(f'{path} holds images, in which the points of a list cannot be '
                              'found; give a table of tracks (frame,track,x,y), where track is '

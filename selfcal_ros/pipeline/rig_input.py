@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import reduce
 import itertools
 from pathlib import Path
 import re
@@ -30,8 +31,8 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
-from selfcal_ros.pipeline.feature_session import (ExtractedTracks, generator,
-                                                  tracks_of_table)
+from selfcal_ros.pipeline.feature_session import (chosen_frames, ExtractedTracks, generator,
+                                                  whole_table)
 from selfcal_ros.pipeline.rig_instants import at_instants, AtInstants
 from selfcal_ros.pipeline.simultaneous import SAME_NS
 from selfcal_ros.pipeline.sources import FrameSource, open_source
@@ -204,17 +205,18 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                             for one, source in zip(inputs, sources))
     topics = {one.name: source.topic for one, source in zip(inputs, sources)}
     kinds = {source.kind for source in sources}
-    if kinds == {'tracks'}:
-        tables = [tracks_of_table(source, None, settings.max_keyframes) for source in sources]
-        return RigReading({one.name: table.tracks for one, table in zip(inputs, tables)}, False,
-                          description, tables[0].findings, topics, tables[0].clock)
-    if 'tracks' in kinds:
-        raise InputError('Give the images of all cameras, or tables of tracks of all.')
-    from selfcal_ros.features.rig_extraction import extract_rig_tracks
     mask = None
     if settings.mask is not None:
         from selfcal_ros.features.mask import read_mask
         mask = read_mask(settings.mask)
+    if kinds == {'tracks'}:
+        tracks, findings = _of_tables([whole_table(source, mask) for source in sources],
+                                      settings.max_keyframes)
+        return RigReading({one.name: table for one, table in zip(inputs, tracks)}, False,
+                          description, findings, topics)
+    if 'tracks' in kinds:
+        raise InputError('Give the images of all cameras, or tables of tracks of all.')
+    from selfcal_ros.features.rig_extraction import extract_rig_tracks
     chosen = _keyframes(sources[0], settings, progress, mask)
     first = {frame.index: frame.image for frame in sources[0].only(chosen)}
     timed = all(source.clock != 'nominal' for source in sources)
@@ -247,6 +249,19 @@ def _read(inputs: Sequence[RigInput], sources: list[FrameSource], settings: Cali
                   for one, at in zip(inputs, found) if at.own_clock)
     return RigReading(dict(extracted.tracks), extracted.shared > 0, description,
                       extracted.findings + apart, topics, sources[0].clock)
+
+
+def _of_tables(tables: Sequence[ExtractedTracks], max_keyframes: int | None,
+               ) -> tuple[list[Tracks], tuple[Finding, ...]]:
+    """Choose the same frames of all tables, of those that all have."""
+    findings = next((table.findings for table in tables if table.findings), ())
+    tracks = [table.tracks for table in tables]
+    common = reduce(np.intersect1d, (one.frames for one in tracks))
+    chosen = chosen_frames(tracks[0].in_frames(common), max_keyframes)
+    if len(chosen) == len(common):
+        return tracks, findings
+    return [one.in_frames(chosen) for one in tracks], (*findings, Finding(
+        'keyframes_chosen', keyframes=len(chosen), frames=len(common)))
 
 
 def _keyframes(source: FrameSource, settings: CalibrationSettings, progress: Callable | None,

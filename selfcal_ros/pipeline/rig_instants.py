@@ -92,7 +92,7 @@ def at_instants(source: FrameSource, chosen: dict[int, tuple[int, str]], count: 
         at = by_name.get(Path(frame.name).stem)
         if at is not None:
             found[at] = frame.image
-    if len(found) < len(chosen) and source.count == count:
+    if not found and source.count == count:
         found = {frame.index: frame.image for frame in source.only(chosen)}
     return AtInstants(found, {}, 0.0)
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from selfcal_ros.pipeline.file_sources import natural_key
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 
@@ -152,12 +153,14 @@ def _by_name(sources: Sequence[FrameSource]) -> Iterator[list[Frame | None]]:
     """Images of one name are of one instant; without any such name those of one place."""
     streams = [iter(source) for source in sources]
     heads: list[Frame | None] = [next(stream, None) for stream in streams]
-    named = len({Path(head.name).stem for head in heads if head is not None}) == 1 and all(
-        head is not None and head.name for head in heads)
+    named = bool(set.intersection(*(
+        {Path(name).stem for name in source.names} for source in sources)))
     while any(head is not None for head in heads):
         now = list(heads)
         if named:
-            first = min(Path(head.name).stem for head in heads if head is not None)
+            # folders are in the order of numbers: frame9 before frame10
+            first = min((Path(head.name).stem for head in heads if head is not None),
+                        key=natural_key)
             now = [head if head is not None and Path(head.name).stem == first else None
                    for head in heads]
         yield now

@@ -13,6 +13,7 @@
 # limitations under the License.
 """Which images of a camera belong to the instants of another."""
 
+import cv2
 from msg_adapters.image import image_message
 from msg_adapters.message_types import rosbags_types
 from msg_adapters.stamps import header_message
@@ -20,6 +21,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+from selfcal_ros.pipeline.calibrate_input import CalibrationSettings
+from selfcal_ros.pipeline.rig_input import calibrate_rig_input, RigInput
 from selfcal_ros.pipeline.rig_instants import at_instants
 from selfcal_ros.pipeline.sources import open_source
 
@@ -66,3 +69,28 @@ def test_cameras_that_are_triggered_together_need_nothing_beside(tmp_path):
     # one image of the second camera was lost
     found = _found(tmp_path / 'bag', [0.4, 100.2, 300.6, 400.1], [0, 100, 200, 300, 400])
     assert not found.own_clock and sorted(found.images) == [0, 7, 21, 28]
+
+
+def test_folders_that_lack_different_images_are_not_paired_by_their_places(tmp_path):
+    for k in (0, 1, 2, 4):
+        cv2.imwrite(str(tmp_path / f'image{k}.png'), np.full((24, 32), k, np.uint8))
+    chosen = {at: (at, f'image{k}.png') for at, k in enumerate((0, 1, 3, 4))}
+    with open_source(tmp_path) as source:
+        found = at_instants(source, chosen, 4, timed=False)
+    assert {at: int(image[0, 0]) for at, image in found.images.items()} == {0: 0, 1: 1, 3: 4}
+
+
+def test_tables_of_tracks_are_thinned_to_the_same_frames(tmp_path):
+    rng = np.random.default_rng(2)
+    for name, frames in (('left', range(150)), ('right', range(3, 150))):
+        start, speed = rng.uniform(50, 400, (40, 2)), rng.uniform(-2, 2, (40, 2))
+        lines = [f'{frame},{track},{x:.2f},{y:.2f}\n' for frame in frames
+                 for track, (x, y) in enumerate(start + frame * speed)]
+        (tmp_path / f'{name}.csv').write_text('frame,track,x,y\n' + ''.join(lines))
+    inputs = [RigInput(name, str(tmp_path / f'{name}.csv')) for name in ('left', 'right')]
+    settings = CalibrationSettings(image_size=(640, 480), max_keyframes=20)
+    _, reading = calibrate_rig_input(inputs, settings)
+    left, right = (reading.tracks[name].frames for name in ('left', 'right'))
+    np.testing.assert_array_equal(left, right)
+    assert 4 < len(left) <= 20 and left[0] >= 3
+    assert [one.kind for one in reading.findings] == ['keyframes_chosen']

@@ -203,6 +203,20 @@ def test_folders_belong_together_by_name(command):
     assert all(a is None or b is None or a.name == b.name for a, b in instants)
 
 
+@pytest.mark.parametrize('missing', [0, 9])
+def test_folders_are_merged_in_the_order_of_numbers(tmp_path, missing):
+    for folder, left_out in (('left', None), ('right', missing)):
+        (tmp_path / folder).mkdir()
+        for k in range(13):
+            if k != left_out:
+                cv2.imwrite(str(tmp_path / folder / f'frame{k}.png'), np.full((48, 64), k, 'u1'))
+    with open_source(tmp_path / 'left') as one, open_source(tmp_path / 'right') as other:
+        instants = list(simultaneous([one, other]))
+    assert [a.name for a, _ in instants] == [f'frame{k}.png' for k in range(13)]
+    assert [b and b.name for _, b in instants] == [
+        None if k == missing else f'frame{k}.png' for k in range(13)]
+
+
 def test_a_start_that_only_one_camera_sees_is_enough_and_sizes_are_checked():
     recordings, cameras, images = scene()
     truth = recordings[0]

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.several_cameras.rig_tracker import RigTracker
@@ -105,6 +105,22 @@ def test_all_cameras_covered_is_a_loss_and_the_object_is_found_again():
         assert not found.tracked or k < 15 or square(found.tracked, truth, k) < 40
     assert set(states[13:22]) == {TrackerState.LOST}
     assert states[-1] is TrackerState.TRACKING
+
+
+def test_an_instant_that_only_a_camera_that_looks_away_has_an_image_of_is_no_end():
+    (truth, _), cameras, (left, right) = scene()
+    rig = started(truth.model, [cameras[0], turned_camera(cameras[1], 180.0, (0, 1, 0))], truth)
+    with pytest.raises(InputError, match='looks away'):
+        rig.track((None, right[0]))
+    before = [rig.track((left[k], right[k])) for k in range(4)][-1]
+    without = rig.track((None, right[4]))
+    assert without.sees == (False, False) and without.views == (None, None)
+    assert without.tracked.state is before.tracked.state and not without.tracked.found.any()
+    # the prediction is all that is known
+    assert np.all(np.diag(without.tracked.covariance) > np.diag(before.tracked.covariance))
+    after = rig.track((left[5], right[5])).tracked
+    assert after.state is TrackerState.TRACKING
+    assert square(after, truth, 5) < chi2.ppf(1 - 1e-5, 6)
 
 
 @pytest.mark.parametrize('degrees', (2.0, 0.3))

@@ -171,6 +171,11 @@ class Eye:
         self._blind = 0 if sees else self._blind + 1
 
     @property
+    def is_started(self) -> bool:
+        """Whether it looks for the object: it was not behind the camera at the start."""
+        return self._started
+
+    @property
     def is_blind(self) -> bool:
         """Whether it did not see the object for some images."""
         return self._blind >= self.tracker.options.frames_to_lost

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.errors import ArgumentError
+from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.kalman_filter import (
@@ -116,6 +116,8 @@ class RigTracker:
         self._agreement.forget()
         self._kalman: ConstantVelocityFilter | None = None
         self._stamp_ns: int | None = None
+        # what some camera saw last, for instants at which none that sees has an image
+        self._shown: TrackedFrame | None = None
         self._misses, self._unseen, self._state = 0, 0, state
         self._reason = ''
 
@@ -173,7 +175,8 @@ class RigTracker:
         ArgumentError
             If there was no start, or no image.
         InputError
-            If an image is not of its camera's size or type.
+            If an image is not of its camera's size or type, or the first ones are of cameras
+            that the start is behind.
 
         """
         if all(image is None for image in images):
@@ -184,7 +187,11 @@ class RigTracker:
             if image is not None and kalman is not None:
                 eye.expect(kalman, self._stamp_ns)
             views.append(None if image is None else eye.look(image, stamp_ns))
-        if not any(views[k] is not None for k in range(len(views))):
+        self._shown = next((view for view in views if view is not None), self._shown)
+        if self._shown is None:
+            if any(eye.is_started for eye in self.eyes):
+                raise InputError('The only image of this instant is of a camera that looks away '
+                                 'from where the object is to start.')
             raise ArgumentError('The tracker needs a start pose before the first image.')
         seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
         self._stamp_ns = stamp_ns
@@ -348,7 +355,9 @@ class RigTracker:
                stamp_ns) -> RigFrame:
         """Put the result into the object's own frame."""
         sees = tuple(k in group for k in range(len(self.eyes)))
-        first = next(view for view in views if view is not None)
+        first = next((view for view in views if view is not None), None)
+        if first is None:
+            first = _unseen(self._shown)
         kalman = self._kalman
         if kalman is None:
             tracked = replace(first, state=self._state, reason=reason, doubt='',
@@ -362,8 +371,16 @@ class RigTracker:
         tracked = replace(
             first, state=self._state, reason=reason, doubt=doubt, stamp_ns=stamp_ns,
             rotation=kalman.state.rotation, translation=kalman.state.translation - arm,
-            covariance=pose[TURN_LAST], share_found=max(shares))
+            covariance=pose[TURN_LAST], share_found=max(shares, default=0.0))
         return RigFrame(tracked, tuple(views), sees)
+
+
+def _unseen(frame: TrackedFrame) -> TrackedFrame:
+    """Return a frame as if nothing had been looked for."""
+    nothing = np.zeros_like(frame.found)
+    return replace(frame, edge_px=np.full_like(frame.edge_px, np.nan), found=nothing,
+                   rejected=nothing, hidden=~nothing, texture_px=frame.texture_px[:0],
+                   rms_px=float('nan'), share_found=0.0, innovation=float('nan'))
 
 
 def check_rig_options(options: TrackerOptions) -> None:
