@@ -41,9 +41,9 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mount import mount_rotation
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.report.camera_yaml import write_camera_yaml
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic import objects, recordings
+from selfcal_ros.values.output_files import atomic_write
 
 TOPIC = '/camera/image_raw/compressed'
 FRAME_ID = 'camera_optical_frame'

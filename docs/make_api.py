@@ -27,7 +27,7 @@ from pathlib import Path
 import re
 import sys
 
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 
 HERE = Path(__file__).resolve().parent
 #: Modules whose public names are the interface, in the order of the page, and what they are for.

@@ -33,12 +33,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from selfcal_ros import calibrate, Camera, CameraFacts
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.pair_geometry import pair_geometry
 from selfcal_ros.report.projection_uncertainty import projection_uncertainty
 from selfcal_ros.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, styled
 from selfcal_ros.synthetic.paths import drive_path, look_at, planar_poses
 from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.values.output_files import atomic_write
 
 HERE = Path(__file__).resolve().parent
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)

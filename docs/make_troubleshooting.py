@@ -30,7 +30,7 @@ from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import MOTIONS, Phrase
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 
 HERE = Path(__file__).resolve().parent
 _START = """# Troubleshooting

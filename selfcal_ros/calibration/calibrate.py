@@ -168,13 +168,13 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
                 start: Camera | None, translation_frames: Sequence[int] | None,
                 views: int | None) -> Calibration | NotCalibrated:
     """Calibrate by one motion or by the one that is found."""
-    size = tracks.image_size or _size_from(tracks)
+    tracks = replace(tracks, image_size=tracks.image_size or _size_from(tracks))
     software = f'selfcal_ros {__version__}'
     still = find_still_tracks(tracks) if motion != 'repeated' else None
     if still is not None:
         rest = tracks.select(~np.isin(tracks.track, still.track))
         return _beside_still_tracks(calibrate(
-            replace(rest, image_size=size), motion=motion, facts=facts, rng=rng, start=start,
+            rest, motion=motion, facts=facts, rng=rng, start=start,
             translation_frames=translation_frames, views=views), rest, still)
     if views is not None:
         tracks = spread_views(tracks, views)
@@ -186,19 +186,20 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
     if mirrored is not None:
         return NotCalibrated.of(NoEstimate('images_mirrored', mirrored=tuple(
             graph.frames[mirrored].tolist())), frames=graph.frames, facts=facts, software=software)
-    result = _of_graph(graph, tracks, size, motion, facts, start, translation_frames, views)
+    result = _of_graph(graph, tracks, motion, facts, rng, start, translation_frames, views)
     if views is not None or motion not in MOTION_MODELS:
         return result
-    return _beside_turns(result, replace(tracks, image_size=size), motion=motion, facts=facts,
-                         start=start)
+    return _beside_turns(result, tracks, motion=motion, facts=facts, rng=rng, start=start)
 
 
-def _of_graph(graph: ViewGraph, tracks: Tracks, size: tuple[int, int], motion: str,
-              facts: CameraFacts, start: Camera | None,
+def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
+              rng: np.random.Generator, start: Camera | None,
               translation_frames: Sequence[int] | None, views: int | None,
               ) -> Calibration | NotCalibrated:
     """Calibrate from connected views by one motion or by the one that is found."""
     software = f'selfcal_ros {__version__}'
+    size = tracks.image_size
+    assert size is not None
     result: Calibration | NoEstimate
     if motion == 'rotation':
         result = calibrate_rotating(graph.tracks, size, facts)
@@ -212,7 +213,8 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, size: tuple[int, int], motion: s
         result = _calibrate_moving(graph, size, facts, motion, [start] if start else [])
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
-            of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, start=start)
+            of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, rng=rng,
+                                    start=start)
             if of_one:
                 return of_one
         return NotCalibrated.of(result, frames=graph.frames, facts=facts, software=software)

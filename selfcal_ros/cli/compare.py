@@ -138,7 +138,7 @@ def _check_options(args: argparse.Namespace) -> None:
 def _draw(args, found, camera) -> None:
     """Write the picture."""
     from selfcal_ros.report.comparison_figure import comparison_figure
-    from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.values.output_files import atomic_write
     drawing = comparison_figure(found, camera, (args.first, args.second))
     svg = args.picture.suffix.lower() == '.svg'
     atomic_write(args.picture, (drawing.svgs() if svg else drawing.pngs())[0])

@@ -52,7 +52,7 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     Raises
     ------
     InputError, ArgumentError
-        If a file exists already; see also `selfcal_ros.report.files.check_outputs`.
+        If a file exists already; see also `selfcal_ros.values.output_files.check_outputs`.
 
     """
     from selfcal_ros.report import files

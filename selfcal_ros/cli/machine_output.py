@@ -60,5 +60,5 @@ def write_json(path: Path, content: dict | str) -> None:
             content = json.dumps(json.loads(content), indent=2) + '\n'
         print(content, end='')
         return
-    from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.values.output_files import atomic_write
     atomic_write(path, content)

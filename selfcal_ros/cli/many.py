@@ -159,10 +159,10 @@ def file_name(text: str) -> str:
 def _write_cameras(summary, folder: Path, camera_name: str) -> list[Path]:
     """Write the joint result and the figure of each camera; returns the files."""
     from selfcal_ros.report.camera_yaml import write_camera_yaml
-    from selfcal_ros.report.files import atomic_write
     from selfcal_ros.report.many_inputs_report import verdict_of
     from selfcal_ros.report.parameter_history import parameter_history, picture
     from selfcal_ros.report.result_json import write_result_json
+    from selfcal_ros.values.output_files import atomic_write
     written = []
     for camera in summary.cameras:
         if camera.joint is None:

@@ -64,10 +64,10 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     """Calibrate a rig; returns the exit status."""
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
-    from selfcal_ros.report.files import atomic_write
     from selfcal_ros.report.rig_colmap import rig_config, rig_config_path
     from selfcal_ros.report.rig_files import (camchain, output_names, rig_camera_yaml, rig_text,
                                               rig_to_dict)
+    from selfcal_ros.values.output_files import atomic_write
     for name in OF_ONE_CAMERA:
         if getattr(args, name, None):
             raise ArgumentError(f'--{name.replace("_", "-")} is for a single camera; leave it out '
@@ -141,7 +141,7 @@ def _mount_of_first(args: argparse.Namespace, result, left_out: list[str]) -> li
 
 def _for_colmap(path: Path | None, content: str | None, left_out: list[str]) -> list[Path]:
     """Write the rig for COLMAP, if it is asked for and can hold it."""
-    from selfcal_ros.report.files import atomic_write
+    from selfcal_ros.values.output_files import atomic_write
     if path is None:
         return []
     if content is None:

@@ -106,6 +106,11 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
     return squares
 
 
+def rms_length(vectors: np.ndarray) -> float:
+    """Return the root mean square length of vectors (N, k), without those that are NaN."""
+    return float(np.sqrt(np.nanmean(np.sum(vectors**2, axis=1))))
+
+
 def normalising_transform(xy: ArrayLike) -> np.ndarray:
     """
     Similarity that brings points to centroid 0 and mean distance sqrt 2 (Hartley).

@@ -33,7 +33,7 @@ from selfcal_ros.nodes.parameters import (AffineCalibratorParameters, BagPlayerP
                                           CameraInfoPublisherParameters,
                                           FeatureTrackerParameters, PlanarCalibratorParameters,
                                           RorapidTrackerParameters)
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 
 #: Parameters by node.
 PARAMETERS = {

@@ -36,7 +36,7 @@ from rclpy.node import Node
 from selfcal_ros.nodes.launch_arguments import CALIBRATORS
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
 from selfcal_ros.pipeline.replay import ImageRecording
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger

@@ -38,7 +38,7 @@ from rclpy.node import Node
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE
 from selfcal_ros.nodes.replay_supervisor import _start, ReplayTimeout
 from selfcal_ros.pipeline.replay import ImageRecording
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 
 #: Nothing has come for so long after the end of the bag: nothing more will.
 SILENCE_S = 2.0

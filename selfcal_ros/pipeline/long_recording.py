@@ -268,7 +268,7 @@ def _together(source, settings, followed: list[FollowedSegment], found, glances,
         if len(used) > 1:
             together = joint.calibration
             result = replace(good[base], camera=together.camera, covariance=together.covariance,
-                             status=together.status)
+                             status=together.status, identifiability=None)
             findings.append(Finding('segments_joint', segments=len(used), start_s=base.start_s,
                                     scatter=joint.scatter))
     followed = [replace(one, used=one.segment in used) for one in followed]

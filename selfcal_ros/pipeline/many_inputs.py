@@ -195,7 +195,8 @@ def _recordings_inside(path: Path) -> list[Path]:
         if not path.is_dir():
             return []
         entries = [entry for entry in path.iterdir() if not entry.name.startswith('.')]
-        files = [entry for entry in entries if entry.is_file() and entry.suffix in _RECORDINGS]
+        files = [entry for entry in entries if entry.is_file()
+                 and entry.suffix.lower() in _RECORDINGS]
         files += [entry for entry in entries if entry.is_dir() and is_bag_folder(entry)]
         # a rosbag2 folder, or the remains of one that lost its metadata
         if (path / 'metadata.yaml').is_file() or [entry.suffix for entry in files] in (

@@ -24,8 +24,8 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.report.camera_files.known_camera import read_known_camera
 from selfcal_ros.report.camera_files.opencv_storage import is_opencv
 from selfcal_ros.report.camera_yaml import REQUIRED, ros_document, ros_yaml
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.yaml_text import decoded, matrix, positive_integer, read_bytes
+from selfcal_ros.values.output_files import atomic_write
 
 
 def read_copied_camera(path) -> tuple[CopiedCamera, str]:

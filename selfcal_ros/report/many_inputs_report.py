@@ -26,9 +26,9 @@ import numpy as np
 
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.comparison import compare_cameras, SAME_PX
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
 from selfcal_ros.values.measured_digits import with_sigma
+from selfcal_ros.values.output_files import atomic_write
 
 #: Columns of the table between the name and the status.
 COLUMNS = ('fx', 'fy', 'cx', 'cy')

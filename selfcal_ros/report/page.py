@@ -35,12 +35,12 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import camera_yaml
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.mounts.words import no_mount_sentence
 from selfcal_ros.report.phrases import facts_lines, parameter_rows, verdict
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.ranked_notes import MOST_SHOWN, ranked_notes
 from selfcal_ros.report.summary import distortion, matrix, px_text, quality
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
 

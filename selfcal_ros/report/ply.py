@@ -23,7 +23,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
 _KINDS = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}

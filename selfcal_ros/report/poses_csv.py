@@ -24,8 +24,8 @@ import numpy as np
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.pipeline.frame_source import Frame
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.values.output_files import atomic_write
 
 COLUMNS = ('frame', 'stamp_ns', 'state', 'tx', 'ty', 'tz', 'rx', 'ry', 'rz', 'focal_px',
            'sigma_t', 'sigma_r')

@@ -32,8 +32,8 @@ from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.board_shape import board_shape
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
+from selfcal_ros.values.output_files import atomic_write
 
 #: Version of what is written; the first had none.
 SCHEMA = 2

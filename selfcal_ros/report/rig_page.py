@@ -23,13 +23,13 @@ import numpy as np
 
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.result import PLACE, POSE, RigCalibration
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.page import drawn, page_environment, unbroken
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.rig_epipolar import epipolar_distances, WRONG_PX
 from selfcal_ros.report.rig_files import rectification, rig_camera_yaml, turns_deg
 from selfcal_ros.values.measured_digits import with_sigma
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
 #: Parameters in the table of cameras.

@@ -24,7 +24,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_structure
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.report.files import check_writable
+from selfcal_ros.values.output_files import check_writable
 from selfcal_ros.values.tracks import Tracks
 
 #: Length of the drawn cameras, in steps between views.

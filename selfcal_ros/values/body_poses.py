@@ -78,6 +78,8 @@ class BodyPoses:
     def __post_init__(self) -> None:
         """Check the poses."""
         count = len(self.position)
+        if not count:
+            raise InputError('There is no pose of the body.')
         if self.rotation.shape != (count, 3, 3) or self.position.shape != (count, 3):
             raise InputError('Poses of a body need rotation (N, 3, 3) and position (N, 3); got '
                              f'{self.rotation.shape} and {self.position.shape}.')

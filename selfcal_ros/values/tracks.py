@@ -152,7 +152,13 @@ class Tracks:
         if size is not None:
             size = _size(size)
         if self.neighbours is not None:
-            object.__setattr__(self, 'neighbours', np.asarray(self.neighbours, float)[order])
+            beside = np.asarray(self.neighbours, float)
+            if beside.shape != (len(order), 2, 3):
+                raise InputError(f'Neighbours of {len(order)} observations need the shape '
+                                 f'({len(order)}, 2, 3), not {beside.shape}.')
+            beside = beside[order]
+            beside.flags.writeable = False
+            object.__setattr__(self, 'neighbours', beside)
         for array in (frame, track, xy):
             array.flags.writeable = False
         object.__setattr__(self, 'frame', frame)

@@ -22,7 +22,7 @@ from selfcal_ros.errors import SelfcalError
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.camera_files.formats import read_camera, write_camera
-from selfcal_ros.report.files import atomic_write
+from selfcal_ros.values.output_files import atomic_write
 from test_support.command_line import selfcal
 
 

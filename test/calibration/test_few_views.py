@@ -83,6 +83,13 @@ def test_four_views_that_do_not_suffice_are_refused(options):
     assert not result and result.reason
 
 
+def test_a_number_of_views_does_not_hide_why_a_recording_is_refused():
+    tracks = general_views(np.random.default_rng(0), cut_camera(), points=5).tracks
+    with_views, without = (calibrate(tracks, motion='general', facts=SQUARE, views=views)
+                           for views in (4, None))
+    assert not without and with_views.kind == without.kind
+
+
 @pytest.mark.parametrize('motion, views', [('general', 3), ('planar', 4), ('auto', 6)])
 def test_a_number_of_views_that_does_not_suit_is_refused(motion, views):
     tracks = general_views(np.random.default_rng(0), cut_camera()).tracks

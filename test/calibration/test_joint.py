@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.estimate import NoEstimate
 
 TRUTH = np.r_[520, 520, 320, 240, 0, -0.12, 0.05, np.zeros(len(PARAMETER_NAMES) - 7)]
 #: What fx and fy have in common.
@@ -59,6 +61,14 @@ def test_joint_estimate_covariance_and_p_values_are_true():
     status = joint.calibration.status
     assert status['fx'] == 'estimated' and status['skew'] == status['p1'] == 'held'
     assert joint.calibration.camera.K[0, 0] == joint.calibration.camera.K[1, 1]
+
+
+def test_what_is_of_one_recording_is_no_part_of_the_joint_estimate():
+    rng = np.random.default_rng(1)
+    one = replace(draw(rng), mount=NoEstimate('body_stood_still', body='base'),
+                  shutter=RowReadout(2e-5, 1e-7, 'estimated', 0.288, 0.00144, 480))
+    joint = combine([one, draw(rng)]).calibration
+    assert joint.mount is joint.shutter is joint.labels is joint.identifiability is None
 
 
 def test_of_independent_parameters_it_is_the_weighted_mean():

@@ -209,6 +209,31 @@ def test_a_rig_needs_two_cameras_and_a_length():
     assert not refused and refused.kind == 'rig_cameras_refused' and 'left' in str(refused)
 
 
+def test_too_few_common_instants_are_refused_whatever_points_are_shared():
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
+                      overlap=True, points=60)
+    left = scene.tracks['left'].in_frames(range(5))
+    right = scene.tracks['right'].in_frames(range(4, 8))
+    refused = calibrate_rig({'left': left, 'right': right}, shared_tracks=True, facts=FACTS)
+    assert not refused and refused.kind == 'rig_not_simultaneous'
+    alone = {'left': calibrate(scene.tracks['left'], facts=FACTS)}
+    with pytest.raises(ArgumentError, match='left alone is of images that its tracks lack'):
+        calibrate_rig({'left': left, 'right': scene.tracks['right']}, facts=FACTS, alone=alone)
+
+
+def test_each_camera_of_a_rig_tells_its_own_outliers():
+    scene = rig_scene(np.random.default_rng(3), hand_path(np.random.default_rng(3), 8),
+                      overlap=True, points=80)
+    left = scene.tracks['left']
+    xy = left.xy.copy()
+    xy[::40] += [25.0, -18.0]
+    result = calibrate_rig({**scene.tracks, 'left': replace(left, xy=xy)}, shared_tracks=True,
+                           facts=FACTS)
+    wrong = len(xy[::40])
+    assert wrong <= result.cameras['left'].outlier_count < wrong + 6
+    assert result.cameras['right'].outlier_count < 4
+
+
 def test_the_sigmas_of_a_rig_hold_decentring_that_no_fisheye_model_has():
     rng = np.random.default_rng(1)
     cameras = {name: Camera([[f, 0, cx], [0, f, cy], [0, 0, 1]], (0.02, -0.01, 0.002, 0.0), 640,

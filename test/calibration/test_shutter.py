@@ -26,6 +26,7 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.bundle.shutter import local_motion, row_shifts
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.calibration.estimators.shutter_choice import clock_of
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.errors import ArgumentError
@@ -164,6 +165,18 @@ def test_a_line_delay_in_seconds_needs_stamps():
                   {'shutter': 'global', 'line_delay_s': 1e-5}):
         with pytest.raises(ArgumentError):
             CameraFacts(**wrong)
+
+
+def test_a_stamp_that_repeats_leaves_the_views_a_frame_apart():
+    tracks = recorded(0.01).tracks
+    beside = np.broadcast_to([[[0.0, 0, -1 / 30], [0, 0, 1 / 30]]], (len(tracks), 2, 3))
+    frames = tracks.frames
+    stamps = {int(k): int(k) * 33_333_333 for k in frames}
+    stamps[int(frames[3])] = stamps[int(frames[2])]
+    clock = clock_of(replace(tracks, stamps_ns=stamps, neighbours=beside), frames, (640, 480),
+                     CameraFacts())
+    assert not clock.is_stamped
+    np.testing.assert_array_equal(clock.times, frames - frames[0])
 
 
 def test_what_is_said_of_the_shutter():

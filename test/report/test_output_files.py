@@ -20,9 +20,9 @@ import stat
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.report import files
-from selfcal_ros.report.files import atomic_write, check_outputs, check_writable
 from selfcal_ros.report.overlay_video import OverlayVideo
+from selfcal_ros.values import output_files
+from selfcal_ros.values.output_files import atomic_write, check_outputs, check_writable
 
 
 def test_write_and_replace(tmp_path):
@@ -88,7 +88,7 @@ def test_a_failure_leaves_the_old_file(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, 'No space left on device')
 
-    monkeypatch.setattr(files.os, 'fsync', full)
+    monkeypatch.setattr(output_files.os, 'fsync', full)
     with pytest.raises(InputError, match='No space left'):
         atomic_write(path, 'new')
     assert path.read_text() == 'old' and len(list(tmp_path.iterdir())) == 1

@@ -114,7 +114,9 @@ class AxisPath:
         return centres
 
     def step_length(self) -> float:
-        """Root mean square distance between the camera centres of successive views."""
+        """Root mean square distance between successive camera centres; 1 where there is none."""
+        if len(self.angle) < 2:
+            return 1.0
         return float(np.sqrt(np.mean(np.sum(np.diff(self.centres(), axis=0)**2, axis=1)))) or 1.0
 
     # ------------------------------------------------------------------ others like it

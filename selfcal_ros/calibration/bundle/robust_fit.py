@@ -290,7 +290,7 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
     state : SceneState
         Its points belong to the observations.
     motion : MotionModel
-    priors : dict of str to Prior
+    priors : Priors
     sigma_px : float
         First guess of the noise.
     rounds : int
@@ -334,13 +334,14 @@ def fit_robustly(observations: Observations, state: SceneState, motion: MotionMo
         if settled:
             break
     state = rescaled(state)
+    renewed = observations
     for _ in range(RENEWALS):
+        observations = renewed
         bundle = bundle_of(observations, motion, priors, sigma_px)
         state = _optimum(bundle, state, motion)
         renewed = observations.displaced(state)
         if renewed.is_displaced_like(observations, state, SETTLED * sigma_px):
             break
-        observations = renewed
     return RobustFit(bundle.with_sigma(bundle.noise_rms(state)), state, observations,
                      before - len(observations.view))
 

@@ -55,7 +55,7 @@ from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.projective import lengths
+from selfcal_ros.geometry.projective import lengths, rms_length
 
 #: A start, or an optimum, explains the images when it leaves less than so many times the noise
 #: of the epipolar geometry (which has more freedom, and absorbs distortion).
@@ -296,7 +296,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
         facts=facts, frames=tuple(int(f) for f in graph.frames),
-        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=outliers,
         reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),

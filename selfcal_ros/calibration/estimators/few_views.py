@@ -61,6 +61,8 @@ def spread_views(tracks: Tracks, views: int) -> Tracks:
         if len(names) >= MIN_POINTS:
             worth[i, j] = worth[j, i] = np.sqrt(len(names)) * np.median(
                 np.linalg.norm(xy_b - xy_a, axis=1))
+    if not worth.max() > 0:
+        return tracks
     chosen = [int(k) for k in np.unravel_index(np.argmax(worth), worth.shape)]
     while len(chosen) < views:
         nearest = worth[:, chosen].min(axis=1)

@@ -234,14 +234,16 @@ def _calibration(used: list[Calibration], camera: Camera, covariance: np.ndarray
     observations = sum(one.observation_count for one in used)
     square = sum(one.observation_count * one.reprojection_rms_px**2 for one in used)
     noise = sum(one.observation_count * one.noise_sigma_px**2 for one in used)
+    noise_px = float(np.sqrt(noise / max(observations, 1)))
     motions = {one.motion for one in used}
     return replace(
         used[0], camera=camera, covariance=covariance,
-        status=parameter_status(camera, covariance, used[0].facts),
+        status=parameter_status(camera, covariance, used[0].facts, noise_px),
         motion=motions.pop() if len(motions) == 1 else 'unknown',
         frames=tuple(range(sum(len(one.frames) for one in used))),
         reprojection_rms_px=float(np.sqrt(square / max(observations, 1))),
-        noise_sigma_px=float(np.sqrt(noise / max(observations, 1))),
+        noise_sigma_px=noise_px,
         observation_count=observations, outlier_count=sum(one.outlier_count for one in used),
-        reconstruction=None, fixed_points=None, residuals=None, findings=(),
-        measured=None, focal=None)
+        # of the first recording alone
+        reconstruction=None, fixed_points=None, residuals=None, findings=(), measured=None,
+        focal=None, identifiability=None, shutter=None, labels=None, mount=None)

@@ -56,6 +56,7 @@ from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.values.tracks import Tracks
 
@@ -343,7 +344,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',
         facts=facts, frames=tuple(int(f) for f in frames),
-        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
         outlier_count=fit.outliers,
         reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,

@@ -91,7 +91,7 @@ def clock_of(tracks: Tracks, frames: np.ndarray, size: tuple[int, int], facts: C
     stamped = bool((np.diff(taken) > 0).all())
     times = (taken - taken[0]) * 1e-9 if stamped else np.asarray(frames - frames[0], float)
     interval = float(np.median(np.diff(times)))
-    if tracks.neighbours is not None and np.isfinite(tracks.neighbours).any():
+    if stamped and tracks.neighbours is not None and np.isfinite(tracks.neighbours).any():
         # a video: the interval is that between its images, not between the views
         interval = float(np.nanmedian(np.abs(tracks.neighbours[:, :, 2])))
     known = None

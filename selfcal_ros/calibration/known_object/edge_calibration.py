@@ -42,6 +42,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__
 
 MOTION = 'known-object'
@@ -210,7 +211,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held_facts(chosen),
         motion=MOTION, facts=chosen, frames=tuple(int(f) for f in used.frames),
-        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=bundle.sigma_px, observation_count=len(used),
         outlier_count=len(views) - len(used),
         reconstruction=Reconstruction(

@@ -43,6 +43,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robus
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -175,7 +176,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         camera=state.camera(*size), covariance=covariance, status=status,
         held_by=held_facts(chosen), motion=MOTION, facts=chosen,
         frames=tuple(int(f) for f in used.frames),
-        reprojection_rms_px=float(np.sqrt(np.nanmean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=bundle.sigma_px, observation_count=len(used.view),
         outlier_count=rejected,
         reconstruction=Reconstruction(used.frames, poses, target.identity, points,

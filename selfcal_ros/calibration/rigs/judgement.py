@@ -49,6 +49,7 @@ from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__
 
 #: A larger share of outliers than this, and the rest proves nothing.
@@ -262,7 +263,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         unit=unit, scale=scale * state.path.step_length(), motion=optimum.motion,
         frames=tuple(int(frame) for frame in optimum.found.frames),
         noise_sigma_px=fit.bundle.sigma_px,
-        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         observation_count=len(fit.observations.view), outlier_count=fit.outliers,
         reconstruction=next(iter(cameras.values())).reconstructed, alone=dict(alone),
         findings=findings, software=f'selfcal_ros {__version__}')
@@ -308,6 +309,8 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
     camera = rig.lens(k).camera(*optimum.sizes[name])
     own = without_held(covariance[part, part], camera, facts)
     rows = (optimum.camera == k) & fit.linearisation.ahead
+    offered = optimum.found.observations.camera
+    assert offered is not None
     residuals = optimum.residuals[rows]
     path = state.path.cam_from_world()
     path[:, :, 3] -= rig.place(k)
@@ -322,9 +325,10 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
         status=parameter_status(camera, own, facts, fit.bundle.sigma_px),
         held_by=held_facts(facts), motion=optimum.motion, facts=facts,
         frames=tuple(int(frame) for frame in frames),
-        reprojection_rms_px=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=int(rows.sum()),
-        outlier_count=fit.outliers, software=f'selfcal_ros {__version__}',
+        outlier_count=int(np.count_nonzero(offered == k) - rows.sum()),
+        software=f'selfcal_ros {__version__}',
         reconstruction=Reconstruction(
             frames, path[seen], fit.observations.track[at],
             points / np.linalg.norm(points, axis=1, keepdims=True),

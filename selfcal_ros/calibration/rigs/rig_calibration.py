@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+import logging
 
 import numpy as np
 
@@ -43,6 +44,8 @@ from selfcal_ros.geometry.camera import CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
+
+_LOGGER = logging.getLogger(__name__)
 
 #: Motions of one camera that show how a rig moves.
 IN_A_PLANE, MOVING = ('planar', 'circular'), ('planar', 'circular', 'general', 'translation')
@@ -92,7 +95,8 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
     Raises
     ------
     ArgumentError
-        If there are fewer than two cameras, or the baseline is no length.
+        If there are fewer than two cameras, the baseline is no length, or a calibration in
+        `alone` is of images that the tracks lack.
 
     References
     ----------
@@ -126,13 +130,21 @@ def calibrate_rig(tracks: Mapping[str, Tracks], *, shared_tracks: bool = False,
         if name not in single:
             single[name] = calibrate(one, motion=motion, facts=of_camera[name], rng=rng)
         found = single[name]
+        if isinstance(found, Calibration) and not np.isin(found.frames, one.frames).all():
+            raise ArgumentError(f'The calibration of {name} alone is of images that its tracks '
+                                'lack; calibrate it from these tracks.')
         if isinstance(found, NotCalibrated) and found.kind in WITHOUT_FACTS:
             # square pixels are for the start alone
             found = calibrate(one, motion=motion, rng=rng,
                               facts=replace(of_camera[name], aspect_ratio=1.0, skew=0.0))
         if isinstance(found, Calibration):
             known[name] = found
-    result = _calibrated(tracks, of_camera, single, known, shared_tracks, baseline)
+    result: RigCalibration | NoEstimate
+    try:
+        result = _calibrated(tracks, of_camera, single, known, shared_tracks, baseline)
+    except np.linalg.LinAlgError:
+        _LOGGER.debug('equations without a solution', exc_info=True)
+        result = NoEstimate('equations_singular')
     if isinstance(result, RigCalibration):
         return result
     return NotCalibrated.of(result, frames=np.unique(np.concatenate(
@@ -162,6 +174,10 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
     reference = min(moving, key=lambda name: known[name].sigma['fx'] / known[name].camera.K[0, 0])
     anchor = known[reference]
     frames = _common_frames(anchor, tracks)
+    if len(frames) < MIN_INSTANTS:
+        return NoEstimate('rig_not_simultaneous', camera=next(
+            name for name in tracks if name != reference), instants=len(frames),
+            least=MIN_INSTANTS)
     choices = places(reference, known, moving, tracks, shared)
     for name, found in choices.items():
         if not found:

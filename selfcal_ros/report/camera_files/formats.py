@@ -33,9 +33,9 @@ from selfcal_ros.report.camera_files.opencv_storage import (is_opencv, OPENCV_MO
 from selfcal_ros.report.camera_files.stored import StoredCamera
 from selfcal_ros.report.camera_yaml import (camera_from_document, camera_yaml, is_kalibr,
                                             ROS_MODELS)
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.result_json import result_from_dict
 from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
+from selfcal_ros.values.output_files import atomic_write
 
 #: File names without suffix that COLMAP reads.
 _COLMAP_NAMES = ('cameras.bin', 'cameras.txt')

@@ -34,8 +34,8 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mount import FORWARD, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.mounts.record import known_sigma
+from selfcal_ros.values.output_files import atomic_write
 
 #: Frames where a file or a recording names none.
 BODY_FRAME, CAMERA_FRAME = 'base_link', 'camera_optical_frame'

@@ -28,8 +28,8 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report.camera_files.colmap_cameras import colmap_line, HALF_PIXEL, holds
-from selfcal_ros.report.files import atomic_write, check_writable
 from selfcal_ros.report.scene_files.exported_scene import ExportedScene
+from selfcal_ros.values.output_files import atomic_write, check_writable
 
 FILES = ('cameras.txt', 'points3D.txt', 'images.txt')
 #: Files that COLMAP reads in place of ours, or that belong to another model.

@@ -25,8 +25,8 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.ply import point_colours
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
 #: Beside a model, the images that come from a bag or a video.

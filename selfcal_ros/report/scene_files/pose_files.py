@@ -28,8 +28,8 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.structure.camera_path import CameraPath, OF_AN_OBJECT
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
+from selfcal_ros.values.output_files import atomic_write
 
 #: What each format is, for a person.
 FORMATS = {'tum': "TUM's, as evo reads it", 'euroc': "EuRoC's, as evo and Kalibr have it",

@@ -32,9 +32,9 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.camera_files.colmap_cameras import HALF_PIXEL
 from selfcal_ros.report.camera_files.stored import without_skew
-from selfcal_ros.report.files import atomic_write
 from selfcal_ros.report.scene_files.exported_scene import ExportedScene
 from selfcal_ros.report.scene_files.world_words import unit_in_words, world_in_words
+from selfcal_ros.values.output_files import atomic_write
 
 #: An OpenGL camera's axes in those of an optical frame.
 _OPENGL = np.diag([1.0, -1.0, -1.0])

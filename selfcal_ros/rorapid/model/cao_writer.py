@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.rorapid.model.text_file import write_text
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.wireframe import Conic, WireframeModel
 
 #: Axes of a circle differ by this share at the most, and are square up to this cosine.
@@ -70,7 +70,7 @@ def write_cao(model: WireframeModel, path) -> Path:
             f'{len(face.indices)} {" ".join(map(str, face.indices))}{_name(face.name)}'
             for face in model.faces]),
         *_list('cylinders', cylinders), *_list('circles', circles)]
-    return write_text(path, '\n'.join(parts) + '\n')
+    return atomic_write(path, '\n'.join(parts) + '\n')
 
 
 def _list(title, rows):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from selfcal_ros.rorapid.model.text_file import write_text
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: Corners of the polygon that stands for an ellipse.
@@ -62,7 +62,7 @@ def write_obj(model: WireframeModel, path) -> Path:
         elements.append(f'l {_numbers((count, count + 1))}')
         count += 2
     rows = [f'v {x:.9g} {y:.9g} {z:.9g}' for x, y, z in np.concatenate(points)]
-    return write_text(Path(path), '\n'.join(['# metres', *rows, *elements]) + '\n')
+    return atomic_write(Path(path), '\n'.join(['# metres', *rows, *elements]) + '\n')
 
 
 def _numbers(indices) -> str:

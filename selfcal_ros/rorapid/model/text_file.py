@@ -15,9 +15,7 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-import tempfile
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.values.foreign_files import read_limited
@@ -40,28 +38,3 @@ def read_text(path: Path) -> str:
         return read_limited(path, LARGEST_FILE_BYTES, 'The model').decode('utf-8-sig')
     except UnicodeDecodeError:
         raise InputError(f'The model {path} is not a text file in UTF-8.') from None
-
-
-def write_text(path: Path, text: str) -> Path:
-    """
-    Write a model file: a temporary file beside it, then renamed.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-
-    """
-    try:
-        descriptor, name = tempfile.mkstemp(prefix='.selfcal-', dir=path.resolve().parent)
-        try:
-            with open(descriptor, 'w', encoding='utf-8') as stream:
-                stream.write(text)
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-    except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror or error}.') from None
-    return path

@@ -44,8 +44,9 @@ from pathlib import Path
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import align_z
-from selfcal_ros.rorapid.model.text_file import read_text, write_text
+from selfcal_ros.rorapid.model.text_file import read_text
 from selfcal_ros.values.foreign_files import load_foreign_yaml
+from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.wireframe import Conic, Cylinder, LIMIT, Polygon, WireframeModel
 import yaml
 
@@ -120,7 +121,7 @@ def write_model_yaml(model: WireframeModel, path) -> Path:
     }
     data = {key: value for key, value in data.items() if value not in ([], '')}
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=99)
-    return write_text(path, text)
+    return atomic_write(path, text)
 
 
 def _floats(vector):

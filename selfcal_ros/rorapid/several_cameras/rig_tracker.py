@@ -357,6 +357,7 @@ class RigTracker:
         sees = tuple(k in group for k in range(len(self.eyes)))
         first = next((view for view in views if view is not None), None)
         if first is None:
+            assert self._shown is not None
             first = _unseen(self._shown)
         kalman = self._kalman
         if kalman is None:
