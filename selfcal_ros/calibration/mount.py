@@ -23,7 +23,7 @@ from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.rotation import angle_sigmas, rotation_matrix
 
 #: The optical frame (x right, y down, z forward) of a level camera that looks straight ahead, in
 #: the axes of the body (x forward, y left, z up).
@@ -176,6 +176,15 @@ class Mount:
     def angles(self) -> dict[str, float]:
         """Roll, pitch and yaw (rad) against a level camera that looks straight ahead."""
         return dict(zip(TURN, mount_angles(self.T_body_camera[:3, :3])))
+
+    @property
+    def angles_sigma(self) -> dict[str, float]:
+        """Standard deviations of `angles` (rad); those of `sigma` where one is not estimated."""
+        small = {name: self.sigma[name] for name in TURN}
+        if any(self.status[name] != 'estimated' for name in TURN):
+            return small
+        _, pitch, yaw = self.angles.values()
+        return dict(zip(TURN, angle_sigmas(pitch, yaw, self.covariance[3:6, 3:6]).tolist()))
 
 
 def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:

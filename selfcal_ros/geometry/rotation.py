@@ -125,6 +125,30 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     return about_axis(vector, 1 - cubic * angle * angle, cosine, cubic)
 
 
+def angle_sigmas(pitch: float, yaw: float, covariance: np.ndarray) -> np.ndarray:
+    """
+    Return the standard deviations of roll, pitch and yaw of a rotation Rz(yaw) Ry(pitch) Rx(roll).
+
+    Parameters
+    ----------
+    pitch, yaw : float
+        Radians.
+    covariance : ndarray, shape (3, 3)
+        Of a small turn about the fixed axes x, y, z, which comes after the rotation (rad²).
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Radians; roll and yaw grow without bound as the pitch nears a right angle.
+
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    J = np.array([[c / np.cos(pitch), s / np.cos(pitch), 0.0], [-s, c, 0.0],
+                  [c * np.tan(pitch), s * np.tan(pitch), 1.0]])
+    sigmas: np.ndarray = np.sqrt(np.einsum('ij,jk,ik->i', J, covariance, J))
+    return sigmas
+
+
 def swing_twist(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Split rotations into a swing about an axis in the x-y plane after a twist about z.

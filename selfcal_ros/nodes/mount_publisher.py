@@ -28,7 +28,7 @@ from selfcal_ros.calibration.mount import Floor, Mount, NoMount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
-from selfcal_ros.report.mounts.record import known_sigma
+from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.report.mounts.transform_files import CAMERA_FRAME, stored_mount
 from selfcal_ros.report.mounts.words import no_mount_sentence
 
@@ -125,7 +125,7 @@ def mount_values(mount: Mount | NoMount | None) -> dict[str, Any]:
     numbers = {**dict(zip(PLACE, mount.T_body_camera[:3, 3].tolist())),
                **{name: float(np.degrees(angle)) for name, angle in mount.angles.items()},
                'scale': mount.scale, 'time_offset': mount.time_offset_s}
-    for name, sigma in known_sigma(mount).items():
+    for name, sigma in shown_sigma(mount).items():
         if sigma is None:
             values[f'mount {name}'] = f'unobservable: {mount.missing.get(name, "")}'.rstrip(': ')
             continue

@@ -165,27 +165,20 @@ def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> 
     first = next(iter(rig.cameras))
     for name, pose in list(rig.poses.items())[1:]:
         lines += ['', f'{name} in the frame of {first} (x right, y down, z forward):']
-        turns = turns_deg(pose)
         for k, free in enumerate(POSE):
             if pose.status[free] == 'unobservable':
                 lines.append(f'{free:>6} {"open":>10}')
                 continue
             value, sigma_here, what, places = (
                 (factor * pose.T_rig_camera[k, 3], factor * pose.sigma[free], unit, digits)
-                if k < 3 else (turns[k - 3], np.degrees(pose.sigma[free]), 'deg', 4))
+                if k < 3 else (np.degrees(pose.angles[free]),
+                               np.degrees(pose.angles_sigma[free]), 'deg', 4))
             lines.append(f'{free:>6} {value:>10.{places}f} ± {sigma_here:.{places}f} {what}')
     if rig.unit != 'm':
         lines += ['', 'Lengths are in steps of the path; --baseline METRES gives metres, and so '
                   'does --robot.']
     lines += mount_lines(rig.cameras[first], mount_facts)
     return '\n'.join([*lines, '', *rig.notes])
-
-
-def turns_deg(pose: CameraInRig) -> np.ndarray:
-    """Angles about the fixed x, y and z axes of the rig that turn it to the camera, degrees."""
-    R = pose.T_rig_camera[:3, :3]
-    return np.degrees([np.arctan2(R[2, 1], R[2, 2]),
-                       -np.arcsin(np.clip(R[2, 0], -1, 1)), np.arctan2(R[1, 0], R[0, 0])])
 
 
 def output_names(camera_yaml: Path, cameras) -> dict[str, Path]:

@@ -27,7 +27,7 @@ from selfcal_ros.report.page import drawn, page_environment, unbroken
 from selfcal_ros.report.page_table import PageTable
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.rig_epipolar import epipolar_distances, WRONG_PX
-from selfcal_ros.report.rig_files import rectification, rig_camera_yaml, turns_deg
+from selfcal_ros.report.rig_files import rectification, rig_camera_yaml
 from selfcal_ros.values.measured_digits import with_sigma
 from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
@@ -132,8 +132,9 @@ def _poses(rig: RigCalibration) -> PageTable:
     factor, unit = (1e3, 'mm') if rig.unit == 'm' else (1.0, 'steps')
     rows = []
     for name, pose in list(rig.poses.items())[1:]:
-        values = [*(factor * pose.T_rig_camera[:3, 3]), *turns_deg(pose)]
-        sigmas = [pose.sigma[key] * (factor if key in PLACE else np.degrees(1.0)) for key in POSE]
+        values = [*(factor * pose.T_rig_camera[:3, 3]), *np.degrees([*pose.angles.values()])]
+        sigmas = [factor * pose.sigma[key] if key in PLACE else np.degrees(pose.angles_sigma[key])
+                  for key in POSE]
         rows.append((name, *('open' if pose.status[key] == 'unobservable' else _cell(value, sigma)
                              for key, value, sigma in zip(POSE, values, sigmas)),
                      str(pose.shared_points)))

@@ -18,8 +18,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from selfcal_ros.geometry.projective import cross_matrix
-from selfcal_ros.geometry.rotation import (align_z, left_jacobian, pad, rotation_matrix,
-                                           rotation_vector, swing_twist, twist_matrix)
+from selfcal_ros.geometry.rotation import (align_z, angle_sigmas, left_jacobian, pad,
+                                           rotation_matrix, rotation_vector, swing_twist,
+                                           twist_matrix)
 
 
 @pytest.fixture
@@ -73,3 +74,14 @@ def test_align_z_takes_z_to_the_direction():
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(R), 1)
     np.testing.assert_allclose(R[:, 2], np.array([3.0, -1, 0.2]) / np.linalg.norm([3, 1, 0.2]))
+
+
+@pytest.mark.parametrize('pitch', [0.3, -1.35])
+def test_sigmas_of_angles_are_those_that_small_turns_make(pitch):
+    rng = np.random.default_rng(4)
+    # intrinsic turns about z, y, x: Rz(yaw) Ry(pitch) Rx(roll)
+    truth = Rotation.from_euler('ZYX', [-0.8, pitch, 0.2])
+    root = 1e-4 * rng.standard_normal((3, 3))
+    small = Rotation.from_rotvec(rng.standard_normal((4000, 3)) @ root.T)
+    seen = np.std((small * truth).as_euler('ZYX'), axis=0)[::-1]
+    np.testing.assert_allclose(angle_sigmas(pitch, -0.8, root @ root.T), seen, rtol=0.05)

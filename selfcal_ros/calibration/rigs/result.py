@@ -25,6 +25,7 @@ from selfcal_ros.calibration.known_directions import PlaceAlong
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.findings.finding import Finding, sentences
+from selfcal_ros.geometry.rotation import angle_sigmas
 
 #: Degrees of freedom of a camera in its rig: place, and small turns about the rig's axes (rad).
 PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
@@ -67,6 +68,22 @@ class CameraInRig:
     def sigma(self) -> dict[str, float]:
         """Standard deviation of x, y, z, roll, pitch, yaw; infinite where not observable."""
         return dict(zip(POSE, np.sqrt(np.diag(self.covariance)).tolist()))
+
+    @property
+    def angles(self) -> dict[str, float]:
+        """Angles about the fixed x, y and z axes of the rig that turn it to the camera, rad."""
+        R = self.T_rig_camera[:3, :3]
+        return dict(zip(TURN, (float(np.arctan2(R[2, 1], R[2, 2])),
+                               float(-np.arcsin(np.clip(R[2, 0], -1, 1))),
+                               float(np.arctan2(R[1, 0], R[0, 0])))))
+
+    @property
+    def angles_sigma(self) -> dict[str, float]:
+        """Standard deviations of `angles` (rad); those of `sigma` where one is not estimated."""
+        if any(self.status[name] != 'estimated' for name in TURN):
+            return {name: self.sigma[name] for name in TURN}
+        _, pitch, yaw = self.angles.values()
+        return dict(zip(TURN, angle_sigmas(pitch, yaw, self.covariance[3:, 3:]).tolist()))
 
     @property
     def baseline(self) -> float:

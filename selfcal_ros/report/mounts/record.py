@@ -42,7 +42,8 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
     -------
     dict
         'frame', 'T_body_camera', 'angles' (roll, pitch and yaw against a level camera that looks
-        straight ahead, rad), 'sigma' (metres and rad), 'status', 'scale', 'scale_sigma',
+        straight ahead, rad) and 'angles_sigma', 'sigma' (metres; small turns about the axes of
+        the body, rad), 'status', 'scale', 'scale_sigma',
         'time_offset_s', 'time_offset_sigma_s', 'covariance' in the order of 'names', 'missing'
         (what would show each open degree of freedom), 'poses', 'outliers', 'sigma_position_m',
         'sigma_rotation_rad'; where the floor was asked, 'floor': 'height_m' of the camera above
@@ -55,7 +56,7 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
     if not isinstance(mount, Mount):
         nothing = dict.fromkeys(POSE)
         return {'frame': None, 'T_body_camera': None, 'angles': dict.fromkeys(TURN),
-                'sigma': nothing,
+                'angles_sigma': dict.fromkeys(TURN), 'sigma': nothing,
                 'status': dict.fromkeys(NAMES, 'unobservable'), 'scale': None,
                 'scale_sigma': None, 'time_offset_s': None, 'time_offset_sigma_s': None,
                 'covariance': None, 'names': NAMES, 'missing': {}, 'poses': None,
@@ -64,7 +65,9 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
                 'advice': mount.advice}
     sigma = known_sigma(mount)
     return {'frame': mount.frame, 'T_body_camera': known_matrix(mount),
-            'angles': known_angles(mount), 'sigma': {name: sigma[name] for name in POSE},
+            'angles': known_angles(mount),
+            'angles_sigma': {name: shown_sigma(mount)[name] for name in TURN},
+            'sigma': {name: sigma[name] for name in POSE},
             'status': {name: mount.status[name] for name in NAMES},
             'scale': mount.scale, 'scale_sigma': sigma['scale'],
             'time_offset_s': mount.time_offset_s, 'time_offset_sigma_s': sigma['time_offset'],
@@ -100,6 +103,12 @@ def known_sigma(mount: Mount) -> dict[str, float | None]:
     """Return standard deviations by name: zero where held, None where unobservable."""
     return {name: None if mount.status[name] == 'unobservable' else value
             for name, value in mount.sigma.items()}
+
+
+def shown_sigma(mount: Mount) -> dict[str, float | None]:
+    """Return `known_sigma`, that of roll, pitch and yaw as angles and not as small turns."""
+    return {name: None if one is None else mount.angles_sigma.get(name, one)
+            for name, one in known_sigma(mount).items()}
 
 
 def known_matrix(mount: Mount) -> np.ndarray:

@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.report.mounts.record import known_sigma
+from selfcal_ros.report.mounts.record import shown_sigma
 
 #: What each degree of freedom is, for a person.
 MEANING = {'x': 'forward', 'y': 'to the left', 'z': 'up',
@@ -76,7 +76,7 @@ def mount_rows(mount: Mount, facts: frozenset[str] = frozenset(),
               **{name: np.degrees(angles[name]) for name in TURN}, 'scale': mount.scale,
               'time_offset': mount.time_offset_s}
     rows, known_object = [], motion == 'known-object'
-    for name, sigma in known_sigma(mount).items():
+    for name, sigma in shown_sigma(mount).items():
         status = mount.status[name]
         spread = None if sigma is None else sigma * (180 / np.pi if name in TURN else 1.0)
         known = status != 'unobservable' and np.isfinite(values[name])
