@@ -64,7 +64,7 @@ MOUNTING: dict[str, Phrase] = {
     'body_poses_wrong': Phrase(
         '{share:percent} % of the poses of the body contradict the others.',
         'A few wrong poses are set aside. So many leave open which are right.',
-        'Check the names of the frames and the clocks, or record anew.'),
+        'Check the names of the frames, the clocks and the unit (--robot-unit), or record anew.'),
     'body_poses_unusable': Phrase(
         'The poses of the robot cannot be used: {why}',
         'The calibration stands without them.',
@@ -165,6 +165,10 @@ MOUNTING: dict[str, Phrase] = {
         'estimate allows for it. The offset of the clocks is that of the turns, and its sigma '
         'covers both.',
         'Stamp places and turns alike, or take poses before they are smoothed.'),
+    'mount_far_off': Phrase(
+        'The camera would sit {distance_m:.3g} m from {body}, which is far for a robot.',
+        'Images do not tell metres from millimetres: lengths are as the poses state them.',
+        'If the positions are in millimetres, state --robot-unit 0.001 (robot_unit of the nodes).'),
     'metre_of_odometry': Phrase(
         'Lengths are in metres of the odometry: the scale of its wheels is taken as it is.',
         'Nothing else here knows the metre. Wheels wear, and tyres are softer or harder.',

@@ -63,6 +63,17 @@ def test_poses_by_frame_give_the_mount_within_its_sigmas():
     assert 10 < squares < 57
 
 
+def test_a_camera_far_from_its_body_asks_for_the_unit():
+    rng, world, calibration = _hand(1)
+    poses = worlds.measured(rng, world.rotation, 30 * world.position, 30 * SIGMA_M, SIGMA_RAD,
+                            frames=np.arange(VIEWS))
+    result = mount_camera(calibration, poses)
+    told = [one for one in result.findings if one.kind == 'mount_far_off']
+    place = np.linalg.norm(world.T_body_camera[:3, 3])
+    assert told[0].values['distance_m'] == pytest.approx(30 * place, rel=0.02)
+    assert '--robot-unit 0.001' in told[0].advice
+
+
 def test_odometry_by_its_own_clock_gives_all_but_the_height():
     rng = np.random.default_rng(5)
     images, own = 0.5 + 0.5 * np.arange(22), np.arange(0, 12.5, 0.05)

@@ -222,7 +222,7 @@ MIRROR = 'frame,tx,ty,tz,' + ','.join(f'r{i}{j}' for i in '123' for j in '123') 
     (HEAD + rows().replace('0.1', 'here'), ('line 3', "'here'")),
     (HEAD + rows() + rows().splitlines()[-1], ('two poses', str(stamps(3)[-1]))),
     (HEAD + '\n'.join(reversed(rows().splitlines())), ('goes back',)),
-    (HEAD + rows(scale=1e3), ('millimetres', '--robot-unit 0.001')),
+    *((HEAD + rows(scale=scale), ('millimetres', '--robot-unit 0.001')) for scale in (8e2, 1e4)),
     (HEAD + rows().replace('1700000000', '1600000000'), ('end 100000000 s before', 'images from')),
     (HEAD + rows().replace('1700000000', '1700000009'), ('after the images end',)),
     (HEAD.replace('qw', 'w') + rows(), ('columns', 'qw,qx,qy,qz')),

@@ -56,6 +56,8 @@ MOST_DRIFT_RAD = 0.05
 #: Places of the poses are late behind their turns where that shows by so many sigmas, and is
 #: more than this, seconds.
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
+#: No camera sits so far from the middle of its robot; with millimetres for metres one does.
+FAR_M = 8.0
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
 
@@ -278,6 +280,9 @@ def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimu
     if optimum.state.lag:
         found.append(Finding('body_places_late', late_ms=1e3 * optimum.state.lag,
                              sigma_ms=1e3 * float(np.sqrt(optimum.covariance[LAG, LAG]))))
+    distance_m = float(np.linalg.norm(np.nan_to_num(mount.T_body_camera[:3, 3])))
+    if distance_m > FAR_M:
+        found.append(Finding('mount_far_off', distance_m=distance_m, body=mount.frame))
     if track.odometry and facts.scale is None:
         found.append(Finding('metre_of_odometry'))
     return tuple(found)

@@ -29,12 +29,8 @@ FASTEST_M_S = 70.0
 LONGEST_STEP_M = 20.0
 #: A unit quaternion whose digits were cut off errs by less.
 UNIT_LENGTH = 5e-3
-#: Who writes no metres writes one of these, as a share of a metre.
-UNITS = {0.001: 'millimetres', 0.01: 'centimetres'}
 #: Metres in the units that positions may be written in.
 SMALLEST_UNIT_M, LARGEST_UNIT_M = 1e-6, 1e6
-#: What a step from pose to pose, and a speed, are at most with the right unit.
-_LIKELY_STEP_M, _LIKELY_M_S = 2.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -124,18 +120,17 @@ def check_metres(poses: BodyPoses, source: str) -> None:
     if moved.sum() < 2:
         return
     if poses.stamps_ns is None:
-        typical, limit, likely = float(np.median(steps[moved])), LONGEST_STEP_M, _LIKELY_STEP_M
+        typical, limit = float(np.median(steps[moved])), LONGEST_STEP_M
         what = f'{typical:.3g} m from pose to pose'
     else:
         seconds = np.diff(poses.stamps_ns)[moved] / 1e9
-        typical, limit, likely = float(np.median(steps[moved] / seconds)), FASTEST_M_S, _LIKELY_M_S
+        typical, limit = float(np.median(steps[moved] / seconds)), FASTEST_M_S
         what = f'{typical:.3g} m/s'
     if typical > limit:
-        factor = 0.01 if typical * 0.01 < likely else 0.001
-        factor = 0.001 if typical > 10 * limit else factor
-        raise InputError(f'The positions of {source} look like {UNITS[factor]}: as metres the '
-                         f'robot would move {what}; state --robot-unit {factor:g}, or 1 if they '
-                         'are metres.')
+        # who writes no metres writes millimetres, however short the steps
+        raise InputError(f'The positions of {source} look like millimetres: as metres the robot '
+                         f'would move {what}; state --robot-unit 0.001 (centimetres: 0.01), or '
+                         '1 if they are metres.')
 
 
 def in_order(when: np.ndarray, what: str, source: str) -> None:
