@@ -168,7 +168,7 @@ MOUNTING: dict[str, Phrase] = {
     'mount_far_off': Phrase(
         'The camera would sit {distance_m:.3g} m from {body}, which is far for a robot.',
         'Images do not tell metres from millimetres: lengths are as the poses state them.',
-        'If the positions are in millimetres, state --robot-unit 0.001 (robot_unit of the nodes).'),
+        'If positions are in millimetres, state --robot-unit 0.001 (robot_unit of the nodes).'),
     'metre_of_odometry': Phrase(
         'Lengths are in metres of the odometry: the scale of its wheels is taken as it is.',
         'Nothing else here knows the metre. Wheels wear, and tyres are softer or harder.',

@@ -31,6 +31,7 @@ import numpy as np
 
 from selfcal_ros.calibration.calibrate import calibrate
 from selfcal_ros.calibration.estimators.joint import combine
+from selfcal_ros.calibration.estimators.under_camera import under_camera
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.extraction import extract_tracks, Extraction
@@ -267,8 +268,9 @@ def _together(source, settings, followed: list[FollowedSegment], found, glances,
         result = good[base]
         if len(used) > 1:
             together = joint.calibration
-            result = replace(good[base], camera=together.camera, covariance=together.covariance,
-                             status=together.status, identifiability=None)
+            result = replace(under_camera(good[base], together.camera, found[base].tracks),
+                             covariance=together.covariance, status=together.status,
+                             identifiability=None)
             findings.append(Finding('segments_joint', segments=len(used), start_s=base.start_s,
                                     scatter=joint.scatter))
     followed = [replace(one, used=one.segment in used) for one in followed]

@@ -17,12 +17,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from selfcal_ros import calibrate
 from selfcal_ros.calibration.estimators.joint import combine
+from selfcal_ros.calibration.estimators.under_camera import under_camera
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
 from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.projective import rms_length
+from selfcal_ros.synthetic.special_scenes import hand_held
 
 TRUTH = np.r_[520, 520, 320, 240, 0, -0.12, 0.05, np.zeros(len(PARAMETER_NAMES) - 7)]
 #: What fx and fy have in common.
@@ -69,6 +73,29 @@ def test_what_is_of_one_recording_is_no_part_of_the_joint_estimate():
                   shutter=RowReadout(2e-5, 1e-7, 'estimated', 0.288, 0.00144, 480))
     joint = combine([one, draw(rng)]).calibration
     assert joint.mount is joint.shutter is joint.labels is joint.identifiability is None
+
+
+def test_path_and_points_follow_the_camera_of_all_recordings():
+    scene = hand_held(np.random.default_rng(2), 0.1, 12, 150, 8)
+    result = calibrate(scene.tracks, motion='general',
+                       facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'))
+    values = result.camera.parameters + 2 * np.array([*result.sigma.values()])
+    other = Camera.from_parameters(values, result.camera.width, result.camera.height)
+    followed = under_camera(result, other, scene.tracks)
+
+    def left_px(one):
+        path = one.reconstruction
+        tracks = scene.tracks.select(np.isin(scene.tracks.track, path.tracks))
+        row = np.searchsorted(path.tracks, tracks.track)
+        view = np.searchsorted(path.frames, tracks.frame)
+        seen = np.einsum('nij,nj->ni', path.cam_from_world[view], path.points[row])
+        return rms_length(one.camera.project(seen) - tracks.xy)
+
+    alone = replace(result, camera=other)
+    assert left_px(alone) > 1.3 * left_px(result)
+    assert left_px(followed) < 1.02 * left_px(result)
+    assert followed.reprojection_rms_px == pytest.approx(left_px(followed), rel=0.02)
+    assert followed.camera is other
 
 
 def test_of_independent_parameters_it_is_the_weighted_mean():
