@@ -230,8 +230,8 @@ REFUSALS: dict[str, Phrase] = {
         '{preferred:preferred}.',
         'Released, the fact comes out elsewhere, beyond chance, and the camera with it. Either '
         'the fact is wrong, or the tracks are.',
-        'State what the images prefer, or nothing (--aspect-ratio free, --skew free, --lens '
-        'auto), or a sigma; where the fact is certain, say --trust-facts.'),
+        'Release it (--aspect-ratio free, --skew free, --lens auto, no --principal-point), or '
+        'state it with a sigma; where the fact is certain, say --trust-facts.'),
     'two_cameras': Phrase(
         'The images are of two cameras: those of {second:frames} differ from those of '
         '{first:frames}.',

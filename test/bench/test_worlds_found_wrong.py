@@ -74,3 +74,15 @@ def test_it_is_refused_by_the_name_of_the_cause(name, seed, kind):
     result, _ = calibrated(name, seed)
 
     assert not result and result.kind == kind
+
+
+@pytest.mark.parametrize('name, seed, truth', [
+    # what contradicts a wrong fact most is left out under it: 327.0 +- 0.2 was called preferred
+    ('agv_pp_wrong5', 20005, {'cx': 328.0, 'cy': 235.0}),
+    ('gen_asp1.03', 20004, {'aspect': 1.03})])
+def test_what_the_images_prefer_to_a_wrong_fact_is_true(name, seed, truth):
+    result, _ = calibrated(name, seed)
+
+    assert result.kind == 'fact_contradicted'
+    for one in result.values['preferred']:
+        assert abs(one['value'] - truth[one['name']]) < 3.5 * one['sigma']

@@ -25,7 +25,10 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
-from selfcal_ros.calibration.estimators.stated_facts import ABOUT, CONTRADICTED, PLAUSIBLE
+from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
+                                                       with_all_points)
+from selfcal_ros.calibration.estimators.stated_facts import (ABOUT, CONTRADICTED, PLAUSIBLE,
+                                                             spread_of_unknowns)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
@@ -86,3 +89,49 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
     first, *more = (told for _, told in sorted(found, key=lambda one: -one[0]))
     return NoEstimate('fact_contradicted', **first, motion=free.motion, facts=facts, further=[
         Finding('fact_contradicted_too', **one) for one in more])
+
+
+def preferred_by_all(refusal: NoEstimate, fit: RobustFit, offered: Observations,
+                     size: tuple[int, int]) -> NoEstimate:
+    """
+    Return a refusal for facts with what all observations prefer.
+
+    What contradicts a wrong fact most was left out under it as a gross error, so that what remains
+    prefers values between the stated and the true ones.
+
+    Parameters
+    ----------
+    refusal : NoEstimate
+        Of the kind 'fact_contradicted'.
+    fit : RobustFit
+        That was refused.
+    offered : Observations
+        All that were offered to it.
+    size : (int, int)
+        Width and height of the image.
+
+    """
+    further = refusal.values['further']
+    blamed = [dict(refusal.values), *(dict(one.values) for one in further)]
+    names = [entry['name'] for one in blamed for entry in one['preferred']]
+    state = None if fit.observations.shutter is not None else with_all_points(fit.state, offered)
+    if state is None:
+        return refusal
+    freed = fit_robustly(offered, state, fit.motion, fit.bundle.priors.without(names),
+                         fit.bundle.sigma_px)
+    if not (freed.bundle.sigma_px < fit.bundle.sigma_px
+            or len(freed.observations.view) > len(fit.observations.view)):
+        return refusal
+    for one in blamed:
+        about = [entry['name'] for entry in one['preferred']]
+        places = freed.state.lens.places(about)
+        covariance, _ = spread_of_unknowns(freed, places, size)
+        values = freed.state.lens.values[places]
+        distance = values - [entry['stated'] for entry in one['preferred']]
+        one['sigmas'] = float(np.sqrt(distance @ np.linalg.solve(covariance, distance)))
+        one['preferred'] = [
+            {**entry, 'value': float(value), 'sigma': float(sigma)} for entry, value, sigma in zip(
+                one['preferred'], values, np.sqrt(np.diag(covariance)))]
+    first, *others = blamed
+    return refusal.saying(**{**first, 'further': [
+        Finding(was.kind, **one) for was, one in zip(further, others)]})

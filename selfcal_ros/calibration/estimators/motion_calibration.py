@@ -34,7 +34,8 @@ from selfcal_ros.calibration.estimators.acceptance import assess, EXPLAINED, unc
 from selfcal_ros.calibration.estimators.all_views import fit_all, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.bent_estimate import may_be_bent, unbent_fit
 from selfcal_ros.calibration.estimators.coherent_start import coherent_fit, straight_and_bent
-from selfcal_ros.calibration.estimators.facts_in_the_way import fact_in_the_way, without_facts
+from selfcal_ros.calibration.estimators.facts_in_the_way import (
+    fact_in_the_way, preferred_by_all, without_facts)
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
                                                                 hold_parallel, leaves_plane,
@@ -306,6 +307,8 @@ def _attempt(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[
     if isinstance(whole, NoEstimate):
         return result
     if isinstance(result, NoEstimate):
+        if result.kind == 'fact_contradicted':
+            result = preferred_by_all(result, whole, known.observations, problem.size)
         return saying_what_moves(result, whole, np.array(graph.frames))
     findings += torn_findings(known.observations, whole.observations, np.array(graph.frames))
     return _unbent(whole, replace(result, findings=(*findings, *result.findings)), known, graph)

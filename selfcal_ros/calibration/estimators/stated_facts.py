@@ -310,12 +310,8 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     bundle = fit.bundle.with_priors(priors.without(tested.unknowns))
     state = bundle.optimise(fit.state, iterations=40, tolerance=0.05)
     freed = replace(fit, bundle=bundle.with_sigma(bundle.noise_rms(state)), state=state)
-    clusters = cluster_robust_covariance(freed.information, freed.observations.point,
-                                         freed.observations.xy, size)
-    ratio, of_segments = jackknife_excess(*delete_a_group(freed), freed.lens_covariance,
-                                          clusters.inflation**2)
     places = lens.places(tested.unknowns)
-    covariance = (clusters.covariance + of_segments)[np.ix_(places, places)]
+    covariance, ratio = spread_of_unknowns(freed, places, size)
     sigma = np.sqrt(np.diag(covariance))
     stated = np.array([priors[name].value for name in tested.unknowns])
     distance = state.lens.values[places] - stated
@@ -336,6 +332,20 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     return freed, p_value, Contradiction(tested.name, preferred, float(np.sqrt(total)), shift,
                                          bool(held_off.any() or moved > MOVED_FRACTION),
                                          any(priors[name].sigma > 0 for name in tested.unknowns))
+
+
+def spread_of_unknowns(fit: RobustFit, places: np.ndarray, size: tuple[int, int],
+                       ) -> tuple[np.ndarray, float]:
+    """
+    Return the covariance of some unknowns of the lens, with errors that tracks and views share.
+
+    Also how much larger that of stretches of views is than chance has it.
+    """
+    clusters = cluster_robust_covariance(fit.information, fit.observations.point,
+                                         fit.observations.xy, size)
+    ratio, of_segments = jackknife_excess(*delete_a_group(fit), fit.lens_covariance,
+                                          clusters.inflation**2)
+    return (clusters.covariance + of_segments)[np.ix_(places, places)], ratio
 
 
 def _unchecked(fit: RobustFit, tested: Tested) -> list[tuple[str, str, float, np.ndarray]]:
