@@ -128,6 +128,10 @@ REMARKS: dict[str, Phrase] = {
         'Frames {frames} were said to be translated.',
         'The calibration rests on this statement.',
         'Nothing.'),
+    'frames_said_absent': Phrase(
+        'Of the frames that were said to be translated, {absent:frames} had no part.',
+        'They are not among the images that are used, or there are no such images.',
+        'Check their numbers, which begin with 0; take more images with --max-keyframes.'),
     'objects_as_views': Phrase(
         'Every object counts as a view: the path is where the camera would stand before one '
         'object.',

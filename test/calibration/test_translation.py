@@ -104,6 +104,14 @@ def test_without_translated_views_it_says_so():
     assert 'translation' in result.reason
 
 
+def test_a_frame_that_is_not_there_is_told():
+    sequence = arm(np.random.default_rng(3), TURNS)
+    result = calibrate(sequence.tracks, motion='translation', facts=FACTS,
+                       translation_frames=(0, 1, 2, 99))
+
+    assert result and '99 had no part' in result.notes[1]
+
+
 def test_frames_that_are_not_there_are_refused():
     sequence = arm(np.random.default_rng(3), TURNS)
     result = calibrate(sequence.tracks, motion='translation', facts=FACTS,

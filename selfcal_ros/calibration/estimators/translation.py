@@ -69,13 +69,16 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
         groups = found.finding()
         if isinstance(groups, NoEstimate):
             return groups.saying(motion='general')
-        translated, radial, said = found.groups[0], found.radial, groups
+        translated, radial, said = found.groups[0], found.radial, (groups,)
     else:
+        absent = sorted({int(f) for f in translated} - set(frames))
         translated = tuple(int(f) for f in translated if f in frames)
         if len(translated) < 2:
             return NoEstimate('too_few_stated_frames')
         radial = estimate_radial(graph.tracks, size)
-        said = Finding('frames_said_translated', frames=translated)
+        said = (Finding('frames_said_translated', frames=translated),)
+        if absent:
+            said += (Finding('frames_said_absent', absent=absent),)
     tracks = graph.tracks
     straight = undo_radial(tracks.xy, radial, size)
     # beyond where the model bends back there is no place for a point
@@ -90,4 +93,4 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
     if stated:
         motion = replace(motion, parallel=tuple(np.flatnonzero(np.isin(frames, translated))))
     result = calibrate_from_motion(graph, size, facts, proposals, (motion,), at_once=at_once)
-    return replace(result, findings=(said, *result.findings)) if result else result
+    return replace(result, findings=(*said, *result.findings)) if result else result
