@@ -425,6 +425,10 @@ REMARKS: dict[str, Phrase] = {
         'joint estimate they were calibrated with that one.',
         'Calibrations with different distortion models cannot be combined.',
         'State the distortion model.'),
+    'recordings_alike': Phrase(
+        '{copy} holds the same as {of}, and counts once.',
+        'Their results are equal to the last digit. Counted twice, they would halve the variance.',
+        'Give each recording once.'),
     # cameras that move together
     'rig_overlap': Phrase(
         '{points} scene points were seen by more than one camera.',

@@ -20,7 +20,7 @@ the process that reads it, is a line in the table, and no more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 import glob
 import logging
@@ -337,7 +337,21 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
                 progress(f'Again with distortion {usual}', done, len(jobs))
         findings = (Finding('recordings_asked_again', again=len(again), recordings=len(good),
                             model=usual),)
-    members = tuple(sorted(results))
+    members, copies = _distinct(results)
+    findings += tuple(Finding('recordings_alike', copy=group[copy].path, of=group[one].path)
+                      for copy, one in copies)
     from selfcal_ros.calibration.estimators.joint import combine
     joint = combine([results[number] for number in members])
     return replace(empty, joint=joint, members=members, findings=findings)
+
+
+def _distinct(results: Mapping[int, Calibration]) -> tuple[tuple[int, ...],
+                                                           list[tuple[int, int]]]:
+    """Part recordings from copies, whose results are equal to the last digit."""
+    first: dict[bytes, int] = {}
+    copies = []
+    for number, one in sorted(results.items()):
+        same = first.setdefault(one.camera.parameters.tobytes() + one.covariance.tobytes(), number)
+        if same != number:
+            copies.append((number, same))
+    return tuple(first.values()), copies

@@ -15,6 +15,7 @@
 
 import json
 from pathlib import Path
+import shutil
 
 import numpy as np
 from selfcal_ros.report.camera_yaml import read_camera_yaml
@@ -47,6 +48,17 @@ def test_many_recordings_have_a_line_and_a_file_each_and_one_joint_result(capsys
     content = json.loads(Path('out/summary.json').read_text(encoding='utf-8'))
     assert len(content['cameras'][0]['recordings']) == 4 and len(content['failures']) == 1
     assert content['cameras'][0]['joint'] == joint
+
+
+def test_a_copy_of_a_recording_counts_once(capsys, driven):
+    drive(np.random.default_rng(0), 0.2, 12, 150, 12).tracks.to_csv('a.csv')
+    shutil.copy('a.csv', 'b.csv')
+    assert selfcal('calibrate', 'a.csv', 'b.csv', *SIZE, '--lens', 'none', '--output-dir',
+                   'out') == 0
+    assert 'b.csv holds the same as a.csv' in capsys.readouterr().out
+    joint, one = (json.loads(Path(name).read_text(encoding='utf-8'))
+                  for name in ('out/camera.json', 'out/recordings/a.json'))
+    assert np.isclose(joint['sigma']['fx'], one['sigma']['fx'], rtol=0.01)
 
 
 def test_many_recordings_none_of_which_can_be_used(capsys):
