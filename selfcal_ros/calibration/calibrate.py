@@ -48,7 +48,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
-from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks
+from selfcal_ros.values.still_tracks import find_still_tracks, nothing_moves, StillTracks
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -176,6 +176,9 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
         return _beside_still_tracks(calibrate(
             rest, motion=motion, facts=facts, rng=rng, start=start,
             translation_frames=translation_frames, views=views), rest, still)
+    if motion != 'repeated' and nothing_moves(tracks):
+        return NotCalibrated.of(NoEstimate('nothing_moves', images=len(tracks.frames)),
+                                frames=tracks.frames, facts=facts, software=software)
     if views is not None:
         tracks = spread_views(tracks, views)
     graph = build_view_graph(tracks, rng, straight=facts.distortion == 'none')

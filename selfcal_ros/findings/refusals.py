@@ -42,6 +42,10 @@ REFUSALS: dict[str, Phrase] = {
         'are needed, and {least_doubtful} where some disagree).',
         'The matches of every pair are too few, or they contradict each other.',
         'Check that the images overlap and show texture.'),
+    'nothing_moves': Phrase(
+        'Nothing moves in the {images} images: they all show the same from one place.',
+        'Nearly every point stays where it is. One view does not determine a camera.',
+        'Move and turn the camera between the images.'),
     'too_few_images': Phrase(
         'Only {images} images share points; self-calibration needs at least three.',
         'Two images do not determine the internal parameters of a camera.',

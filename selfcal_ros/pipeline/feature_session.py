@@ -191,12 +191,23 @@ def tracks_of(source: FrameSource, mode: str, max_keyframes: int | None,
         progress(text, done, 1.0 if isinstance(done, float) else total)
 
     limit: dict[str, Any] = {} if max_keyframes is None else {'max_keyframes': max_keyframes}
-    found = extract_tracks(((frame.index, frame.image, frame.stamp_ns) for frame in source),
-                           mode=mode, progress=report if progress else None, mask=mask,
+    images = 0
+
+    def frames():
+        nonlocal images
+        for frame in source:
+            images += 1
+            yield frame.index, frame.image, frame.stamp_ns
+
+    found = extract_tracks(frames(), mode=mode, progress=report if progress else None, mask=mask,
                            rng=generator(seed), **limit)
+    if images == 1:
+        raise InputError(f'{source.path} gives one image, and a calibration needs three at '
+                         'least, from different places.')
     if not len(found.tracks):
-        raise InputError(f'No point could be followed through the images of {source.path}; they '
-                         f'need texture and overlap{", also within the mask" if mask else ""}.')
+        within = ', also within the mask' if mask else ''
+        raise InputError(f'No point could be followed through the {images} images of '
+                         f'{source.path}; they need texture and overlap{within}.')
     tracks = found.tracks
     if source.clock == 'nominal':
         tracks = tracks.unstamped(NOMINAL_RATE_HZ)

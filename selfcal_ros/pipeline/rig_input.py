@@ -117,6 +117,9 @@ def rig_inputs(paths: Sequence[str], cameras: str) -> list[RigInput]:
     if len({one.name for one in found}) < len(found):
         raise ArgumentError('Two cameras have the same name; give them names, such as '
                             'left=/one/image_raw,right=/two/image_raw.')
+    if len({(Path(one.path).resolve(), one.topic) for one in found}) < len(found):
+        raise ArgumentError('Two cameras have the same images; give each camera its own INPUT '
+                            'or topic.')
     return found
 
 

@@ -37,6 +37,8 @@ STILL_SIGMAS, STILL_PX, STILL_SHARE_OF_WAY = 2.5, (0.5, 2.0), 0.06
 MOVES = 2.0
 #: Shorter ways of the others tell nothing, pixels.
 LEAST_WAY_PX = 6.0
+#: Where more than this share of the tracks stands still, nothing moves.
+NEARLY_ALL = 0.98
 #: So many tracks at a time have to move, and to stand still, with this share of all.
 LEAST_TRACKS, LEAST_SHARE = 8, 0.1
 #: They stand still over so much of the way of the others: always.
@@ -98,10 +100,7 @@ def find_still_tracks(tracks: Tracks) -> StillTracks | None:
     of = np.repeat(np.arange(len(names)), count)
     time = np.unique(tracks.frame, return_inverse=True)[1].ravel()
     begin, end = time[first], time[first + count - 1]
-    scatter = _middle(np.linalg.norm(tracks.xy - _middles(tracks.xy, of, first, count)[of],
-                                     axis=1), of, first, count)
-    extent = np.maximum(scatter, _moved(tracks.xy, of, first, count))
-    limit = float(np.clip(STILL_SIGMAS * _noise_px(tracks.xy, of), *STILL_PX))
+    extent, limit = _extents(tracks.xy, of, first, count)
     mover = extent > MOVES * limit
     steps = int(time.max())
     way = _way(extent, mover, begin, end, steps)
@@ -124,6 +123,23 @@ def find_still_tracks(tracks: Tracks) -> StillTracks | None:
     share = float(count[chosen].sum() / count.sum())
     return StillTracks(names[chosen], share, share > OF_FIXED_CAMERA and _is_spread(
         tracks.xy[first][still], tracks.xy, tracks.image_size))
+
+
+def nothing_moves(tracks: Tracks) -> bool:
+    """Tell whether all images show the same: nearly every point stays where it is."""
+    if not len(tracks):
+        return False
+    names, first, count = np.unique(tracks.track, return_index=True, return_counts=True)
+    extent, limit = _extents(tracks.xy, np.repeat(np.arange(len(names)), count), first, count)
+    return bool(np.mean(extent[count > 1] < limit) > NEARLY_ALL) if (count > 1).any() else False
+
+
+def _extents(xy, of, first, count) -> tuple[np.ndarray, float]:
+    """Return how far every track goes (P,), and below what it stands still, pixels."""
+    scatter = _middle(np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1), of, first,
+                      count)
+    limit = float(np.clip(STILL_SIGMAS * _noise_px(xy, of), *STILL_PX))
+    return np.maximum(scatter, _moved(xy, of, first, count)), limit
 
 
 def _noise_px(xy, of) -> float:

@@ -13,10 +13,13 @@
 # limitations under the License.
 """A camera that is bolted to a bench, before a wall and something that turns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
-from selfcal_ros.values.still_tracks import find_still_tracks
+from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.values.still_tracks import find_still_tracks, nothing_moves
 from selfcal_ros.values.tracks import Tracks
 
 SIZE, FOCAL, CENTRE = (640, 480), 620.0, (328.0, 235.0)
@@ -115,3 +118,18 @@ def test_a_camera_that_sees_nothing_move_is_still_refused():
     tracks = _tracks(4, wall=60)
     still = tracks.select(tracks.track >= WALL)
     assert not calibrate(still, facts=CameraFacts(**SQUARE))
+
+
+def test_images_that_all_show_the_same_are_refused_as_such():
+    rng = np.random.default_rng(4)
+    place = rng.uniform(20, 460, (80, 2))
+    for noise_px in (0.0, 0.3):
+        xy = np.tile(place, (5, 1)) + noise_px * rng.standard_normal((400, 2))
+        tracks = Tracks(np.repeat(np.arange(5), 80), np.tile(np.arange(80), 5), xy, (640, 480))
+        assert nothing_moves(tracks)
+        refused = calibrate(tracks)
+        assert not refused and refused.kind == 'nothing_moves'
+    # a vehicle that turns by a degree in all
+    slow = drive(rng, 0.3, 12, 100, 12).tracks
+    drift = slow.xy * 0.01 + place[slow.track % 80]
+    assert not nothing_moves(replace(slow, xy=drift))

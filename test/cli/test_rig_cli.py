@@ -27,6 +27,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
 from selfcal_ros.cli.main import main
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.pipeline.rig_input import rig_inputs
 from selfcal_ros.report.camera_files.kalibr_chain import parse_kalibr
 from selfcal_ros.report.rig_epipolar import epipolar_distances
 from selfcal_ros.report.rig_figure import epipolar_figure
@@ -194,3 +196,8 @@ def test_what_is_wrong_is_one_sentence(words, reason, capsys, tmp_path, monkeypa
     assert status == 2
     said = capsys.readouterr().err
     assert reason in said and len(said.strip().splitlines()) == 1
+
+
+def test_the_same_images_are_no_two_cameras():
+    with pytest.raises(ArgumentError, match='the same images'):
+        rig_inputs(['drive/cam0', 'drive/../drive/cam0'], 'left,right')
