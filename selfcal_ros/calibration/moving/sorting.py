@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
+from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observations, RobustFit,
                                                        with_all_points)
 from selfcal_ros.calibration.initialisation.problem import observations_of
@@ -137,9 +138,10 @@ def hides_body(fit: RobustFit, observations: Observations, test: TrackTest,
     """
     Tell whether a rigid body is among the tracks that no still point explains, though few.
 
-    Not asked where patches drift.
+    Not asked where patches drift, nor on rough ground, where views are off by themselves.
     """
-    if drifts(test):
+    motion = fit.motion
+    if drifts(test) or motion.keeps_plane and motion.is_more_uneven_than(NEARLY_PLANAR):
         return False
     rest, _ = observations.select((test.tested & ~test.explained)[observations.point])
     bodies = find_bodies(rest, fit.state.camera(*size), fit.bundle.sigma_px,
