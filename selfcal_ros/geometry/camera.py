@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
-from typing import TYPE_CHECKING
+import numbers
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,8 +119,26 @@ class Camera:
         distortion.flags.writeable = False
         object.__setattr__(self, 'K', K)
         object.__setattr__(self, 'distortion', distortion)
-        object.__setattr__(self, 'width', int(self.width))
-        object.__setattr__(self, 'height', int(self.height))
+        for name in ('width', 'height'):
+            size = getattr(self, name)
+            if not (is_number(size) and size >= 0 and size == int(size)):
+                raise ArgumentError(f'The {name} of an image is a whole number of pixels, 0 where '
+                                    f'it is not known, not {size!r:.40}.')
+            object.__setattr__(self, name, int(size))
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether model, size and all values are the same."""
+        if not isinstance(other, Camera):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        """Be a key: nothing of a camera changes."""
+        return hash(self._values())
+
+    def _values(self) -> tuple[str | float, ...]:
+        return (self.model, self.width, self.height, *self.K.ravel().tolist(),
+                *self.distortion.tolist())
 
     @classmethod
     def from_parameters(cls, values: ArrayLike, width: int = 0, height: int = 0,
@@ -369,22 +388,27 @@ class CameraFacts:
             raise ArgumentError(f'Distortion model {self.distortion!r:.40} is unknown; choose one '
                                 f'of auto, {", ".join(LENS_CHOICES)}.')
         if self.aspect_ratio is not None and not (
-                math.isfinite(self.aspect_ratio) and 0.1 <= self.aspect_ratio <= 10):
+                is_number(self.aspect_ratio) and 0.1 <= self.aspect_ratio <= 10):
             raise ArgumentError('The aspect ratio fy/fx must lie between 0.1 and 10, '
                                 f'not {self.aspect_ratio!r}.')
-        if self.skew is not None and not math.isfinite(self.skew):
+        if self.skew is not None and not is_number(self.skew):
             raise ArgumentError(f'The skew must be a finite number, not {self.skew!r}.')
         if self.principal_point is not None:
-            point = tuple(float(v) for v in self.principal_point)
+            try:
+                point = tuple(float(v) for v in self.principal_point)
+            except (TypeError, ValueError):
+                point = ()
             if len(point) != 2 or not all(map(math.isfinite, point)):
                 raise ArgumentError('The principal point must be two finite numbers, '
-                                    f'not {self.principal_point!r}.')
+                                    f'not {self.principal_point!r:.80}.')
             object.__setattr__(self, 'principal_point', point)
         if self.shutter not in SHUTTERS:
             raise ArgumentError(f'Shutter {self.shutter!r:.40} is unknown; choose one of '
                                 f'{", ".join(SHUTTERS)}.')
         if self.line_delay_s is not None and (
-                self.shutter == 'global' or not abs(self.line_delay_s) < LONGEST_LINE_DELAY_S):
+                self.shutter == 'global' or not (
+                    is_number(self.line_delay_s)
+                    and abs(self.line_delay_s) < LONGEST_LINE_DELAY_S)):
             raise ArgumentError('The line delay is that of a rolling shutter, in seconds from '
                                 f'one row to the next, not {self.line_delay_s!r}.')
         for name in ('aspect_ratio_sigma', 'skew_sigma_px', 'principal_point_sigma_px',
@@ -395,6 +419,11 @@ class CameraFacts:
                                     f'{LEAST_SIGMA:g}, not {value!r}.')
 
 
-def is_sigma(value: float) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether something is a finite real number."""
+    return isinstance(value, numbers.Real) and math.isfinite(value)
+
+
+def is_sigma(value: object) -> bool:
     """Tell whether a standard deviation of a fact is zero or has a square and an inverse."""
-    return value == 0 or math.isfinite(value) and value >= LEAST_SIGMA
+    return is_number(value) and (value == 0 or value >= LEAST_SIGMA)

@@ -75,10 +75,7 @@ class RigSession(TrackingSession):
 
     def set_camera(self, camera: Camera, which: int = 0) -> bool:
         """Take a calibration of one of the cameras; see `TrackingSession.set_camera`."""
-        old = self._placed[which].camera
-        if (old.width, old.height, old.model) == (camera.width, camera.height, camera.model) and (
-                np.array_equal(old.K, camera.K)
-                and np.array_equal(old.distortion, camera.distortion)):
+        if camera == self._placed[which].camera:
             return False
         self._placed = tuple(replace(one, camera=camera) if k == which else one
                              for k, one in enumerate(self._placed))

@@ -150,10 +150,7 @@ class TrackingSession:
             Whether it differs from the one in use.
 
         """
-        old = self._camera
-        if old is not None and (old.width, old.height) == (camera.width, camera.height) and \
-                old.model == camera.model and np.array_equal(old.K, camera.K) and \
-                np.array_equal(old.distortion, camera.distortion):
+        if camera == self._camera:
             return False
         self._take(camera, self.options)
         return True

@@ -16,7 +16,8 @@
 import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.errors import InputError
+from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.values.body_poses import BodyPoses
 from selfcal_ros.values.tracks import Tracks
 
@@ -29,6 +30,29 @@ def test_neighbours_that_are_not_of_the_observations_are_refused():
     given = np.zeros((2, 2, 3))
     kept = Tracks(*rows, neighbours=given).neighbours
     assert not kept.flags.writeable and given.flags.writeable
+
+
+def test_cameras_are_compared_by_their_values():
+    K = np.array([[520.0, 0, 320], [0, 520, 240], [0, 0, 1]])
+    one, same = Camera(K, [-0.1], 640, 480), Camera(K.copy(), [-0.1, 0, 0, 0, 0], 640, 480)
+    assert one == same and len({one, same}) == 1
+    for other in (Camera(K, [-0.1], 640, 481), Camera(K, [-0.2], 640, 480),
+                  Camera(K + np.diag([1, 0, 0]), [-0.1], 640, 480), None):
+        assert one != other
+
+
+@pytest.mark.parametrize('wrong', [
+    {'aspect_ratio': '1'}, {'skew': 'x'}, {'principal_point': 5}, {'principal_point': 'ab'},
+    {'aspect_ratio_sigma': None}, {'line_delay_s': 'x'}, {'skew': float('nan')}])
+def test_facts_that_are_no_numbers_are_refused(wrong):
+    with pytest.raises(ArgumentError):
+        CameraFacts(**wrong)
+
+
+@pytest.mark.parametrize('size', [-5, 3.7, 'wide', float('inf')])
+def test_a_width_that_is_none_is_refused(size):
+    with pytest.raises(ArgumentError, match='whole number of pixels'):
+        Camera([[500, 0, 0], [0, 500, 0], [0, 0, 1]], width=size)
 
 
 def test_no_pose_is_no_path_of_a_body():

@@ -76,9 +76,8 @@ def calibrate_translated(graph: ViewGraph, size: tuple[int, int], facts: CameraF
         if len(translated) < 2:
             return NoEstimate('too_few_stated_frames')
         radial = estimate_radial(graph.tracks, size)
-        said = (Finding('frames_said_translated', frames=translated),)
-        if absent:
-            said += (Finding('frames_said_absent', absent=absent),)
+        said = (Finding('frames_said_translated', frames=translated), *(
+            (Finding('frames_said_absent', absent=absent),) if absent else ()))
     tracks = graph.tracks
     straight = undo_radial(tracks.xy, radial, size)
     # beyond where the model bends back there is no place for a point
