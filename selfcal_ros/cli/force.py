@@ -55,10 +55,10 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
         If a file exists already; see also `selfcal_ros.values.output_files.check_outputs`.
 
     """
-    from selfcal_ros.report import files
+    from selfcal_ros.values import output_files
     kept, others = ([path for path in paths if path is not None and str(path) != STANDARD_OUTPUT]
                     for paths in (precious, derived))
-    files.check_outputs([*kept, *others], inputs)
+    output_files.check_outputs([*kept, *others], inputs)
     taken = [] if force else [str(path) for path in kept
                               if os.path.isfile(path) and os.path.getsize(path)]
     if len(taken) == 1:
