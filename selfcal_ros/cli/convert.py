@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       default='camera_optical_frame',
                       help='frame of the camera, where INPUT is a result.json (default '
                            'camera_optical_frame)')
-    file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')
+    file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, left, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
     file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                       help='image size in pixels, for OpenCV files without it')
@@ -112,7 +112,7 @@ def _convert_transform(args: argparse.Namespace) -> int:
     from selfcal_ros.report.mounts.transform_reading import read_transform
     check_outputs((args.output,), (args.input,), args.force)
     kind = args.to or kind_of_name(args.output)
-    source_kind, stored = read_transform(args.input, args.camera_frame)
+    source_kind, stored = read_transform(args.input, args.camera_frame, args.camera)
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')

@@ -125,6 +125,34 @@ def test_the_page_of_a_rig_tells_of_every_camera_and_of_its_matches(calibrated):
     assert 'right sits 1' in page and 'mm from left' in page and 'Rectification' in page
 
 
+def test_the_cameras_of_a_result_are_chosen_as_those_of_a_chain(calibrated, tmp_path, capsys,
+                                                                monkeypatch):
+    _, folder, _, content = calibrated
+    monkeypatch.chdir(tmp_path)
+    result, right = str(folder / 'result.json'), str(folder / 'camera_right.yaml')
+    assert main(['convert', result, 'right.yaml', '--camera', 'right', '-q']) == 0
+    assert main(['compare', 'right.yaml', right, '--json', '-']) == 0
+    assert json.loads(capsys.readouterr().out)['difference_px']['max'] < 1e-6
+    # the one of the same name is the same, with the covariance that the rig gave it
+    assert main(['compare', result, 'right.yaml', '--camera-a', 'right', '--json', '-']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['difference_px']['max'] < 1e-6
+    assert told['parameters']['fx']['sigma'] == pytest.approx(
+        content['cameras']['right']['sigma']['fx'])
+    # a camera file finds it beside itself, too
+    assert main(['compare', right, 'right.yaml', '--result-a', result, '--json', '-']) == 0
+    assert json.loads(capsys.readouterr().out)['parameters']['fx']['sigma'] == pytest.approx(
+        content['cameras']['right']['sigma']['fx'])
+    for words, option in ((['convert', result, 'any.yaml'], '--camera'),
+                          (['compare', result, right], '--camera-a'),
+                          (['compare', right, result], '--camera-b')):
+        assert main(words) == 2
+        assert f'holds 2 cameras, choose one with {option}: left, right.' in \
+            capsys.readouterr().err
+    assert main(['convert', result, 'any.yaml', '--camera', 'top']) == 2
+    assert 'has no camera top; it has left, right.' in capsys.readouterr().err
+
+
 def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():
     rng = np.random.default_rng(5)
     scene = rig_scene(rng, hand_path(rng, 6), overlap=True, points=100)

@@ -28,7 +28,8 @@ from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.report.comparison import in_sigmas
 from selfcal_ros.report.mounts.record import known_matrix, mount_from_dict, POSE
 from selfcal_ros.report.mounts.transform_files import StoredTransform
-from selfcal_ros.report.mounts.transform_reading import is_transform_file, read_transform
+from selfcal_ros.report.mounts.transform_reading import (is_transform_file, read_transform,
+                                                         stored_of)
 
 #: A smaller variance is that of what is held, m² or rad².
 _HELD = 1e-18
@@ -158,9 +159,15 @@ def compare_mounts(a: PlacedCamera, b: PlacedCamera) -> MountComparison:
         float(np.linalg.norm(values[3:])) if whole >= set(TURN) else np.nan, joint)
 
 
-def placed_camera(path: str | Path) -> PlacedCamera | None:
+def placed_camera(path: str | Path, which: str | None = None) -> PlacedCamera | None:
     """
     Read the mount of a file; None where it has none.
+
+    Parameters
+    ----------
+    path : str or Path
+    which : str, optional
+        The camera of a rig; by default its first.
 
     Raises
     ------
@@ -175,7 +182,7 @@ def placed_camera(path: str | Path) -> PlacedCamera | None:
         return None
     try:
         stored = json.loads(path.read_text(encoding='utf-8'))
-        mount = mount_from_dict(stored.get('mount'))
+        mount = mount_from_dict(stored_of(stored, which).get('mount'))
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
         # whatever else is read of the file says what is wrong with it
         return None

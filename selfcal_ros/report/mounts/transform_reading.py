@@ -45,7 +45,8 @@ def is_transform_file(path: str | Path) -> bool:
             or b'robot_effector_frame:' in head)
 
 
-def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, StoredTransform]:
+def read_transform(path: str | Path, child: str = CAMERA_FRAME, which: str | None = None,
+                   ) -> tuple[str, StoredTransform]:
     """
     Read the transform of a camera on a robot.
 
@@ -55,6 +56,8 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, St
         Any of `FORMATS`, or our result.json.
     child : str
         Frame of the camera, where the file names none.
+    which : str, optional
+        The camera of a rig; by default its first, which has the mount.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, St
         if text.lstrip().startswith('<'):
             return 'urdf', _from_urdf(text)
         if text.lstrip().startswith('{'):
-            return 'result', _from_result(text, source, child)
+            return 'result', _from_result(text, source, child, which)
         return _from_yaml(load_yaml(text, source))
     except SelfcalError:
         raise
@@ -164,10 +167,14 @@ def _from_yaml(document) -> tuple[str, StoredTransform]:
     return kind, StoredTransform(str(parent), child, matrix)
 
 
-def _from_result(text: str, source: str, child: str) -> StoredTransform:
+def _from_result(text: str, source: str, child: str, which: str | None) -> StoredTransform:
     """Take the mount out of our result.json."""
-    stored = json.loads(text)
+    whole = json.loads(text)
+    stored = stored_of(whole, which)
     mount = mount_from_dict(stored.get('mount'))
+    if mount is None and whole.get('mount') is not None:
+        raise InputError(f'{source} has no mount of {which}, the first camera has it; leave '
+                         '--camera out.')
     if mount is None:
         raise InputError(f'{source} says nothing of a robot; calibrate with --robot.')
     if not isinstance(mount, Mount):
@@ -176,3 +183,21 @@ def _from_result(text: str, source: str, child: str) -> StoredTransform:
         return stored_mount(mount, child, stored.get('software', ''))
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
+
+
+def stored_of(stored: dict, which: str | None) -> dict:
+    """
+    Return what a result.json says of one camera: all of it, unless it is of a rig.
+
+    Raises
+    ------
+    InputError
+        If it has no camera of that name.
+
+    """
+    cameras = stored.get('cameras')
+    if which is None or cameras is None:
+        return stored
+    if which not in cameras:
+        raise InputError(f'The result has no camera {which}; it has {", ".join(cameras)}.')
+    return cameras[which]
