@@ -122,7 +122,7 @@ def _run_mounts(args, found) -> int:
     if not (args.quiet or is_standard_output(args.json)):
         print('\n'.join([f'A {args.first}', f'B {args.second}', '', *found.sentences()]))
     elif beyond:
-        print(found.sentences()[-1], file=sys.stderr)
+        print(found.verdict, file=sys.stderr)
     return EXIT_DIFFER if beyond else EXIT_DONE
 
 

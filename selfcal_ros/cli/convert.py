@@ -73,7 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       default='camera_optical_frame',
                       help='frame of the camera, where INPUT is a result.json (default '
                            'camera_optical_frame)')
-    file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, left, or 3')
+    file.add_argument('--camera', metavar='NAME',
+                      help='which of several cameras: cam1, left, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
     file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                       help='image size in pixels, for OpenCV files without it')

@@ -188,7 +188,15 @@ def test_mounts_are_compared_in_millimetres_degrees_and_sigmas():
     assert found.joint_sigmas > 30
     same = compare_mounts(PlacedCamera.of(mount()), PlacedCamera.of(mount(['z'])))
     assert 'z' not in same.difference and same.joint_sigmas == 0
-    assert np.isnan(same.distance_m) and '0.000 degrees apart' in same.sentences()[-1]
+    assert np.isnan(same.distance_m) and '0.000 degrees apart' in same.verdict
+    assert same.sentences()[-1] == 'The place is not compared in full: z is open in B.'
+    assert ': 0.0 sigmas, all degrees of freedom that both know together.' in same.verdict
+    # a unit stands beside its number, and nothing is minus zero
+    rows = {row.split()[0]: row.split()[1:] for row in found.sentences()[1:7]}
+    assert rows['x'] == ['+4.000', 'mm', '1.41', 'mm', '2.8']
+    assert rows['z'] == ['+0.000', 'mm', '5.66', 'mm', '0.0']
+    assert rows['yaw'] == ['+0.500', '°', '0.0081', '°', '61.7']
+    assert '-0.0' not in '\n'.join(same.sentences())
 
 
 def test_files_are_converted_and_compared_on_the_command_line(calibration, tmp_path, capsys):
