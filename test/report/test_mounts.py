@@ -161,6 +161,29 @@ def test_a_transform_comes_back_from_every_file(tmp_path, kind, name, pitch):
         compile(path.read_text(encoding='utf-8'), str(path), 'exec')
 
 
+@pytest.mark.parametrize('name', ['b.urdf', 'b.yaml', 'b.launch.py', 'b.calib'])
+def test_what_a_file_says_of_itself_stays_through_others(tmp_path, name):
+    about = ('selfcal_ros 1: a "bag" & 90 images', 'one sigma: x 0.001 m')
+    stored = replace(stored_mount(mount(), 'camera'), about=about)
+    path = write_transform(tmp_path / name, stored)
+    text = path.read_text('utf-8')
+    lines = text.replace("'bag'", '"bag"').splitlines()
+    assert all(any(line in one for one in lines) for line in about)
+    assert not any(about[0] in one and about[1] in one for one in lines)
+    _, back = read_transform(path)
+    again = write_transform(tmp_path / 'again.calib', back).read_text('utf-8')
+    assert [line.replace("'", '"') for line in again.splitlines()[:2]] == [
+        f'# {line}' for line in about]
+    assert again.splitlines()[2] == 'parameters:'
+    # nothing to say is no comment, and nothing gets out of one
+    silent = write_transform(path, replace(stored, about=())).read_text('utf-8')
+    assert '<!--  -->' not in silent and '# \n' not in silent and 'robot. ' not in silent
+    hostile = replace(stored, about=('""" --> \\',))
+    assert np.allclose(read_transform(write_transform(path, hostile))[1].matrix, stored.matrix)
+    if name.endswith('.py'):
+        compile(path.read_text('utf-8'), name, 'exec')
+
+
 def test_what_is_open_is_written_nowhere(tmp_path):
     with pytest.raises(ArgumentError, match='z of the mount is not observable.*--mount-fact z='):
         stored_mount(mount(['z']), 'camera')
