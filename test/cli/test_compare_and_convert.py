@@ -173,7 +173,7 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
     (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
     (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),
     (['a.yaml', 'no/folder/b.xml'], 'does not exist'),
-    (['k3.yaml', 'camchain.yaml'], 'Kalibr has no model for the plumb_bob')])
+    (['k3.yaml', 'camchain.yaml'], 'calibrate with --lens radtan.')])
 def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments, words):
     K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]
     write_camera_yaml('a.yaml', Camera(K, [], 640, 480), 'a')

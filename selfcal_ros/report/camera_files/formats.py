@@ -198,8 +198,12 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
     suffix = Path(path).suffix.lower()
     if not FORMATS[kind].holds(camera):
         others = [other.title for other in FORMATS.values() if other.holds(camera)]
+        named = ', '.join(others[:-1]) + (' and ' if others[1:] else '') + ''.join(others[-1:])
+        # the usual camera file of ours, but for a number that is nearly nothing
+        only_k3 = kind == 'kalibr' and camera.distortion_as('plumb_bob') is not None
         raise ArgumentError(f'{FORMATS[kind].title} has no model for the {camera.model} '
-                            f'distortion of this camera; {" and ".join(others)} have.')
+                            f'distortion of this camera; {named} have'
+                            f'{", or calibrate with --lens radtan" if only_k3 else ""}.')
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('The image size is not known; give it with --image-size W H.')
     if kind == 'ros':
