@@ -123,6 +123,20 @@ def test_the_page_of_a_rig_tells_of_every_camera_and_of_its_matches(calibrated):
         assert f'Camera file of {name}' in page
     assert f'{content["cameras"]["right"]["camera"]["fx"]:.1f}' in page
     assert 'right sits 1' in page and 'mm from left' in page and 'Rectification' in page
+    # the rig is drawn first; R and P of each are matrices
+    assert 0 < page.index('id="rig"') < page.index('id="cameras"')
+    assert page.count('<table class="matrix">') == 4
+
+
+def test_every_sigma_is_printed_with_two_digits(calibrated, capsys):
+    _, folder, _, content = calibrated
+    tables = str(folder / 'left.csv'), str(folder / 'right.csv')
+    assert main(['calibrate', *tables, '--cameras', 'left,right', '--lens', 'none',
+                 '--image-size', '640', '480', '--output', str(folder / 'steps.yaml')]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()
+            if line.endswith((' steps', ' deg'))]
+    assert [row[0] for row in rows] == ['x', 'y', 'z', 'roll', 'pitch', 'yaw']
+    assert {len(row[3].replace('.', '').lstrip('0')) for row in rows} == {2}
 
 
 def test_the_cameras_of_a_result_are_chosen_as_those_of_a_chain(calibrated, tmp_path, capsys,

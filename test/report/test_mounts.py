@@ -28,7 +28,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report import figures
 from selfcal_ros.report.figures import draw_tables
 from selfcal_ros.report.mounts.comparison import compare_mounts, PlacedCamera
-from selfcal_ros.report.mounts.figure import mount_figure
+from selfcal_ros.report.mounts.figure import mount_figure, mount_table
 from selfcal_ros.report.mounts.transform_files import (FORMATS, kind_of_name, stored_mount,
                                                        write_transform)
 from selfcal_ros.report.mounts.transform_reading import is_transform_file, read_transform
@@ -100,6 +100,14 @@ def test_words_say_what_is_known_and_what_would_help(calibration):
     refused = replace(calibration, mount=NoMount('note', text='The wheels stood still.'))
     assert mount_lines(refused)[-1].endswith('not known: The wheels stood still. Read it.')
     assert mount_lines(calibration) == []
+
+
+def test_the_last_column_of_the_table_is_there_when_it_says_something(calibration):
+    table = mount_table(placed(calibration, 'z'))
+    assert table.columns[-1].startswith('by, or') and table.rows[2][-1] == 'State it.'
+    assert set(table.words) == {3, 4}
+    known = replace(mount(), status={name: 'estimated' for name in NAMES})
+    assert mount_table(replace(calibration, mount=known)).columns[-1] == 'where from'
 
 
 def test_path_and_structure_are_in_metres(calibration, sequence):
