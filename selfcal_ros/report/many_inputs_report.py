@@ -234,7 +234,7 @@ def _headline(camera: CameraSummary) -> dict[str, str]:
 
 def _table(rows: list[HistoryRow]) -> dict:
     """Return columns and rows of a page; equal focal lengths need one column."""
-    columns = COLUMNS
+    columns: tuple[str, ...] = COLUMNS
     if all(row.values[0] == row.values[1] for row in rows):
         columns = ('fx = fy', *COLUMNS[2:])
         rows = [replace(row, values=row.values[1:]) for row in rows]

@@ -155,10 +155,12 @@ def mount_table(result: Calibration) -> PageTable | None:
     if not isinstance(mount, Mount):
         return None
     words = {'estimated': 'estimated', 'held': 'a fact', 'unobservable': 'not determined'}
-    rows = tuple((f'{row.name}, {row.meaning}', f'{row.value} {row.unit}'.strip()
-                  if row.value else '–', f'± {row.sigma} {row.unit}' if row.sigma else '–',
-                  words.get(row.status, row.status), row.why)
-                 for row in mount_rows(mount, motion=result.motion))
+    rows: tuple[tuple[str, ...], ...] = tuple(
+        (f'{row.name}, {row.meaning}',
+         f'{row.value} {row.unit}'.strip() if row.value else '–',
+         f'± {row.sigma} {row.unit}' if row.sigma else '–',
+         words.get(row.status, row.status), row.why)
+        for row in mount_rows(mount, motion=result.motion))
     columns: tuple[str, ...] = ('', 'value', 'σ', 'where from', 'by, or what would show it')
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
