@@ -163,8 +163,11 @@ def test_the_cameras_of_a_result_are_chosen_as_those_of_a_chain(calibrated, tmp_
         assert main(words) == 2
         assert f'holds 2 cameras, choose one with {option}: left, right.' in \
             capsys.readouterr().err
-    assert main(['convert', result, 'any.yaml', '--camera', 'top']) == 2
-    assert 'has no camera top; it has left, right.' in capsys.readouterr().err
+    for words in (['convert', result, 'any.yaml', '--camera', 'top'],
+                  ['convert', result, 'any.urdf', '--camera', 'top'],
+                  ['compare', result, right, '--camera-a', 'top']):
+        assert main(words) == 2
+        assert f'{result} has no camera top; it has left, right.' in capsys.readouterr().err
 
 
 def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():

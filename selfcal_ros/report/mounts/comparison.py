@@ -204,7 +204,7 @@ def placed_camera(path: str | Path, which: str | None = None) -> PlacedCamera | 
         return None
     try:
         stored = json.loads(path.read_text(encoding='utf-8'))
-        mount = mount_from_dict(stored_of(stored, which).get('mount'))
+        mount = mount_from_dict(stored_of(stored, which, str(path)).get('mount'))
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
         # whatever else is read of the file says what is wrong with it
         return None

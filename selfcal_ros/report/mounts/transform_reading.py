@@ -197,7 +197,7 @@ def _from_yaml(document) -> tuple[str, StoredTransform]:
 def _from_result(text: str, source: str, child: str, which: str | None) -> StoredTransform:
     """Take the mount out of our result.json."""
     whole = json.loads(text)
-    stored = stored_of(whole, which)
+    stored = stored_of(whole, which, source)
     mount = mount_from_dict(stored.get('mount'))
     if mount is None and whole.get('mount') is not None:
         raise InputError(f'{source} has no mount of {which}, the first camera has it; leave '
@@ -212,7 +212,7 @@ def _from_result(text: str, source: str, child: str, which: str | None) -> Store
         raise InputError(f'{source}: {error}') from None
 
 
-def stored_of(stored: dict, which: str | None) -> dict:
+def stored_of(stored: dict, which: str | None, source: str) -> dict:
     """
     Return what a result.json says of one camera: all of it, unless it is of a rig.
 
@@ -226,5 +226,5 @@ def stored_of(stored: dict, which: str | None) -> dict:
     if which is None or cameras is None:
         return stored
     if which not in cameras:
-        raise InputError(f'The result has no camera {which}; it has {", ".join(cameras)}.')
+        raise InputError(f'{source} has no camera {which}; it has {", ".join(cameras)}.')
     return cameras[which]
