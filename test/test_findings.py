@@ -57,6 +57,13 @@ def _made():
                        {keyword.arg for keyword in node.keywords}, len(node.args))
 
 
+def test_what_was_found_in_one_of_several_cameras_says_in_which():
+    found = Finding('positions_contradictory', positions=180).of_camera('left')
+    assert found.sentence == ('left: 180 positions that contradict the epipolar geometry were '
+                              'dropped.')
+    assert Finding.from_dict(found.as_dict()) == found and found.values['positions'] == 180
+
+
 def _fields(text):
     return {name for _, name, _, _ in Formatter().parse(text) if name}
 

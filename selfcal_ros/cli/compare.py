@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
     if mounts is not None and not _hold_cameras(args):
         return _run_mounts(args, mounts)
     size = tuple(args.image_size) if args.image_size else None
-    a = read_camera(args.first, args.camera_a, image_size=size)
-    b = read_camera(args.second, args.camera_b, image_size=size)
+    a = read_camera(args.first, args.camera_a, '--camera-a', image_size=size)
+    b = read_camera(args.second, args.camera_b, '--camera-b', image_size=size)
     covariances = [_covariance(args.first, a, args.result_a),
                    _covariance(args.second, b, args.result_b)]
     if args.sigmas is not None and all(C is None for C in covariances):
@@ -92,7 +92,8 @@ def _mounts(args):
     """Compare where the cameras sit on their robots; None unless both files tell."""
     from selfcal_ros.report.mounts.comparison import compare_mounts, placed_camera
     from selfcal_ros.report.mounts.transform_reading import is_transform_file
-    a, b = (placed_camera(path) for path in (args.first, args.second))
+    a = placed_camera(args.first, args.camera_a)
+    b = placed_camera(args.second, args.camera_b)
     for path, found in ((args.first, a), (args.second, b)):
         if found is None and any(map(is_transform_file, (args.first, args.second))):
             raise InputError(f'{path} has no transform of a camera, and the other file has '
@@ -121,7 +122,7 @@ def _run_mounts(args, found) -> int:
     if not (args.quiet or is_standard_output(args.json)):
         print('\n'.join([f'A {args.first}', f'B {args.second}', '', *found.sentences()]))
     elif beyond:
-        print(found.sentences()[-1], file=sys.stderr)
+        print(found.verdict, file=sys.stderr)
     return EXIT_DIFFER if beyond else EXIT_DONE
 
 
@@ -154,7 +155,7 @@ def _judged(args, found) -> str:
 
 def _covariance(path, stored, named: Path | None):
     """Return the covariance of a camera: its own, of a named file, or of a file beside it."""
-    from selfcal_ros.report.camera_files.formats import read_camera
+    from selfcal_ros.report.camera_files.formats import read_cameras
     if stored.covariance is not None and named is None:
         return stored.covariance
     path = Path(path)
@@ -164,13 +165,15 @@ def _covariance(path, stored, named: Path | None):
         if not named and (not candidate.is_file() or candidate == path):
             continue
         try:
-            other = read_camera(candidate)
+            others = read_cameras(candidate)[1]
         except InputError:
             if named:
                 raise
             continue
-        if other.covariance is not None and _same(stored.camera, other.camera):
-            return other.covariance
+        # a rig has several
+        for other in others:
+            if other.covariance is not None and _same(stored.camera, other.camera):
+                return other.covariance
         if named:
             raise InputError(f'{named} is not the result that {path} comes from: it has no '
                              'covariance, or is of another camera.')

@@ -36,6 +36,8 @@ KINDS = ('ros', 'opencv', 'kalibr', 'colmap', 'mrcal')
 #: Kinds of file that hold where a camera is on a robot.
 TRANSFORMS = ('urdf', 'tf', 'moveit', 'easy_handeye2', 'easy_handeye')
 DEFAULT_TOPIC = '/camera/image_raw'
+#: End of the topic of compressed images, beside that of the raw ones.
+_COMPRESSED = '/compressed'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,10 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('output', type=Path, metavar='OUTPUT',
                         help='rosbag2 folder, or camera file, to make')
     parser.add_argument('--topic', type=topic_name,
-                        help=f'topic to write (default {DEFAULT_TOPIC})')
+                        help='image topic of a bag, to be read, and written under its name; any '
+                             'other name is the topic to write (default: read the only one, '
+                             f'write {DEFAULT_TOPIC})')
     add_quiet_argument(parser, 'print nothing but errors')
     bag = parser.add_argument_group('images to a bag')
-    bag.add_argument('--input-topic', help='topic to read from a bag with several')
+    bag.add_argument('--input-topic', help='topic to read; --topic is the one to write then')
     bag.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
                      help='file format of the bag (default mcap)')
     bag.add_argument('--compressed', choices=('jpeg', 'png'),
@@ -73,7 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       default='camera_optical_frame',
                       help='frame of the camera, where INPUT is a result.json (default '
                            'camera_optical_frame)')
-    file.add_argument('--camera', metavar='NAME', help='which of several cameras: cam1, or 3')
+    file.add_argument('--camera', metavar='NAME',
+                      help='which of several cameras: cam1, left, or 3')
     file.add_argument('--camera-name', help='name to write (default: that of INPUT)')
     file.add_argument('--image-size', type=int, nargs=2, metavar=('W', 'H'),
                       help='image size in pixels, for OpenCV files without it')
@@ -112,7 +117,7 @@ def _convert_transform(args: argparse.Namespace) -> int:
     from selfcal_ros.report.mounts.transform_reading import read_transform
     check_outputs((args.output,), (args.input,), args.force)
     kind = args.to or kind_of_name(args.output)
-    source_kind, stored = read_transform(args.input, args.camera_frame)
+    source_kind, stored = read_transform(args.input, args.camera_frame, args.camera)
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
@@ -168,6 +173,26 @@ def kind_of_name(path: Path) -> str:
                         f'({", ".join(KINDS)}).')
 
 
+def _topics(args: argparse.Namespace) -> tuple[str | None, str]:
+    """
+    Return the topic to read, None for the only one, and that to write.
+
+    Raises
+    ------
+    ArgumentError
+        If raw images would go under the name of compressed ones.
+
+    """
+    from selfcal_ros.pipeline.bag_source import has_image_topic
+    topic = args.topic
+    if topic and args.input_topic is None and has_image_topic(args.input, topic):
+        return topic, f'/{topic.lstrip("/").removesuffix(_COMPRESSED)}'
+    if topic and topic.endswith(_COMPRESSED):
+        raise ArgumentError(f'{topic} is a name of compressed images, which --compressed gives to '
+                            f'them; leave {_COMPRESSED} away.')
+    return args.input_topic, topic or DEFAULT_TOPIC
+
+
 def _convert_images(args: argparse.Namespace, excerpt) -> int:
     """Turn images into a bag."""
     from selfcal_ros.pipeline.bag_writer import write_image_bag
@@ -175,7 +200,8 @@ def _convert_images(args: argparse.Namespace, excerpt) -> int:
     if args.output.suffix and args.output.suffix not in ('.mcap', '.db3'):
         raise InputError(f'{args.output} is no name for a bag folder; leave {args.output.suffix} '
                          'away.')
-    with open_source(args.input, args.input_topic, colour=True, excerpt=excerpt) as source, \
+    read, written = _topics(args)
+    with open_source(args.input, read, colour=True, excerpt=excerpt) as source, \
             Progress.of(args) as progress:
         if source.kind == 'tracks':
             raise InputError(f'{args.input} holds tracks, not images; a bag needs images.')
@@ -185,8 +211,9 @@ def _convert_images(args: argparse.Namespace, excerpt) -> int:
                 yield frame
                 progress('writing', done, source.count)
 
-        count = write_image_bag(args.output, counted(), args.topic or DEFAULT_TOPIC, args.storage,
-                                args.compressed, args.frame_id)
+        count = write_image_bag(args.output, counted(), written, args.storage, args.compressed,
+                                args.frame_id)
     if not args.quiet:
-        print(f'{count} images written to {args.output}.')
+        print(f'{count} images written to {args.output}, on the topic {written}'
+              f'{_COMPRESSED if args.compressed else ""}.')
     return EXIT_DONE

@@ -20,7 +20,7 @@ and pictures are made anew from the same recording, and replace those of the las
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 import os
 
 from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
@@ -34,7 +34,8 @@ def add_force_argument(parser, what: str = 'replace the camera file if it exists
 
 def check_outputs(precious: Iterable[str | os.PathLike | None],
                   inputs: Iterable[str | os.PathLike | None], force: bool,
-                  derived: Iterable[str | os.PathLike | None] = ()) -> None:
+                  derived: Iterable[str | os.PathLike | None] = (),
+                  options: Mapping[str, str | os.PathLike | None] | None = None) -> None:
     """
     Make sure before the work that outputs can be written, and replace nothing without a word.
 
@@ -48,6 +49,8 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
         Whether --force was given.
     derived : iterable of path or None
         Outputs that replace what is there.
+    options : mapping of str to path or None, optional
+        Outputs by their options, for the sentence about two of one name.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     from selfcal_ros.values import output_files
     kept, others = ([path for path in paths if path is not None and str(path) != STANDARD_OUTPUT]
                     for paths in (precious, derived))
-    output_files.check_outputs([*kept, *others], inputs)
+    output_files.check_outputs([*kept, *others], inputs, options or {})
     taken = [] if force else [str(path) for path in kept
                               if os.path.isfile(path) and os.path.getsize(path)]
     if len(taken) == 1:

@@ -91,7 +91,11 @@ class Outputs:
             kind_of_name(self.mount)
             check_frame(self.camera_frame or 'camera')
         check_outputs((self.camera_yaml, self.mount), inputs, force,
-                      (self.result_json, self.report, *self.scene.files))
+                      (self.result_json, self.report, *self.scene.files),
+                      {'--output': self.camera_yaml, '--mount-output': self.mount,
+                       '--json': self.result_json, '--report': self.report,
+                       '--ply': self.scene.ply, '--poses': self.scene.poses,
+                       '--transforms': self.scene.transforms})
         self.scene.check(inputs[0] if inputs else None, force)
 
     def write(self, result: Calibration | NotCalibrated, text: str,

@@ -84,7 +84,9 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     of_colmap = rig_config_path(args.colmap) if args.colmap else None
     table = settings.robot and settings.robot.table
     check_outputs((*files.values(), chain, args.mount_output), (*args.input, args.mask, table),
-                  args.force, (args.json, args.report))
+                  args.force, (args.json, args.report),
+                  {'--mount-output': args.mount_output, '--json': args.json,
+                   '--report': args.report})
     if args.colmap is not None and args.colmap.is_file():
         raise ArgumentError(f'{args.colmap} is a file; --colmap takes the name of a folder.')
     with Progress.of(args) as progress:

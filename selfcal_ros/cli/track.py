@@ -125,7 +125,8 @@ def run(args: argparse.Namespace) -> int:
         inputs, cameras = rig_of(args)
         camera, overlays = cameras[0].camera, overlays_of(args.overlay, inputs)
     check_outputs((), (*args.input, *map(Path, paths), args.camera, args.rig, args.init), False,
-                  (*outputs, *overlays))
+                  (*outputs, *overlays),
+                  {'--output': args.output, '--overlay': args.overlay})
     for overlay in overlays:
         check_video_path(overlay)
     models = [read_model(path, args.model_scale) for path in paths]

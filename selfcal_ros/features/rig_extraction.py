@@ -134,8 +134,10 @@ def extract_rig_tracks(images: Mapping[str, Sequence[np.ndarray]], frames: Seque
                              'must overlap and show texture.')
         linked = Tracks(np.asarray(frames)[image[rows] // count], track[rows], xy[rows],
                         sizes[name], None if stamps_ns is None else dict(stamps_ns))
-        tracks[name] = _with_own_names(finish_tracks(linked, findings, seed), linked,
+        said: list[Finding] = []
+        tracks[name] = _with_own_names(finish_tracks(linked, said, seed), linked,
                                        (k + 1) * 2 * (int(track.max()) + 1))
+        findings += [one.of_camera(name) for one in said]
     return RigExtraction(tracks, _shared(tracks), tuple(findings))
 
 

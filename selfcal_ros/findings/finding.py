@@ -61,8 +61,11 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """What was found, in words."""
-        return put_in_words(KINDS[self.kind].sentence, self.values)
+        """What was found, in words; of one of several cameras, with its name before it."""
+        phrase = KINDS[self.kind].sentence
+        said = put_in_words(phrase, self.values)
+        named = 'camera' in self.values and '{camera' not in phrase
+        return f'{self.values["camera"]}: {said}' if named else said
 
     @property
     def advice(self) -> str:
@@ -74,6 +77,10 @@ class Finding:
         """The sentence as a part of another: in lower case, without its full stop."""
         text = self.sentence.removesuffix('.')
         return text[:1].lower() + text[1:]
+
+    def of_camera(self, name: str) -> Finding:
+        """Return the same, found in the images of one of several cameras."""
+        return Finding(self.kind, **{**self.values, 'camera': name})
 
     def __str__(self) -> str:
         """Say it."""

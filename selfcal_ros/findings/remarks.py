@@ -343,8 +343,10 @@ REMARKS: dict[str, Phrase] = {
         'More images than are needed were given.',
         'Nothing.'),
     'division_model': Phrase(
-        'Verified with division-model distortion {distortion:g}.',
-        'The lens bends epipolar lines visibly. Matches were verified with a rough model of it.',
+        'Matches were verified along curved epipolar lines, for a lens bend of '
+        '{distortion:.2g}.',
+        'The lens bends epipolar lines visibly. Matches were verified with a rough model of it, '
+        'the division model; the bend is its coefficient.',
         'Nothing.'),
     'static_matches': Phrase(
         'Up to {matches} matches a pair stay still in the image while the scene moves (dirt, the '

@@ -219,6 +219,24 @@ def image_topics(path) -> list[str]:
                   if not (name.endswith('/compressed') and name[:-len('/compressed')] in names))
 
 
+def has_image_topic(path: str | Path, topic: str) -> bool:
+    """
+    Tell whether something is a bag with images on a topic.
+
+    Raises
+    ------
+    InputError
+        If the bag is damaged.
+
+    """
+    path = Path(path)
+    if not (path.is_file() and path.suffix in BAG_SUFFIXES or is_bag_folder(path)):
+        return False
+    with open_bag(path) as bag:
+        return any(connection.topic in (topic, f'/{topic}') and connection.msgcount
+                   and connection.msgtype in IMAGE_TYPES for connection in bag.connections)
+
+
 class OpenBag:
     """
     A bag whose messages of any topic are read; made by `open_bag`.

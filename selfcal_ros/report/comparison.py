@@ -167,7 +167,8 @@ class Comparison:
 def in_sigmas(statistic: float, p_value: float, freedom: int) -> float:
     """Say a statistic in sigmas: as improbable as so many of one normal number."""
     if p_value > 1e-200:
-        return float(normal_limit(p_value / 2))
+        # a chance of one is no sigma, neither above nor below
+        return max(0.0, float(normal_limit(p_value / 2)))
     # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
     # and of the normal distribution (DLMF 7.12.1)
     half = freedom / 2

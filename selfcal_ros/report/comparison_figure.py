@@ -20,8 +20,8 @@ import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.comparison import Comparison, GRID
-from selfcal_ros.report.style import (Drawing, image_axes, image_height_in, ORANGE, PANEL_WIDTH_IN,
-                                      SEQUENTIAL, styled, WHITE)
+from selfcal_ros.report.style import (Drawing, image_axes, image_height_in, INK, ORANGE,
+                                      PANEL_WIDTH_IN, round_down, SEQUENTIAL, styled, WHITE)
 
 #: Every so many points of the grid has an arrow.
 _ARROW_STEP = 3
@@ -70,11 +70,12 @@ def _heat(axes, found: Comparison, camera: Camera, values: np.ndarray, unit: str
     top = max(float(shown.max()), 1e-9)
     picture = axes.pcolormesh(u, v, shown, cmap=SEQUENTIAL, vmin=0, vmax=top, rasterized=True,
                               shading='nearest' if shown.mask.any() else 'gouraud')
-    if top > 1.05 * float(shown.min()) and top > 1e-6:
-        axes.clabel(axes.contour(u, v, shown, 6, colors=WHITE, linewidths=0.6), fmt='%.3g',
-                    fontsize=8)
     image_axes(axes, camera.width, camera.height)
-    axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02).set_label(unit)
+    bar = axes.figure.colorbar(picture, ax=axes, fraction=0.035, pad=0.02)
+    bar.set_label(unit)
+    if top > 1.05 * float(shown.min()) and top > 1e-6:
+        # the scale tells which line is which: labels would overlap where lines are close
+        bar.add_lines(axes.contour(u, v, shown, 6, colors=WHITE, linewidths=0.6))
     axes.set_title(title)
 
 
@@ -88,5 +89,9 @@ def _arrows(axes, found: Comparison) -> None:
     if longest < 1e-6:
         return
     room = _ARROW_STEP * float(np.ptp(found.pixels, axis=0).min()) / (GRID - 1)
-    axes.quiver(*at[good].T, *way[good].T, angles='xy', scale_units='xy',
-                scale=longest / (_ARROW_LENGTH * room), color=ORANGE, width=0.004)
+    scale = longest / (_ARROW_LENGTH * room)
+    arrows = axes.quiver(*at[good].T, *way[good].T, angles='xy', scale_units='xy', scale=scale,
+                         color=ORANGE, width=0.004)
+    sample = round_down(longest)
+    axes.quiverkey(arrows, 0.8, 1.04, sample, f'{sample:g} px', labelpos='E', color=ORANGE,
+                   labelcolor=INK, coordinates='axes', fontproperties={'size': 8})

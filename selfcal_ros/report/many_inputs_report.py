@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
@@ -214,7 +214,7 @@ def write_summary_page(path, summary: Summary) -> Path:
 
     """
     cameras = [{'title': camera.topic or 'Camera', 'size': '{} × {} px'.format(*camera.image_size),
-                'verdict': _unbroken(verdict_of(camera)), 'rows': rows_of(camera),
+                **_headline(camera), **_table(rows_of(camera)),
                 'notes': camera.notes, 'agree': is_settled(camera),
                 'picture': _picture(camera)} for camera in summary.cameras]
     # whatever a topic or a file is called, it is text
@@ -222,13 +222,30 @@ def write_summary_page(path, summary: Summary) -> Path:
                             autoescape=True, undefined=StrictUndefined, trim_blocks=True,
                             lstrip_blocks=True)
     return atomic_write(path, templates.get_template('many.html.j2').render(
-        cameras=cameras, failures=summary.failures, columns=COLUMNS,
+        cameras=cameras, failures=summary.failures,
         count=sum(len(camera.outcomes) for camera in summary.cameras) + len(summary.failures)))
 
 
+def _headline(camera: CameraSummary) -> dict[str, str]:
+    """Return the verdict of a page: its first sentence, and the rest in smaller letters."""
+    first, dot, rest = verdict_of(camera).partition('. ')
+    return {'verdict': _unbroken(first + dot.rstrip()), 'more': _unbroken(rest)}
+
+
+def _table(rows: list[HistoryRow]) -> dict:
+    """Return columns and rows of a page; equal focal lengths need one column."""
+    columns: tuple[str, ...] = COLUMNS
+    if all(row.values[0] == row.values[1] for row in rows):
+        columns = ('fx = fy', *COLUMNS[2:])
+        rows = [replace(row, values=row.values[1:]) for row in rows]
+    return {'columns': columns, 'rows': rows}
+
+
 def _unbroken(sentence: str) -> str:
-    """Keep a number, its sigma and its unit on one line."""
-    return sentence.replace(' ± ', '\u00a0±\u00a0').replace(' px', '\u00a0px')
+    """Keep a number, its name, its sigma and its unit on one line."""
+    for mark in ('±', '='):
+        sentence = sentence.replace(f' {mark} ', f'\u00a0{mark}\u00a0')
+    return sentence.replace(' px', '\u00a0px')
 
 
 def _picture(camera: CameraSummary) -> str:

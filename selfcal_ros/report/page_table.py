@@ -33,6 +33,8 @@ class PageTable:
         As long as the columns.
     section : str
         Part of the page, as of a `Drawing`.
+    words : tuple of int
+        Columns of words, which break into lines.
 
     """
 
@@ -42,3 +44,4 @@ class PageTable:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     section: str = 'fit'
+    words: tuple[int, ...] = ()

@@ -72,6 +72,7 @@ def parameter_history(camera: CameraSummary) -> Figure | None:
                                   markersize=3, linewidth=0.9, color=colour, label=label)
             axis.set_ylabel(f'{name} / px' if name in _UNITS else name)
             axis.spines[['top', 'right']].set_visible(False)
+        figure.align_ylabels(axes)
         if not used.all():
             axes[0].legend(loc='best')
         _label_places(axes[-1], camera, shown, timed)

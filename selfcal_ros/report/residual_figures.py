@@ -22,7 +22,7 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.report.observations import ObservationTable
 from selfcal_ros.report.style import (BLUE, Drawing, GREY, image_axes, image_height_in, INK,
-                                      new_panel, ORANGE, PALE, SEQUENTIAL, styled)
+                                      new_panel, ORANGE, PALE, round_down, SEQUENTIAL, styled)
 
 #: Cells along the longer side of the image.
 RESIDUAL_CELLS, COVERAGE_CELLS = 16, 32
@@ -133,16 +133,10 @@ def _field(axes, result: Calibration, xy, residual) -> None:
     bar = axes.figure.colorbar(arrows, ax=axes, location='bottom', shrink=0.6,
                                aspect=35, pad=0.02, extend='max')
     bar.set_label('length / expected from noise')
-    sample = _round_down(side / scale)
+    sample = round_down(side / scale)
     axes.quiverkey(arrows, 0.82, 1 - 0.1 / axes.figure.get_figheight(), sample, f'{sample:g} px',
                    labelpos='E', color=INK, coordinates='figure', fontproperties={'size': 8})
     axes.set_title('Mean residual in cells')
-
-
-def _round_down(value: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that does not exceed the value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
 
 def _histogram(axes, values: np.ndarray) -> None:
@@ -151,8 +145,13 @@ def _histogram(axes, values: np.ndarray) -> None:
     sigma = sigma if sigma > 0 else float(values.std()) or 1.0
     reach = 4.5 * sigma
     edges = np.linspace(-reach, reach, 61)
-    axes.hist(np.clip(values, -reach, reach), edges, density=True, color=BLUE, alpha=0.45,
+    # of all, so that what lies beyond the ends takes its share of the area
+    share = np.full(len(values), 1 / (len(values) * (edges[1] - edges[0])))
+    axes.hist(values, edges, weights=share, color=BLUE, alpha=0.45,
               label=f'{len(values)} residual coordinates')
+    beyond = float(np.mean(np.abs(values) > reach))
+    if beyond:
+        axes.plot([], [], ' ', label=f'{100 * beyond:.2g} % lie beyond the ends')
     x = np.linspace(-reach, reach, 200)
     axes.plot(x, np.exp(-0.5 * (x / sigma)**2) / (sigma * np.sqrt(2 * np.pi)), color=ORANGE,
               linewidth=1.4, label=f'Gaussian, σ = {sigma:.3g} px')

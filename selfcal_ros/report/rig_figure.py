@@ -55,16 +55,24 @@ def rig_figure(rig: RigCalibration) -> Drawing | None:
                               [minus * place[k], minus * corner[k]], color=colour, linewidth=0.8)
                 axes.plot(plus * place[i], minus * place[k], 'o', color=colour, markersize=4,
                           label=name)
+                # the optical axis
+                tip = place + 1.25 * reach * T[:3, 2]
+                axes.annotate('', (plus * tip[i], minus * tip[k]),
+                              (plus * place[i], minus * place[k]), arrowprops={
+                                  'arrowstyle': '-|>', 'color': colour, 'linewidth': 1.4,
+                                  'shrinkA': 0, 'shrinkB': 0})
+                axes.plot(plus * tip[i], minus * tip[k], alpha=0)
             axes.set_aspect('equal', adjustable='datalim')
             axes.margins(0.1)
             axes.set_xlabel(right.format(unit))
             axes.set_ylabel(up.format(unit))
             axes.set_title(title)
             axes.spines[['top', 'right']].set_visible(False)
-            axes.legend(loc='best')
+            axes.figure.legend(loc='outside lower center', ncols=4)
             panels.append(axes.figure)
     return Drawing('rig', 'The cameras to each other', 'In the optical frame of the first camera: '
-                   'x right, y down, z ahead. The pyramids show what each camera sees.',
+                   'x right, y down, z ahead. Arrows are the optical axes; the pyramids '
+                   'show what each camera sees.',
                    tuple(panels), 'scene')
 
 
@@ -78,15 +86,15 @@ def epipolar_figure(distances: Mapping[tuple[str, str], np.ndarray]) -> Drawing 
             px = all_px[np.abs(all_px) < WRONG_PX]
             reach = max(float(np.quantile(np.abs(px), 0.995)), 1e-3) if len(px) else 1.0
             axes = new_panel(2.8)
-            axes.hist(px.clip(-reach, reach), bins=61, range=(-reach, reach),
-                      color=_COLOURS[number % len(_COLOURS)])
+            axes.hist(px, bins=61, range=(-reach, reach), color=_COLOURS[number % len(_COLOURS)])
             axes.axvline(0.0, color=INK, linewidth=0.7)
             axes.set_xlabel('distance / px')
             axes.set_ylabel('matches')
-            axes.set_title(f'{first} and {second}')
+            beyond = 100 * float(np.mean(np.abs(all_px) > reach))
+            axes.set_title(f'{first} and {second}; {beyond:.2g} % lie beyond the ends')
             axes.spines[['top', 'right']].set_visible(False)
             panels.append(axes.figure)
     return Drawing('epipolar', 'What two cameras see at once', 'Distances of matches from the '
                    'epipolar planes of this calibration. They should gather about zero, as '
-                   'narrow as the noise of the images. The ends hold all that is beyond.',
+                   'narrow as the noise of the images.',
                    tuple(panels))

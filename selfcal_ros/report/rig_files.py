@@ -34,6 +34,7 @@ from selfcal_ros.report.camera_yaml import ros_yaml
 from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.report.result_json import result_to_dict, to_jsonable
 from selfcal_ros.report.yaml_text import number_text
+from selfcal_ros.values.measured_digits import with_sigma
 
 #: Cameras that look farther apart than this, radians, are no stereo pair.
 WIDEST_STEREO_RAD = np.radians(30.0)
@@ -150,7 +151,7 @@ def _pose(pose: CameraInRig) -> dict[str, Any]:
 
 def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> str:
     """Say where the cameras sit, for a terminal; with what was stated of the first one's mount."""
-    unit, factor, digits = ('mm', 1e3, 2) if rig.unit == 'm' else ('steps', 1.0, 4)
+    unit, factor = ('mm', 1e3) if rig.unit == 'm' else ('steps', 1.0)
     lines = [f'{len(rig.cameras)} cameras from {len(rig.frames)} instants, {rig.motion} motion: '
              f'reprojection {rig.reprojection_rms_px:.3f} px rms over {rig.observation_count} '
              f'observations ({rig.outlier_count} rejected).', '']
@@ -169,11 +170,12 @@ def rig_text(rig: RigCalibration, mount_facts: frozenset[str] = frozenset()) -> 
             if pose.status[free] == 'unobservable':
                 lines.append(f'{free:>6} {"open":>10}')
                 continue
-            value, sigma_here, what, places = (
-                (factor * pose.T_rig_camera[k, 3], factor * pose.sigma[free], unit, digits)
+            value, sigma_here, what = (
+                (factor * pose.T_rig_camera[k, 3], factor * pose.sigma[free], unit)
                 if k < 3 else (np.degrees(pose.angles[free]),
-                               np.degrees(pose.angles_sigma[free]), 'deg', 4))
-            lines.append(f'{free:>6} {value:>10.{places}f} ± {sigma_here:.{places}f} {what}')
+                               np.degrees(pose.angles_sigma[free]), 'deg'))
+            shown, spread = with_sigma(value, sigma_here)
+            lines.append(f'{free:>6} {shown:>10} ± {spread or "0":>7} {what}')
     if rig.unit != 'm':
         lines += ['', 'Lengths are in steps of the path; --baseline METRES gives metres, and so '
                   'does --robot.']

@@ -32,8 +32,11 @@ from selfcal_ros.values.measured_digits import with_sigma
 from selfcal_ros.values.output_files import atomic_write
 from selfcal_ros.values.tracks import Tracks
 
-#: Parameters in the table of cameras.
-_COLUMNS = ('fx', 'fy', 'cx', 'cy')
+#: Parameters of every camera, before those of its lens.
+_OF_ALL = ('fx', 'fy', 'cx', 'cy')
+#: What the degrees of freedom of a pose point to.
+_WAYS = {'x': 'right', 'y': 'down', 'z': 'ahead', 'roll': 'about x', 'pitch': 'about y',
+         'yaw': 'about z'}
 
 
 def write_rig_page(path, result: RigCalibration | NotCalibrated, text: str, source: str = '',
@@ -62,16 +65,17 @@ def write_rig_page(path, result: RigCalibration | NotCalibrated, text: str, sour
         If the file cannot be written.
 
     """
-    drawings, tables, files = {}, [], {}
+    drawings, tables, files, matrices = {}, [], {}, []
     if result:
         from selfcal_ros.report.rig_figure import epipolar_figure, rig_figure
         distances = epipolar_distances(result, tracks) if shared and tracks else {}
         drawings = drawn([one for one in (rig_figure(result), epipolar_figure(distances)) if one])
-        tables = [_cameras(result), _poses(result), *_stereo(result), *_epipolar(distances)]
+        tables = [_cameras(result), _poses(result), *_epipolar(distances)]
+        matrices = _stereo(result)
         files = {name: rig_camera_yaml(result, name, source) for name in result.cameras}
     return atomic_write(path, page_environment().get_template('rig.html.j2').render(
         calibrated=bool(result), source=source, text=text, tables=tables,
-        drawings=list(drawings.values()), files=files,
+        drawings=list(drawings.values()), matrices=matrices, files=files,
         verdict=unbroken(verdict(result)) if result else result.reason,
         numbers=_numbers(result) if result else [], made=made.rows() if made else [],
         notes=[Markup('{}').format(one) for one in result.notes]))
@@ -113,49 +117,53 @@ def _cell(value: float, sigma: float) -> str:
 
 
 def _cameras(rig: RigCalibration) -> PageTable:
-    """Return K and lens of every camera, and its sigma by itself."""
-    rows = []
-    for name, one in rig.cameras.items():
-        values = dict(zip(one.camera.parameter_names, one.camera.parameters.tolist()))
-        alone = rig.alone.get(name)
-        rows.append((name, *(_cell(values[key], one.sigma[key]) for key in _COLUMNS),
-                     f'± {alone.sigma["fx"]:.2g}' if alone else 'not possible',
-                     one.camera.model, ' '.join(f'{value:.4g}' for value in one.camera.distortion),
-                     f'{one.reprojection_rms_px:.3f}'))
-    return PageTable('cameras', 'Cameras', 'Pixels, with one standard deviation. The column '
-                     'beside says what fx has from the images of that camera alone.',
-                     ('camera', *_COLUMNS, 'fx alone', 'lens', 'distortion', 'rms'), tuple(rows))
+    """Return K and lens of every camera, a column each, and its sigma by itself."""
+    values = {name: dict(zip(one.camera.parameter_names, one.camera.parameters.tolist()))
+              for name, one in rig.cameras.items()}
+    of_lenses = dict.fromkeys(key for one in rig.cameras.values()
+                              for key in one.camera.lens.coefficients)
+
+    def row(key: str) -> tuple[str, ...]:
+        return key, *(_cell(values[name][key], one.sigma[key]) if key in values[name] else ''
+                      for name, one in rig.cameras.items())
+
+    alone = (rig.alone.get(name) for name in rig.cameras)
+    rows = [*map(row, _OF_ALL),
+            ('σ of fx, alone', *(f'± {one.sigma["fx"]:.2g}' if one else 'not possible'
+                                 for one in alone)),
+            ('lens', *(one.camera.model for one in rig.cameras.values())), *map(row, of_lenses),
+            ('rms', *(f'{one.reprojection_rms_px:.3f}' for one in rig.cameras.values()))]
+    return PageTable('cameras', 'Cameras', 'Pixels, with one standard deviation; the coefficients '
+                     'of the lens have no unit. Alone: from the images of that camera only.',
+                     ('', *rig.cameras), tuple(rows))
 
 
 def _poses(rig: RigCalibration) -> PageTable:
-    """Return the poses of all cameras but the first."""
+    """Return the poses of all cameras but the first, a column each."""
     factor, unit = (1e3, 'mm') if rig.unit == 'm' else (1.0, 'steps')
-    rows = []
-    for name, pose in list(rig.poses.items())[1:]:
+    poses = dict(list(rig.poses.items())[1:])
+    columns = []
+    for pose in poses.values():
         values = [*(factor * pose.T_rig_camera[:3, 3]), *np.degrees([*pose.angles.values()])]
         sigmas = [factor * pose.sigma[key] if key in PLACE else np.degrees(pose.angles_sigma[key])
                   for key in POSE]
-        rows.append((name, *('open' if pose.status[key] == 'unobservable' else _cell(value, sigma)
-                             for key, value, sigma in zip(POSE, values, sigmas)),
-                     str(pose.shared_points)))
-    return PageTable('poses', f'Poses in the frame of {next(iter(rig.cameras))}', 'Places in '
-                     f'{unit}, turns in degrees about x (right), y (down) and z (ahead), with one '
-                     'standard deviation. Shared points are those that another camera saw, too.',
-                     ('camera', *POSE, 'shared points'), tuple(rows))
+        columns.append([*('open' if pose.status[key] == 'unobservable' else _cell(value, sigma)
+                          for key, value, sigma in zip(POSE, values, sigmas)),
+                        str(pose.shared_points)])
+    heads = [*(f'{key}, {_WAYS[key]}, {unit if key in PLACE else "degrees"}' for key in POSE),
+             'shared points']
+    return PageTable('poses', f'Poses in the frame of {next(iter(rig.cameras))}',
+                     'With one standard deviation. Shared points are those that another camera '
+                     'saw, too.', ('', *poses), tuple(zip(heads, *columns)))
 
 
-def _stereo(rig: RigCalibration) -> list[PageTable]:
-    """Return R and P of a stereo pair."""
+def _stereo(rig: RigCalibration) -> list[tuple[str, str, list[list[str]]]]:
+    """Return R and P of a stereo pair: symbol, camera and rows of each."""
     pair = rectification(rig)
-    if pair is None:
-        return []
-    rows = []
-    for name, (R, P) in pair.items():
-        rows += [(f'{name} {what}', *(f'{value:.{digits}f}' for value in row),
-                  *[''] * (4 - len(row)))
-                 for what, matrix, digits in (('R', R, 6), ('P', P, 4)) for row in matrix]
-    return [PageTable('stereo', 'Rectification', 'R and P as stereo_image_proc takes them: rows '
-                      'of both images are the same then.', ('', '', '', '', ''), tuple(rows))]
+    return [] if pair is None else [
+        (symbol, name, [[f'{value + 0.0:.{digits}f}' for value in row.round(digits)]
+                        for row in matrix])
+        for name, both in pair.items() for symbol, matrix, digits in zip('RP', both, (6, 4))]
 
 
 def _epipolar(distances: Mapping[tuple[str, str], np.ndarray]) -> list[PageTable]:

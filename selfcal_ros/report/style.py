@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import io
+import math
 from typing import Any
 import warnings
 
@@ -138,3 +139,9 @@ def image_axes(axes, width: int, height: int) -> None:
 def image_height_in(width: int, height: int) -> float:
     """Return the height of a panel that shows one image of such a shape beside a scale."""
     return 0.45 + 0.82 * PANEL_WIDTH_IN * min(max(height / width, 0.2), 1.4)
+
+
+def round_down(value: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that does not exceed the value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))

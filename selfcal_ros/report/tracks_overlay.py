@@ -70,7 +70,8 @@ class TracksOverlay:
         # OpenCV draws circles one by one
         for centre, colour in zip(_fixed(xy).tolist(), colours.tolist()):
             cv2.circle(image, centre, 3 * thickness << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
-        text, font, scale = f'{len(ids)} points', cv2.FONT_HERSHEY_SIMPLEX, 0.5 * thickness
+        font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.5 * thickness
+        text = f'{len(ids)} points here'
         (width, height), _ = cv2.getTextSize(text, font, scale, thickness)
         bottom = grey.shape[0] - 8
         cv2.rectangle(image, (0, bottom - height - 8), (width + 16, grey.shape[0]), (0, 0, 0), -1)

@@ -61,16 +61,16 @@ def sigma_figure(result: Calibration) -> Drawing | None:
             left.annotate(f'{value:.2g}', (value, k), (3, 0), textcoords='offset points',
                           va='center', fontsize=8)
         left.margins(x=0.15)
-        picture = right.imshow(correlation, cmap='RdBu_r', vmin=-1, vmax=1)
+        picture = right.imshow(100 * correlation, cmap='RdBu_r', vmin=-100, vmax=100)
         right.set_xticks(range(len(free)), names)
         right.set_yticks(range(len(free)), names)
         right.tick_params(length=0)
         for i, row in enumerate(correlation):
             for j, value in enumerate(row):
-                right.text(j, i, f'{value:+.2f}'.replace('+1.00', '1').replace('-0.00', '0.00'),
-                           ha='center', va='center', fontsize=8,
+                # in per cent, as two decimals run into each other
+                right.text(j, i, f'{100 * value:z.0f}', ha='center', va='center', fontsize=8,
                            color=WHITE if abs(value) > 0.6 else BLACK)
-        right.set_title('Correlation')
+        right.set_title('Correlation, %')
         right.figure.colorbar(picture, ax=right, fraction=0.046, pad=0.03)
     return Drawing('sigmas', 'Uncertainty of the parameters', 'What one sigma of each parameter '
                    'alone moves in the corner of the image; parameters that are strongly '

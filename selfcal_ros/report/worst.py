@@ -151,12 +151,14 @@ def images_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
         left.vlines(fit.key, 0, fit.rms_px, color=BLUE, linewidth=1, alpha=0.5)
         left.plot(fit.key, fit.rms_px, 'o', color=BLUE, markersize=3.5)
         left.plot(fit.key[worst], fit.rms_px[worst], 'o', color=ORANGE, markersize=4.5)
-        for k in worst:
-            left.annotate(f'{fit.key[k]}', (fit.key[k], fit.rms_px[k]), (0, 4),
+        level = _levels(fit.key[worst], fit.rms_px[worst], np.ptp(fit.key),
+                        float(np.nanmax(fit.rms_px)))
+        for k, up in zip(worst, level):
+            left.annotate(f'{fit.key[k]}', (fit.key[k], fit.rms_px[k]), (0, 4 + 9 * up),
                           textcoords='offset points', ha='center', fontsize=8)
         left.axhline(result.reprojection_rms_px, color=GREY, linewidth=1, linestyle='--',
                      label='of all images')
-        left.set_ylim(0, 1.12 * float(np.nanmax(fit.rms_px)))
+        left.set_ylim(0, (1.12 + 0.06 * max(level)) * float(np.nanmax(fit.rms_px)))
         left.set_xlabel('image')
         left.set_ylabel('rms residual / px')
         left.set_title('Residuals by image')
@@ -167,6 +169,20 @@ def images_figure(result: Calibration, seen: ObservationTable | None) -> Drawing
                    'residuals of the worst: noise points everywhere; arrows that agree tell of '
                    'blur, of a rolling shutter, or of a lens unlike its model.',
                    (left.figure, right.figure))
+
+
+def _levels(at: np.ndarray, height: np.ndarray, width: float, top: float) -> list[int]:
+    """Return how many lines up each label goes, so that no two overlap."""
+    levels: list[int] = []
+    for k in range(len(at)):
+        # labels are a fourteenth of the axes wide and a line is a sixteenth high, at most
+        near = [j for j in range(k) if abs(at[k] - at[j]) < 0.075 * max(width, 1)]
+        up = 0
+        while any(abs(height[k] / top + up / 16 - height[j] / top - levels[j] / 16) < 1 / 17
+                  for j in near):
+            up += 1
+        levels.append(up)
+    return levels
 
 
 def _arrows(axes, result: Calibration, seen: ObservationTable, view: int, frame: int) -> None:

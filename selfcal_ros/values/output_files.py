@@ -15,21 +15,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 import os
 from pathlib import Path
 import stat
 import tempfile
+from types import MappingProxyType
 
 from selfcal_ros.errors import ArgumentError, InputError
 
 #: In a folder that is an input, files named so are what is read; others may lie beside them.
 RECORDED = ('.mcap', '.db3', '.bag', '.zstd', '.zst', '.png', '.jpg', '.jpeg', '.bmp', '.tif',
             '.tiff', '.pgm', '.ppm')
+#: Where nobody says what names an output.
+NO_OPTIONS: Mapping[str, str | os.PathLike | None] = MappingProxyType({})
 
 
 def check_outputs(outputs: Iterable[str | os.PathLike | None],
-                  inputs: Iterable[str | os.PathLike | None]) -> None:
+                  inputs: Iterable[str | os.PathLike | None],
+                  options: Mapping[str, str | os.PathLike | None] = NO_OPTIONS) -> None:
     """
     Make sure beforehand that outputs can be written, and that none replaces what is read.
 
@@ -39,6 +43,8 @@ def check_outputs(outputs: Iterable[str | os.PathLike | None],
     ----------
     outputs, inputs : iterable of path or None
         None is passed over.
+    options : mapping of str to path or None
+        Outputs by what the user names them with.
 
     Raises
     ------
@@ -51,7 +57,10 @@ def check_outputs(outputs: Iterable[str | os.PathLike | None],
     for output in (Path(path) for path in outputs if path is not None):
         place = os.path.realpath(output)
         if place in seen:
-            raise ArgumentError('Two outputs have the same name; give each its own file.')
+            named = [option for option, path in options.items()
+                     if path is not None and os.path.realpath(path) == place]
+            raise ArgumentError(f'{" and ".join(named) if len(named) > 1 else "Two outputs"} have '
+                                f'the same name, {output}; give each its own file.')
         seen.append(place)
         for source in read:
             if _is_part(output, source):

@@ -127,6 +127,24 @@ def test_an_image_folder_becomes_a_bag(capsys):
             assert np.array_equal(frame.image, image)
     assert selfcal('convert', folder, 'bag') == 2
     assert 'exists' in capsys.readouterr().err
+    # a topic of a bag is read, and no raw images are called compressed
+    assert selfcal('convert', 'bag', 'jpegs', '--topic', '/front/image_raw', '--compressed',
+                   'png') == 0
+    assert 'on the topic /front/image_raw/compressed.' in capsys.readouterr().out
+    for words, topic in (([], '/camera/image_raw'),
+                         (['--topic', 'front/image_raw/compressed'], '/front/image_raw'),
+                         (['--topic', '/rear', '--input-topic', '/front/image_raw/compressed'],
+                          '/rear'), (['--topic', 'new'], 'new')):
+        status = selfcal('convert', 'jpegs', topic.replace('/', '_'), *words)
+        if not topic.startswith('/'):
+            assert status == 2 and 'no absolute topic name' in capsys.readouterr().err
+            continue
+        with open_source(topic.replace('/', '_')) as source:
+            assert source.topic == topic
+            assert np.array_equal(next(iter(source)).image, images[0])
+    for path in ('jpegs', folder):
+        assert selfcal('convert', path, 'raw', '--topic', '/rear/compressed') == 2
+        assert '/rear/compressed is a name of compressed images' in capsys.readouterr().err
 
 
 def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
@@ -155,7 +173,7 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
     (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
     (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),
     (['a.yaml', 'no/folder/b.xml'], 'does not exist'),
-    (['k3.yaml', 'camchain.yaml'], 'Kalibr has no model for the plumb_bob')])
+    (['k3.yaml', 'camchain.yaml'], 'calibrate with --lens radtan.')])
 def test_what_cannot_be_converted_is_status_2_in_one_sentence(capsys, arguments, words):
     K = [[505, 0, 322], [0, 505, 241], [0, 0, 1]]
     write_camera_yaml('a.yaml', Camera(K, [], 640, 480), 'a')

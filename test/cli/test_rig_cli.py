@@ -125,6 +125,51 @@ def test_the_page_of_a_rig_tells_of_every_camera_and_of_its_matches(calibrated):
         assert f'Camera file of {name}' in page
     assert f'{content["cameras"]["right"]["camera"]["fx"]:.1f}' in page
     assert 'right sits 1' in page and 'mm from left' in page and 'Rectification' in page
+    # the rig is drawn first; R and P of each are matrices
+    assert 0 < page.index('id="rig"') < page.index('id="cameras"')
+    assert page.count('<table class="matrix">') == 4
+
+
+def test_every_sigma_is_printed_with_two_digits(calibrated, capsys):
+    _, folder, _, content = calibrated
+    tables = str(folder / 'left.csv'), str(folder / 'right.csv')
+    assert main(['calibrate', *tables, '--cameras', 'left,right', '--lens', 'none',
+                 '--image-size', '640', '480', '--output', str(folder / 'steps.yaml')]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()
+            if line.endswith((' steps', ' deg'))]
+    assert [row[0] for row in rows] == ['x', 'y', 'z', 'roll', 'pitch', 'yaw']
+    assert {len(row[3].replace('.', '').lstrip('0')) for row in rows} == {2}
+
+
+def test_the_cameras_of_a_result_are_chosen_as_those_of_a_chain(calibrated, tmp_path, capsys,
+                                                                monkeypatch):
+    _, folder, _, content = calibrated
+    monkeypatch.chdir(tmp_path)
+    result, right = str(folder / 'result.json'), str(folder / 'camera_right.yaml')
+    assert main(['convert', result, 'right.yaml', '--camera', 'right', '-q']) == 0
+    assert main(['compare', 'right.yaml', right, '--json', '-']) == 0
+    assert json.loads(capsys.readouterr().out)['difference_px']['max'] < 1e-6
+    # the one of the same name is the same, with the covariance that the rig gave it
+    assert main(['compare', result, 'right.yaml', '--camera-a', 'right', '--json', '-']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['difference_px']['max'] < 1e-6
+    assert told['parameters']['fx']['sigma'] == pytest.approx(
+        content['cameras']['right']['sigma']['fx'])
+    # a camera file finds it beside itself, too
+    assert main(['compare', right, 'right.yaml', '--result-a', result, '--json', '-']) == 0
+    assert json.loads(capsys.readouterr().out)['parameters']['fx']['sigma'] == pytest.approx(
+        content['cameras']['right']['sigma']['fx'])
+    for words, option in ((['convert', result, 'any.yaml'], '--camera'),
+                          (['compare', result, right], '--camera-a'),
+                          (['compare', right, result], '--camera-b')):
+        assert main(words) == 2
+        assert f'holds 2 cameras, choose one with {option}: left, right.' in \
+            capsys.readouterr().err
+    for words in (['convert', result, 'any.yaml', '--camera', 'top'],
+                  ['convert', result, 'any.urdf', '--camera', 'top'],
+                  ['compare', result, right, '--camera-a', 'top']):
+        assert main(words) == 2
+        assert f'{result} has no camera top; it has left, right.' in capsys.readouterr().err
 
 
 def test_matches_lie_as_far_from_epipolar_planes_as_their_noise():

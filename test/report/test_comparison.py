@@ -13,6 +13,7 @@
 # limitations under the License.
 """Comparison of calibrations: pixels after the best rotation, and sigmas that are true."""
 
+from matplotlib.quiver import QuiverKey
 import numpy as np
 import pytest
 from selfcal_ros.errors import InputError
@@ -110,6 +111,12 @@ def test_the_picture_shows_where_and_which_way():
     # a longer focal length pushes the border outwards, or, after the rotation, all points
     outer = np.hypot(*at.T) > 200
     assert (np.einsum('ni,ni->n', at, np.column_stack([arrows.U, arrows.V]))[outer] > 0).all()
+    # how long an arrow is, is told; which line is which, beside the scale
+    told, = axes.findobj(QuiverKey)
+    key = float(told.text.get_text().removesuffix(' px'))
+    longest = np.hypot(arrows.U, arrows.V).max()
+    assert longest / 2.5 <= key <= longest
+    assert len(bar.collections) > 1
     assert drawing.pngs()[0].startswith(b'\x89PNG')
     assert len(comparison_figure(compare_cameras(a, b, np.diag([1.0] * 10)), a).panels[0].axes
                ) == 4

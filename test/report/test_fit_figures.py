@@ -26,7 +26,9 @@ from selfcal_ros.report.observations import observations
 from selfcal_ros.report.pose_course import pose_course, roll_pitch_yaw
 from selfcal_ros.report.radial_residuals import radial_figure, radial_residuals
 from selfcal_ros.report.ranges import angular_sigmas, ranges_table
-from selfcal_ros.report.worst import arrow_scale, fit_of_images, fit_of_points, worst_tables
+from selfcal_ros.report.residual_figures import residual_figure
+from selfcal_ros.report.worst import (_levels, arrow_scale, fit_of_images, fit_of_points,
+                                      worst_tables)
 
 
 def test_a_course_over_the_radius_is_found(calibration, sequence):
@@ -76,6 +78,26 @@ def test_arrows_are_as_long_as_can_be_seen(length, expected):
     residual = np.full((50, 2), length / np.sqrt(2))
     assert arrow_scale(residual, 640) == expected
     assert length * expected < 0.08 * 640 * 1.01 or expected == 1
+
+
+def test_no_two_labels_and_no_two_numbers_overlap(calibration, sequence):
+    seen = observations(calibration, sequence.tracks)
+    drawings = draw_figures(calibration, sequence.tracks)
+    fit, sigmas = (next(one for one in drawings if one.name == name)
+                   for name in ('images-fit', 'sigmas'))
+    for figure in (fit.panels[0], sigmas.panels[1]):
+        figure.draw_without_rendering()
+        boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+        assert len(boxes) >= 3
+        assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
+    assert _levels(np.array([977, 981, 979]), np.array([0.5, 0.5, 0.9]), 1000.0, 1.0) == [0, 1, 0]
+    # what is far out does not stand in the last bars
+    wide = seen.residual.copy()
+    wide[::50] *= 1000
+    axes = residual_figure(calibration, replace(seen, residual=wide)).panels[-1].axes[0]
+    heights = [bar.get_height() for bar in axes.patches]
+    assert max(heights[0], heights[-1]) < 0.02 * max(heights)
+    assert 'lie beyond the ends' in axes.get_legend().texts[1].get_text()
 
 
 def test_what_is_uncertain_at_a_range(calibration):

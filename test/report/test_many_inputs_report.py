@@ -14,6 +14,7 @@
 """What is said of many recordings: words that fit, whatever came of them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -88,6 +89,9 @@ def test_page_picture_and_json(tmp_path, clock):
     assert '<script' not in page and '&lt;script&gt; is empty.' in page
     assert '&lt;b&gt;0.mcap' in page and '<b>' not in page
     assert 'http://' not in page and 'https://' not in page
+    # one sentence stands out, and equal focal lengths share a column
+    assert re.search(r'<p class="verdict">3 of 3 recordings calibrate; [^<]*px\.</p>', page)
+    assert '<p class="quality">The recordings agree' in page and 'fx = fy ± σ, px' in page
     camera = everything.cameras[0]
     assert picture(parameter_history(camera), 'svg') == picture(parameter_history(camera), 'svg')
     content = json.loads(json.dumps(summary_to_dict(everything), allow_nan=False))

@@ -28,7 +28,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report import figures
 from selfcal_ros.report.figures import draw_tables
 from selfcal_ros.report.mounts.comparison import compare_mounts, PlacedCamera
-from selfcal_ros.report.mounts.figure import mount_figure
+from selfcal_ros.report.mounts.figure import mount_figure, mount_table
 from selfcal_ros.report.mounts.transform_files import (FORMATS, kind_of_name, stored_mount,
                                                        write_transform)
 from selfcal_ros.report.mounts.transform_reading import is_transform_file, read_transform
@@ -102,6 +102,14 @@ def test_words_say_what_is_known_and_what_would_help(calibration):
     assert mount_lines(calibration) == []
 
 
+def test_the_last_column_of_the_table_is_there_when_it_says_something(calibration):
+    table = mount_table(placed(calibration, 'z'))
+    assert table.columns[-1].startswith('by, or') and table.rows[2][-1] == 'State it.'
+    assert set(table.words) == {3, 4}
+    known = replace(mount(), status={name: 'estimated' for name in NAMES})
+    assert mount_table(replace(calibration, mount=known)).columns[-1] == 'where from'
+
+
 def test_path_and_structure_are_in_metres(calibration, sequence):
     steps, metres = camera_path(calibration), camera_path(placed(calibration))
     assert (steps.unit, metres.unit) == ('step', 'm')
@@ -161,6 +169,29 @@ def test_a_transform_comes_back_from_every_file(tmp_path, kind, name, pitch):
         compile(path.read_text(encoding='utf-8'), str(path), 'exec')
 
 
+@pytest.mark.parametrize('name', ['b.urdf', 'b.yaml', 'b.launch.py', 'b.calib'])
+def test_what_a_file_says_of_itself_stays_through_others(tmp_path, name):
+    about = ('selfcal_ros 1: a "bag" & 90 images', 'one sigma: x 0.001 m')
+    stored = replace(stored_mount(mount(), 'camera'), about=about)
+    path = write_transform(tmp_path / name, stored)
+    text = path.read_text('utf-8')
+    lines = text.replace("'bag'", '"bag"').splitlines()
+    assert all(any(line in one for one in lines) for line in about)
+    assert not any(about[0] in one and about[1] in one for one in lines)
+    _, back = read_transform(path)
+    again = write_transform(tmp_path / 'again.calib', back).read_text('utf-8')
+    assert [line.replace("'", '"') for line in again.splitlines()[:2]] == [
+        f'# {line}' for line in about]
+    assert again.splitlines()[2] == 'parameters:'
+    # nothing to say is no comment, and nothing gets out of one
+    silent = write_transform(path, replace(stored, about=())).read_text('utf-8')
+    assert '<!--  -->' not in silent and '# \n' not in silent and 'robot. ' not in silent
+    hostile = replace(stored, about=('""" --> \\',))
+    assert np.allclose(read_transform(write_transform(path, hostile))[1].matrix, stored.matrix)
+    if name.endswith('.py'):
+        compile(path.read_text('utf-8'), name, 'exec')
+
+
 def test_what_is_open_is_written_nowhere(tmp_path):
     with pytest.raises(ArgumentError, match='z of the mount is not observable.*--mount-fact z='):
         stored_mount(mount(['z']), 'camera')
@@ -188,7 +219,15 @@ def test_mounts_are_compared_in_millimetres_degrees_and_sigmas():
     assert found.joint_sigmas > 30
     same = compare_mounts(PlacedCamera.of(mount()), PlacedCamera.of(mount(['z'])))
     assert 'z' not in same.difference and same.joint_sigmas == 0
-    assert np.isnan(same.distance_m) and '0.000 degrees apart' in same.sentences()[-1]
+    assert np.isnan(same.distance_m) and '0.000 degrees apart' in same.verdict
+    assert same.sentences()[-1] == 'The place is not compared in full: z is open in B.'
+    assert ': 0.0 sigmas, all degrees of freedom that both know together.' in same.verdict
+    # a unit stands beside its number, and nothing is minus zero
+    rows = {row.split()[0]: row.split()[1:] for row in found.sentences()[1:7]}
+    assert rows['x'] == ['+4.000', 'mm', '1.41', 'mm', '2.8']
+    assert rows['z'] == ['+0.000', 'mm', '5.66', 'mm', '0.0']
+    assert rows['yaw'] == ['+0.500', '°', '0.0081', '°', '61.7']
+    assert '-0.0' not in '\n'.join(same.sentences())
 
 
 def test_files_are_converted_and_compared_on_the_command_line(calibration, tmp_path, capsys):

@@ -83,7 +83,7 @@ def is_camera_file(path) -> bool:
 def read_cameras(path, *, fisheye: bool = False,
                  image_size: tuple[int, int] | None = None) -> tuple[str, list[StoredCamera]]:
     """
-    Read all cameras of a file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or our result.json.
+    Read all cameras of a file of ROS, OpenCV, Kalibr, COLMAP or mrcal, or of our result.json.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def read_cameras(path, *, fisheye: bool = False,
     if suffix == MRCAL_SUFFIX or is_mrcal(text):
         return 'mrcal', parse_mrcal(text, source)
     if text.lstrip().startswith('{'):
-        return 'result', [_from_result(text, source)]
+        return 'result', _from_result(text, source)
     if is_colmap(text):
         return 'colmap', parse_colmap_text(text, source)
     document = load_yaml(text, source)
@@ -131,7 +131,8 @@ def read_cameras(path, *, fisheye: bool = False,
     return 'ros', [StoredCamera(camera, name)]
 
 
-def read_camera(path, which: str | None = None, **options) -> StoredCamera:
+def read_camera(path, which: str | None = None, option: str = '--camera',
+                **options) -> StoredCamera:
     """
     Read one camera of a file; see `read_cameras`.
 
@@ -139,7 +140,10 @@ def read_camera(path, which: str | None = None, **options) -> StoredCamera:
     ----------
     path : str or Path
     which : str, optional
-        Its name, when the file has several: cam1, for example, or the number of a COLMAP camera.
+        Its name, when the file has several: cam1, for example, left of a rig, or the number of a
+        COLMAP camera.
+    option : str
+        What the user names it with.
 
     Raises
     ------
@@ -147,16 +151,17 @@ def read_camera(path, which: str | None = None, **options) -> StoredCamera:
         If there is no such camera, or there are several and none is named.
 
     """
-    return chosen(path, read_cameras(path, **options)[1], which)
+    return chosen(path, read_cameras(path, **options)[1], which, option)
 
 
-def chosen(path, cameras: list[StoredCamera], which: str | None = None) -> StoredCamera:
+def chosen(path, cameras: list[StoredCamera], which: str | None = None,
+           option: str = '--camera') -> StoredCamera:
     """Choose one of the cameras of a file; see `read_camera`."""
     if which is None and len(cameras) == 1:
         return cameras[0]
     names = ', '.join(camera.name for camera in cameras[:12])
     if which is None:
-        raise InputError(f'{path} holds {len(cameras)} cameras, choose one with --camera: '
+        raise InputError(f'{path} holds {len(cameras)} cameras, choose one with {option}: '
                          f'{names}.')
     found = [camera for camera in cameras if which in (camera.name,
                                                        camera.name.removeprefix('camera_'))]
@@ -193,8 +198,12 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
     suffix = Path(path).suffix.lower()
     if not FORMATS[kind].holds(camera):
         others = [other.title for other in FORMATS.values() if other.holds(camera)]
+        named = ', '.join(others[:-1]) + (' and ' if others[1:] else '') + ''.join(others[-1:])
+        # the usual camera file of ours, but for a number that is nearly nothing
+        only_k3 = kind == 'kalibr' and camera.distortion_as('plumb_bob') is not None
         raise ArgumentError(f'{FORMATS[kind].title} has no model for the {camera.model} '
-                            f'distortion of this camera; {" and ".join(others)} have.')
+                            f'distortion of this camera; {named} have'
+                            f'{", or calibrate with --lens radtan" if only_k3 else ""}.')
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('The image size is not known; give it with --image-size W H.')
     if kind == 'ros':
@@ -208,17 +217,22 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
     return atomic_write(path, colmap_binary(camera) if suffix == '.bin' else colmap_text(camera))
 
 
-def _from_result(text: str, source: str) -> StoredCamera:
-    """Take the camera out of our result.json."""
+def _from_result(text: str, source: str) -> list[StoredCamera]:
+    """Take the cameras out of our result.json: that of one, or all of a rig by their names."""
     try:
-        result = result_from_dict(json.loads(text))
-        status = dict(result.status)
+        stored = json.loads(text)
+        several = stored.get('cameras')
+        results = {str(name): result_from_dict(one) for name, one in (
+            {'camera': stored} if several is None else several).items()}
+        found = [(name, result, dict(result.status)) for name, result in results.items()]
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
         # whatever values of other kinds and sizes lead to
         raise InputError(f'{source} is neither a result.json of selfcal nor an OpenCV file.'
                          ) from None
-    if not result:
-        raise InputError(f'{source} holds no camera. {result}')
-    return StoredCamera(result.camera, 'camera', covariance=result.covariance, status=status)
+    failed = [result for _, result, _ in found if not result]
+    if failed or not found:
+        raise InputError(f'{source} holds no camera. {" ".join(map(str, failed[:1]))}'.rstrip())
+    return [StoredCamera(result.camera, name, covariance=result.covariance, status=status)
+            for name, result, status in found]

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import json
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,8 @@ from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.report.comparison import in_sigmas
 from selfcal_ros.report.mounts.record import known_matrix, mount_from_dict, POSE
 from selfcal_ros.report.mounts.transform_files import StoredTransform
-from selfcal_ros.report.mounts.transform_reading import is_transform_file, read_transform
+from selfcal_ros.report.mounts.transform_reading import (is_transform_file, read_transform,
+                                                         stored_of)
 
 #: A smaller variance is that of what is held, m² or rad².
 _HELD = 1e-18
@@ -84,6 +85,8 @@ class MountComparison:
         Length of the whole difference; NaN where a part is not known.
     joint_sigmas : float or None
         The whole difference in sigmas; None without covariances.
+    left_open : dict of str to str
+        In which of both each degree of freedom is open: 'A', 'B' or 'A and B'.
 
     """
 
@@ -92,23 +95,40 @@ class MountComparison:
     distance_m: float
     angle_rad: float
     joint_sigmas: float | None
+    left_open: dict[str, str] = field(default_factory=dict)
 
     def sentences(self) -> list[str]:
         """Say it for a person."""
-        lines = [f'{"":>6} {"B - A":>10} {"sigma":>10} {"sigmas":>7}']
+        lines = [f'{"":>6} {"B - A":>10} {"":2}  {"sigma":>10} {"":2} {"sigmas":>7}'.rstrip()]
         for name, value in self.difference.items():
             unit, factor = ('mm', 1e3) if name in PLACE else ('°', 180 / np.pi)
             sigma = self.sigma.get(name)
-            judged = ('' if not sigma else f' {factor * sigma:>10.3g} '
+            judged = ('' if not sigma else f'  {factor * sigma:>10.3g} {unit:2} '
                       f'{abs(value) / sigma:>7.1f}')
-            lines.append(f'{name:>6} {factor * value:>+10.3f}{judged} {unit}')
+            lines.append(f'{name:>6} {factor * value:>+z10.3f} {unit:2}{judged}'.rstrip())
+        return [*lines, self.verdict, *self._not_in_full()]
+
+    @property
+    def verdict(self) -> str:
+        """Say in one sentence how far apart they are."""
         whole = [f'{1e3 * self.distance_m:.2f} mm' if np.isfinite(self.distance_m) else '',
                  f'{np.degrees(self.angle_rad):.3f} degrees' if np.isfinite(self.angle_rad)
                  else '']
         text = f'The mounts are {" and ".join(filter(None, whole)) or "not comparable"} apart'
         if self.joint_sigmas is not None:
-            text += f': {self.joint_sigmas:.1f} sigmas, all degrees of freedom together'
-        return [*lines, f'{text}.']
+            text += (f': {self.joint_sigmas:.1f} sigmas, all degrees of freedom '
+                     f'{"that both know " if self.left_open else ""}together')
+        return f'{text}.'
+
+    def _not_in_full(self) -> list[str]:
+        """Say which parts of the poses are not compared in full, and why."""
+        said = []
+        for names, part in ((PLACE, 'place is'), (TURN, 'turns are')):
+            missing = [name for name in names if name in self.left_open]
+            if missing:
+                why = ', '.join(f'{name} is open in {self.left_open[name]}' for name in missing)
+                said.append(f'The {part} not compared in full: {why}.')
+        return said
 
     def as_dict(self) -> dict[str, Any]:
         """Say it for a program."""
@@ -155,12 +175,21 @@ def compare_mounts(a: PlacedCamera, b: PlacedCamera) -> MountComparison:
     return MountComparison(
         difference, sigma,
         float(np.linalg.norm(values[:3])) if whole >= set(PLACE) else np.nan,
-        float(np.linalg.norm(values[3:])) if whole >= set(TURN) else np.nan, joint)
+        float(np.linalg.norm(values[3:])) if whole >= set(TURN) else np.nan, joint,
+        {name: ' and '.join(letter for letter, one in (('A', a), ('B', b))
+                            if name not in one.known)
+         for name in POSE if not (name in a.known and name in b.known)})
 
 
-def placed_camera(path: str | Path) -> PlacedCamera | None:
+def placed_camera(path: str | Path, which: str | None = None) -> PlacedCamera | None:
     """
     Read the mount of a file; None where it has none.
+
+    Parameters
+    ----------
+    path : str or Path
+    which : str, optional
+        The camera of a rig; by default its first.
 
     Raises
     ------
@@ -175,7 +204,7 @@ def placed_camera(path: str | Path) -> PlacedCamera | None:
         return None
     try:
         stored = json.loads(path.read_text(encoding='utf-8'))
-        mount = mount_from_dict(stored.get('mount'))
+        mount = mount_from_dict(stored_of(stored, which, str(path)).get('mount'))
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
         # whatever else is read of the file says what is wrong with it
         return None

@@ -155,10 +155,15 @@ def mount_table(result: Calibration) -> PageTable | None:
     if not isinstance(mount, Mount):
         return None
     words = {'estimated': 'estimated', 'held': 'a fact', 'unobservable': 'not determined'}
-    rows = tuple((f'{row.name}, {row.meaning}', f'{row.value} {row.unit}'.strip()
-                  if row.value else '–', f'± {row.sigma} {row.unit}' if row.sigma else '–',
-                  words.get(row.status, row.status), row.why)
-                 for row in mount_rows(mount, motion=result.motion))
+    rows: tuple[tuple[str, ...], ...] = tuple(
+        (f'{row.name}, {row.meaning}',
+         f'{row.value} {row.unit}'.strip() if row.value else '–',
+         f'± {row.sigma} {row.unit}' if row.sigma else '–',
+         words.get(row.status, row.status), row.why)
+        for row in mount_rows(mount, motion=result.motion))
+    columns: tuple[str, ...] = ('', 'value', 'σ', 'where from', 'by, or what would show it')
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
     above = floor_sentence(mount)
     return PageTable(
         'mount-numbers', f'The camera on {mount.frame}',
@@ -166,4 +171,4 @@ def mount_table(result: Calibration) -> PageTable | None:
         'camera that looks straight ahead. Scale is the length of the median step between '
         f'views. {mount.pose_count} poses were used, {mount.outlier_count} set aside.'
         + (f' {above}' if above else ''),
-        ('', 'value', 'σ', 'where from', 'by, or what would show it'), rows, 'robot')
+        columns, rows, 'robot', words=(3, 4))

@@ -34,11 +34,15 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mount import FORWARD, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.report.mounts.record import known_sigma
+from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.values.output_files import atomic_write
 
 #: Frames where a file or a recording names none.
 BODY_FRAME, CAMERA_FRAME = 'base_link', 'camera_optical_frame'
+#: Before the joint of a camera_link, in a comment of a URDF.
+AXES = 'axes x forward, y left, z up, for a camera_link in the lens'
+#: The first line of a launch file.
+LAUNCH_TITLE = 'Static transform of a camera on a robot.'
 #: Names that frames of TF may have.
 _FRAME_NAME = re.compile(r'^[A-Za-z0-9_][A-Za-z0-9_/.-]*$')
 
@@ -104,7 +108,7 @@ def stored_mount(mount: Mount, child: str, source: str = '') -> StoredTransform:
         raise ArgumentError(f'{named} of the mount is not observable, and a transform needs all '
                             f'six numbers; state it with --mount-fact {(open_ones or ["z"])[0]}'
                             '=VALUE:SIGMA.')
-    sigma = known_sigma(mount)
+    sigma = shown_sigma(mount)
     spread = ', '.join(f'{name} {sigma[name]:.2g} m' for name in PLACE)
     turns = ', '.join(f'{name} {np.degrees(sigma[name] or 0.0):.2g} deg' for name in TURN)
     return StoredTransform(mount.frame, child, mount.T_body_camera, mount.covariance[:6, :6],
@@ -137,15 +141,16 @@ def _numbers(values) -> str:
 
 def urdf_text(stored: StoredTransform) -> str:
     """Return a fixed joint, and beside it that of the body axes of the camera."""
-    comment = ' '.join(stored.about).replace('--', '- -')
+    # two hyphens end a comment of XML
+    comment = ''.join(f'  <!-- {line.replace("--", "- -")} -->\n' for line in stored.about)
     level = stored.matrix[:3, :3] @ FORWARD.T
     name = f'{stored.parent}_to_{stored.child}'.replace('/', '_')
     origin = (f'<origin xyz="{_numbers(stored.matrix[:3, 3])}" '
               f'rpy="{_numbers(stored.rpy())}"/>')
     link = (f'<origin xyz="{_numbers(stored.matrix[:3, 3])}" '
             f'rpy="{_numbers(stored.rpy(level))}"/>')
-    return (f'<?xml version="1.0"?>\n<robot name="camera_mount">\n  <!-- {comment} -->\n'
-            f'  <!-- axes x forward, y left, z up, for a camera_link in the lens: {link} -->\n'
+    return (f'<?xml version="1.0"?>\n<robot name="camera_mount">\n{comment}'
+            f'  <!-- {AXES}: {link} -->\n'
             f'  <link name={quoteattr(stored.parent)}/>\n'
             f'  <link name={quoteattr(stored.child)}/>\n'
             f'  <joint name={quoteattr(name)} type="fixed">\n'
@@ -185,8 +190,10 @@ def _decimal(value: float) -> str:
 def launch_text(stored: StoredTransform) -> str:
     """Return a launch file as MoveIt's hand-eye calibration writes it."""
     words = ',\n'.join(f'                {json.dumps(word)}' for word in _arguments(stored))
-    about = ' '.join(stored.about).replace('"', "'")
-    return (f'"""Static transform of a camera on a robot. {about}"""\n'
+    # neither quotes nor a backslash may end or escape the docstring
+    lines = [line.replace('"', "'").replace('\\', '/') for line in stored.about]
+    about = '\n\n' + '\n'.join(lines) + '\n' if lines else ''
+    return (f'"""{LAUNCH_TITLE}{about}"""\n'
             f'# EYE-IN-HAND: {stored.parent} -> {stored.child}\n'
             'from launch import LaunchDescription\nfrom launch_ros.actions import Node\n\n\n'
             'def generate_launch_description() -> LaunchDescription:\n'

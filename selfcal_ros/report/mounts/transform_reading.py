@@ -15,6 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import takewhile
 import json
 from pathlib import Path
 import re
@@ -26,9 +29,12 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mount import Mount, TURN
 from selfcal_ros.errors import ArgumentError, InputError, SelfcalError
 from selfcal_ros.report.mounts.record import mount_from_dict
-from selfcal_ros.report.mounts.transform_files import (CAMERA_FRAME, FORMATS, stored_mount,
-                                                       StoredTransform)
+from selfcal_ros.report.mounts.transform_files import (AXES, CAMERA_FRAME, FORMATS, LAUNCH_TITLE,
+                                                       stored_mount, StoredTransform)
 from selfcal_ros.report.yaml_text import decoded, load_yaml, MAX_BYTES, read_bytes
+
+#: So much of what a file says of itself is kept.
+_MOST_LINES, _MOST_LETTERS = 10, 300
 
 
 def is_transform_file(path: str | Path) -> bool:
@@ -45,7 +51,8 @@ def is_transform_file(path: str | Path) -> bool:
             or b'robot_effector_frame:' in head)
 
 
-def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, StoredTransform]:
+def read_transform(path: str | Path, child: str = CAMERA_FRAME, which: str | None = None,
+                   ) -> tuple[str, StoredTransform]:
     """
     Read the transform of a camera on a robot.
 
@@ -55,6 +62,8 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, St
         Any of `FORMATS`, or our result.json.
     child : str
         Frame of the camera, where the file names none.
+    which : str, optional
+        The camera of a rig; by default its first, which has the mount.
 
     Returns
     -------
@@ -76,8 +85,9 @@ def read_transform(path: str | Path, child: str = CAMERA_FRAME) -> tuple[str, St
         if text.lstrip().startswith('<'):
             return 'urdf', _from_urdf(text)
         if text.lstrip().startswith('{'):
-            return 'result', _from_result(text, source, child)
-        return _from_yaml(load_yaml(text, source))
+            return 'result', _from_result(text, source, child, which)
+        kind, stored = _from_yaml(load_yaml(text, source))
+        return kind, replace(stored, about=_leading_comment(text))
     except SelfcalError:
         raise
     except (ArithmeticError, AttributeError, ElementTree.ParseError, LookupError,
@@ -100,6 +110,21 @@ def _pose(place, quaternion) -> np.ndarray:
     return matrix
 
 
+def _about(lines: Iterable[str]) -> tuple[str, ...]:
+    """Return what a file says of itself: lines that can be printed, without what we add anew."""
+    said = [''.join(filter(str.isprintable, line)).strip().removeprefix(LAUNCH_TITLE).strip()
+            for line in lines]
+    return tuple(line[:_MOST_LETTERS] for line in said if line and not line.startswith(
+        (AXES, 'ros2 run tf2_ros ')))[:_MOST_LINES]
+
+
+def _leading_comment(text: str) -> tuple[str, ...]:
+    """Return the comment before the content of YAML."""
+    lines = takewhile(lambda line: not line.strip() or line.startswith(('#', '---')),
+                      text.splitlines())
+    return _about(line.lstrip('#') for line in lines if line.startswith('#'))
+
+
 def _from_launch(text: str) -> StoredTransform:
     """Take the arguments of static_transform_publisher out of a launch file."""
     code = re.sub(r'#[^\n]*', '', text)
@@ -111,7 +136,9 @@ def _from_launch(text: str) -> StoredTransform:
     else:
         rpy = [float(named.get(name, 0)) for name in TURN]
         turn = Rotation.from_euler('xyz', rpy).as_quat().tolist()
-    return StoredTransform(named['frame-id'], named['child-frame-id'], _pose(place, turn))
+    docstring = re.match(r'(?:\s|#[^\n]*\n)*"""(.*?)"""', text, re.DOTALL)
+    return StoredTransform(named['frame-id'], named['child-frame-id'], _pose(place, turn),
+                           about=_about(docstring[1].splitlines() if docstring else ()))
 
 
 def _from_urdf(text: str) -> StoredTransform:
@@ -131,7 +158,10 @@ def _from_urdf(text: str) -> StoredTransform:
     place = [float(word) for word in at.get('xyz', '0 0 0').split()]
     rpy = [float(word) for word in at.get('rpy', '0 0 0').split()]
     turn = Rotation.from_euler('xyz', rpy).as_quat()
-    return StoredTransform(_link(joint, 'parent'), _link(joint, 'child'), _pose(place, turn))
+    # in the description of a whole robot, comments are about other things
+    comments = re.findall(r'<!--(.*?)-->', text, re.DOTALL) if len(joints) == 1 else []
+    return StoredTransform(_link(joint, 'parent'), _link(joint, 'child'), _pose(place, turn),
+                           about=_about(line for one in comments for line in one.splitlines()))
 
 
 def _link(joint, end: str) -> str:
@@ -164,10 +194,14 @@ def _from_yaml(document) -> tuple[str, StoredTransform]:
     return kind, StoredTransform(str(parent), child, matrix)
 
 
-def _from_result(text: str, source: str, child: str) -> StoredTransform:
+def _from_result(text: str, source: str, child: str, which: str | None) -> StoredTransform:
     """Take the mount out of our result.json."""
-    stored = json.loads(text)
+    whole = json.loads(text)
+    stored = stored_of(whole, which, source)
     mount = mount_from_dict(stored.get('mount'))
+    if mount is None and whole.get('mount') is not None:
+        raise InputError(f'{source} has no mount of {which}, the first camera has it; leave '
+                         '--camera out.')
     if mount is None:
         raise InputError(f'{source} says nothing of a robot; calibrate with --robot.')
     if not isinstance(mount, Mount):
@@ -176,3 +210,21 @@ def _from_result(text: str, source: str, child: str) -> StoredTransform:
         return stored_mount(mount, child, stored.get('software', ''))
     except ArgumentError as error:
         raise InputError(f'{source}: {error}') from None
+
+
+def stored_of(stored: dict, which: str | None, source: str) -> dict:
+    """
+    Return what a result.json says of one camera: all of it, unless it is of a rig.
+
+    Raises
+    ------
+    InputError
+        If it has no camera of that name.
+
+    """
+    cameras = stored.get('cameras')
+    if which is None or cameras is None:
+        return stored
+    if which not in cameras:
+        raise InputError(f'{source} has no camera {which}; it has {", ".join(cameras)}.')
+    return cameras[which]

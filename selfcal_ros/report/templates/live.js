@@ -106,7 +106,7 @@
     if (!state.advice) return;
     advise(state.advice.kind, state.advice.do, state.advice.why);
     words('camera', state.camera);
-    words('points', state.points === null ? '' : `${state.points} points`);
+    words('points', state.points === null ? '' : `${state.points} points in the newest image`);
     words('views', `${state.keyframes} views kept of ${state.frames}`);
     find('estimating').hidden = !state.estimating;
     parameters(state);
