@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import os
+from pathlib import Path
 
 from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
 from selfcal_ros.errors import InputError
@@ -55,10 +56,10 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
         If a file exists already; see also `selfcal_ros.values.output_files.check_outputs`.
 
     """
-    from selfcal_ros.report import files
+    from selfcal_ros.values import output_files
     kept, others = ([path for path in paths if path is not None and str(path) != STANDARD_OUTPUT]
                     for paths in (precious, derived))
-    files.check_outputs([*kept, *others], inputs)
+    output_files.check_outputs([*kept, *others], inputs)
     taken = [] if force else [str(path) for path in kept
                               if os.path.isfile(path) and os.path.getsize(path)]
     if len(taken) == 1:
@@ -67,3 +68,29 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     if taken:
         raise InputError(f'{", ".join(taken[:-1])} and {taken[-1]} exist already; choose other '
                          'names, or replace them with --force.')
+
+
+def make_folder(folder: Path) -> None:
+    """
+    Make a folder for outputs, unless it is there.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or nothing can be written in it.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f'{folder} is a file; name a folder, or one to be made.') from None
+    except OSError as error:
+        there = next((parent for parent in folder.parents if parent.exists()), folder)
+        what = (f'the folder {there} refuses new ones' if there.is_dir()
+                else f'{there} is not a folder')
+        raise InputError(f'The folder {folder} cannot be made: {what} ({error.strerror}); name '
+                         'another.') from None

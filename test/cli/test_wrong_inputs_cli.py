@@ -32,6 +32,10 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
     (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
     (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
+    (['demo', '--rate', '0'], "'0' is no number from 0.01 to 100"),
+    (['demo', '--rate', 'nan'], 'from 0.01 to 100'),
+    (['demo', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
+    (['demo', '--recording', 'object', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
     (['convert', 'x', 'out_bag', '--frame-id', '\udcff\udcfe'], 'is not plain text'),
     (['convert', 'x', 'out_bag', '--topic', 'two words'], 'is no name of a topic'),
     (['calibrate', 'x.csv', '--robot-frame', 'base\nlink'], 'is not plain text'),
@@ -93,7 +97,8 @@ def bad_inputs():
 
 
 @pytest.mark.parametrize('arguments, words', [
-    (['truncated.mcap'], 'truncated'), (['mixed'], 'change size'), (['folder'], 'folder'),
+    (['truncated.mcap'], 'truncated'), (['truncated.mcap'], 'try `mcap recover` on it'),
+    (['mixed'], 'change size'), (['folder'], 'folder'),
     (['good', '--topic', '/nothing'], '/camera/image_raw')])
 def test_a_broken_recording_is_status_2_in_one_sentence(bad_inputs, capsys, arguments, words):
     before = sorted(Path().rglob('*'))
