@@ -22,10 +22,10 @@ import json
 from pathlib import Path
 import sys
 
-from selfcal_ros.cli.force import add_force_argument, make_folder
+from selfcal_ros.cli.force import add_force_argument, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
-from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of
 
 #: What lies there is of an earlier demo.
 OWN_FOLDER = Path('selfcal_demo')
@@ -85,16 +85,22 @@ def run(args: argparse.Namespace) -> int:
     if args.recording == 'object':
         from selfcal_ros.cli import demo_track
         return demo_track.run(args)
+    from selfcal_ros.cli.shared_files import shared_file
+    recording, calibrator = RECORDINGS[args.recording]
+    bag = args.bag or shared_file(recording)
+    no_nodes = without_nodes(args, 'calibrating straight from the bag')
+    check_recording(bag, no_nodes)
+    with output_folder(args.output_dir):
+        return _calibrate(args, bag, None if no_nodes else calibrator)
+
+
+def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> int:
+    """Calibrate through the nodes, if there is a calibrator, and without; returns the status."""
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.sources import open_source
-    recording, calibrator = RECORDINGS[args.recording]
-    bag = args.bag or shared_file(recording)
     folder = args.output_dir
-    no_nodes = without_nodes(args, 'calibrating straight from the bag')
-    check_recording(bag, no_nodes)
-    make_folder(folder)
     camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
     outputs = Outputs(camera_yaml, result_json, folder / 'report.html',
                       command=getattr(args, 'command_line', ()), inputs=(bag,))
@@ -103,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
         # of an earlier run
         path.unlink(missing_ok=True)
     result, written = None, []
-    if not no_nodes:
+    if calibrator:
         print(f'Replaying {bag} through bag_player, feature_tracker and {calibrator} ...',
               flush=True)
         result = _through_nodes(bag, calibrator, folder, args.rate,
@@ -121,10 +127,12 @@ def run(args: argparse.Namespace) -> int:
     text = result_text(direct, truth=read_truth(bag))
     if not result:
         print(f'\n{text}')
-    written += outputs.write(direct, text, str(bag), tracks,
-                             lambda: open_source(bag, colour=True))[0]
-    print(f'\nWritten: {", ".join(map(str, written))}.')
-    return EXIT_DONE if result or direct else EXIT_NOT_CALIBRATED
+    more, left_out = outputs.write(
+        direct, text, str(bag), tracks, lambda: open_source(bag, colour=True))
+    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.')
+    for one in left_out:
+        print(one.sentence, file=sys.stderr)
+    return status_of(bool(result or direct), left_out)
 
 
 def _agreement(live, direct) -> str:

@@ -19,7 +19,7 @@ import argparse
 import json
 from pathlib import Path
 
-from selfcal_ros.cli.force import check_outputs, make_folder
+from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
@@ -31,26 +31,31 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
     from selfcal_ros.cli.demo import check_recording, without_nodes
     from selfcal_ros.cli.shared_files import shared_file
-    from selfcal_ros.cli.track import track_recording
     from selfcal_ros.pipeline.tracking_run import read_start, Target
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)
     model, camera_file, start_file = (bag.with_name(bag.name + suffix) for suffix in (
         '.model.yaml', '.camera.yaml', '.pos'))
-    folder = args.output_dir
     no_nodes = without_nodes(args, 'tracking straight in the bag')
     check_recording(bag, no_nodes)
     camera, _ = read_camera_yaml(camera_file)
     target = Target(read_model(model), read_start(str(start_file), None, camera))
-    make_folder(folder)
-    outputs = folder / 'poses.csv', folder / 'overlay.mp4'
-    check_outputs((), (bag, model, camera_file, start_file), False, outputs)
+    with output_folder(args.output_dir):
+        outputs = args.output_dir / 'poses.csv', args.output_dir / 'overlay.mp4'
+        check_outputs((), (bag, model, camera_file, start_file), False, outputs)
+        return _track(bag, target, camera, outputs, None if no_nodes else (
+            model, camera_file, start_file, args.output_dir, args.rate))
+
+
+def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
+    """Track through the nodes, if there is something for them, and without; returns the status."""
+    from selfcal_ros.cli.track import track_recording
     truth = _truth(bag)
     rows = []
-    if not no_nodes:
+    if for_nodes:
         print(f'Replaying {bag} through bag_player and rorapid_tracker ...', flush=True)
-        poses = _through_nodes(bag, model, camera_file, start_file, folder, args.rate)
+        poses = _through_nodes(bag, *for_nodes)
         if poses:
             rows.append(('through the nodes', *_errors(poses, truth)))
         else:

@@ -20,7 +20,8 @@ and pictures are made anew from the same recording, and replace those of the las
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 
@@ -94,3 +95,36 @@ def make_folder(folder: Path) -> None:
                 else f'{there} is not a folder')
         raise InputError(f'The folder {folder} cannot be made: {what} ({error.strerror}); name '
                          'another.') from None
+
+
+@contextmanager
+def output_folder(folder: Path, *inside: str) -> Iterator[None]:
+    """
+    Make a folder that belongs to one run; a run that is refused leaves no empty one.
+
+    Parameters
+    ----------
+    folder : Path
+    *inside : str
+        Folders to make in it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or another run is writing there; see `make_folder` and `claimed`.
+
+    """
+    from selfcal_ros.values.output_files import claimed
+    places = [folder, *(folder / name for name in inside)]
+    new = [place for place in (*reversed(folder.parents), *places) if not place.exists()]
+    try:
+        for place in places:
+            make_folder(place)
+        with claimed(folder):
+            yield
+    except BaseException:
+        for place in reversed(new):
+            # what holds something stays
+            with suppress(OSError):
+                place.rmdir()
+        raise

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 import re
 
 from selfcal_ros.cli.status import EXIT_INPUT
@@ -66,8 +67,20 @@ def _seed(text: str) -> int:
     return int(text)
 
 
+def _path(value: str) -> Path:
+    """Take a path of a file or folder."""
+    if not value:
+        raise argparse.ArgumentTypeError("'' is no name of a file or folder")
+    return Path(value)
+
+
 class SentenceParser(argparse.ArgumentParser):
     """An argparse parser that does not print its whole usage for a slip of the finger."""
+
+    def __init__(self, *args, **kwargs):
+        """Take no empty path, which pathlib makes the current folder."""
+        super().__init__(*args, **kwargs)
+        self.register('type', Path, _path)
 
     def error(self, message: str):
         """Say in one sentence what is wrong, and end."""
