@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'a video, or tracks.csv (columns frame,track,x,y); several of these '
                              'are calibrated each and together')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
-    parser.add_argument('--motion', default='auto',
+    parser.add_argument('--motion', default='auto', type=_motion,
                         choices=(*MOTIONS, 'known-object'),
                         help='how the camera moved (default: found out); repeated: equal objects '
                              'in one image, each a frame of tracks.csv')
@@ -105,6 +105,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'SCENE.RRD for it (extra: view)')
     add_force_argument(output)
     add_quiet_argument(output)
+
+
+def _motion(value: str) -> str:
+    """Take a motion; one is found and not stated."""
+    if value == 'pivot':
+        raise argparse.ArgumentTypeError('pivot is found and not stated; leave --motion out, or '
+                                         'say auto')
+    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -132,11 +132,11 @@ def _convert_camera(args: argparse.Namespace) -> int:
         raise ArgumentError('The image size must be a positive width and height.')
     source_kind, cameras = read_cameras(args.input, fisheye=args.fisheye, image_size=size)
     found = chosen(args.input, cameras, args.camera)
+    check_outputs((args.output,), (args.input,), args.force)
     kind = args.to or kind_of_name(args.output)
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
-    check_outputs((args.output,), (args.input,), args.force)
     name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
     write_camera(args.output, kind, found.camera, name, args.topic or found.topic,
                  replace=args.force)

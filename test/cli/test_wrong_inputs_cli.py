@@ -29,6 +29,16 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--reprot=r.html'], 'unrecognized arguments: --reprot=r.html; did '
      'you mean --report?'),
     (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
+    (['calibrate', 'x.csv', '--motion', 'pivot'], 'leave --motion out, or say auto'),
+    (['track', 'x', '--model', 'm', '--init', '0.1', '0', '0.4', '2', '1', '0'], 'selfcal track: '
+     'argument --init: the six numbers go in quotes: --init "0.1 0 0.4 2.1 0.8 0.1"'),
+    (['calibrate', '--init', '-0.1', '0', '0.4', '2', '1', '0', 'x'], 'go in quotes'),
+    *([[verb, *words, '--xyzzy'], f'arguments: --xyzzy; selfcal {verb} --help tells more.']
+      for verb, words in (('calibrate', ['x']), ('compare', ['x', 'y']), ('convert', ['x', 'y']),
+                          ('track', ['x', '--model', 'm', '--camera', 'c']), ('watch', []),
+                          ('model', ['x', '--camera', 'c']), ('completion', ['bash']),
+                          ('demo', []))),
+    (['--versoin'], 'did you mean --version? selfcal --help tells more.'),
     (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
     (['calibrate', 'x.csv', '--jobs', 'many'], "'many' is no number of processes"),
     (['calibrate', 'x.csv', '--jobs', '0'], 'give 1 or more'),
@@ -100,6 +110,7 @@ def bad_inputs():
 
 
 @pytest.mark.parametrize('arguments, words', [
+    (['good', '--output-dir', 'x'], 'many recordings'),
     (['truncated.mcap'], 'truncated'), (['truncated.mcap'], 'try `mcap recover` on it'),
     (['mixed'], 'change size'), (['folder'], 'folder'),
     (['good', '--topic', '/nothing'], '/camera/image_raw')])
