@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 import sys
 
@@ -103,9 +104,9 @@ def run_rig(args: argparse.Namespace, settings) -> int:
             # nobody has asked for it
             left_out.append(LeftOut('A chain of Kalibr needs metres, all poses, and lenses that '
                                     f'Kalibr knows: {chain} was not written.', EXIT_DONE))
-        for path, content in contents.items():
-            written += written_or_left_out(path, left_out, lambda path, content=content: (
-                atomic_write(path, content, replace=args.force)))
+        for path, camera_file in contents.items():
+            written += written_or_left_out(path, left_out, partial(
+                atomic_write, data=camera_file, replace=args.force))
         written += _for_colmap(of_colmap, rig_config(result), left_out)
         written += _mount_of_first(args, result, left_out)
     text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result else str(result))
