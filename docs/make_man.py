@@ -55,8 +55,8 @@ ENDING = r"""
 Done.
 .TP
 .B 1
-The data do not suffice to calibrate or to track, and a sentence says why; or calibrations differ
-by more than
+The data do not suffice to calibrate or to track, or for a file that was asked for, and a sentence
+says why; or calibrations differ by more than
 .BR \-\-sigmas .
 .TP
 .B 2

@@ -29,7 +29,7 @@ from selfcal_ros.cli.parsing import add_seed_argument
 from selfcal_ros.cli.rig import add_rig_arguments, run_rig
 from selfcal_ros.cli.robot_options import add_mount_outputs, add_robot_arguments, robot_from
 from selfcal_ros.cli.scene_outputs import add_scene_arguments, SceneOutputs
-from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.status import LeftOut, status_of
 from selfcal_ros.cli.verbosity import add_quiet_argument
 
 #: Motions from tracks of an unknown scene.
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'a video, or tracks.csv (columns frame,track,x,y); several of these '
                              'are calibrated each and together')
     parser.add_argument('--topic', help='image topic of a bag, when it holds several')
-    parser.add_argument('--motion', default='auto',
+    parser.add_argument('--motion', default='auto', type=_motion,
                         choices=(*MOTIONS, 'known-object'),
                         help='how the camera moved (default: found out); repeated: equal objects '
                              'in one image, each a frame of tracks.csv')
@@ -107,6 +107,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_quiet_argument(output)
 
 
+def _motion(value: str) -> str:
+    """Take a motion; one is found and not stated."""
+    if value == 'pivot':
+        raise argparse.ArgumentTypeError('pivot is found and not stated; leave --motion out, or '
+                                         'say auto')
+    return value
+
+
 def run(args: argparse.Namespace) -> int:
     """Calibrate; returns the exit status."""
     from selfcal_ros.errors import ArgumentError
@@ -145,7 +153,7 @@ def run(args: argparse.Namespace) -> int:
             raise ArgumentError('--robot takes a single recording.')
         return run_many(args, paths, settings)
     for name in ('output_dir', 'jobs', 'scheduler'):
-        if getattr(args, name):
+        if getattr(args, name) is not None:
             raise ArgumentError(f'--{name.replace("_", "-")} is for many recordings; give several '
                                 'INPUTs, or a folder of them.')
     return _run_one(args, args.input[0], settings)
@@ -222,20 +230,23 @@ def _run_one(args: argparse.Namespace, path: str, settings) -> int:
         written, left_out = outputs.write(result, text, reading.description, reading.tracks,
                                           open_frames, (*why, *reading.findings),
                                           reading.stamps_ns,
-                                          _figures(reading) if args.report else ())
+                                          _figures(reading) if args.report else (), args.force)
     if not (args.quiet or is_standard_output(args.json)):
         print(coloured(text))
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
-    for sentence in left_out:
-        print(sentence, file=sys.stderr)
-    # a camera that only rotates has neither path nor structure to show
+    if args.view and result and result.motion == 'rotation':
+        what = 'Nothing is shown' if args.view == VIEWER else f'{args.view} was not written'
+        left_out.append(LeftOut(f'{what}: a camera that only turned has neither path nor '
+                                'structure.'))
+    for one in left_out:
+        print(one.sentence, file=sys.stderr)
     if args.view and result and result.motion != 'rotation':
         from selfcal_ros.report.viewer import view
         view(result, reading.tracks, open_frames,
              None if args.view == VIEWER else args.view)
-    return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+    return status_of(bool(result), left_out)
 
 
 def _figures(reading) -> tuple[str, ...]:

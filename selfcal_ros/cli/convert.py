@@ -121,7 +121,7 @@ def _convert_transform(args: argparse.Namespace) -> int:
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
-    write_transform(args.output, stored, kind)
+    write_transform(args.output, stored, kind, replace=args.force)
     if not args.quiet:
         print(f'{stored.child} on {stored.parent} of {args.input} written to {args.output} for '
               f'{FORMATS[kind].title}.')
@@ -137,13 +137,14 @@ def _convert_camera(args: argparse.Namespace) -> int:
         raise ArgumentError('The image size must be a positive width and height.')
     source_kind, cameras = read_cameras(args.input, fisheye=args.fisheye, image_size=size)
     found = chosen(args.input, cameras, args.camera)
+    check_outputs((args.output,), (args.input,), args.force)
     kind = args.to or kind_of_name(args.output)
     if kind == source_kind and not args.to:
         raise ArgumentError(f'{args.input} and {args.output} are both files of '
                             f'{FORMATS[kind].title}; say with --to what to make.')
-    check_outputs((args.output,), (args.input,), args.force)
     name = args.camera_name or re.sub(r'[^A-Za-z0-9_]', '_', found.name)
-    write_camera(args.output, kind, found.camera, name, args.topic or found.topic)
+    write_camera(args.output, kind, found.camera, name, args.topic or found.topic,
+                 replace=args.force)
     if not args.quiet:
         print(f'{found.name} of {args.input} written to {args.output} for {FORMATS[kind].title}.')
         if kind == 'colmap' or source_kind == 'colmap':

@@ -20,13 +20,12 @@ from dataclasses import replace
 from importlib.util import find_spec
 import json
 from pathlib import Path
-import subprocess
 import sys
 
-from selfcal_ros.cli.force import add_force_argument
+from selfcal_ros.cli.force import add_force_argument, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
-from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED, status_of
 
 #: What lies there is of an earlier demo.
 OWN_FOLDER = Path('selfcal_demo')
@@ -43,10 +42,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='calibrate on a robot that drives, or on an arm that moves; or '
                              'track an object (default agv)')
     parser.add_argument('--bag', type=Path, help='another bag of that kind of motion')
-    parser.add_argument('--rate', type=float, default=1.0, help='playback speed (default 1)')
+    parser.add_argument('--rate', type=_rate, default=1.0,
+                        help='playback speed, from 0.01 to 100 (default 1)')
     add_force_argument(parser, 'replace what is in the FOLDER of --output-dir; the '
                        "default is the demo's own")
     parser.add_argument('--no-ros', action='store_true', help='without nodes in any case')
+
+
+def _rate(value: str) -> float:
+    """Take a speed that bag_player takes."""
+    try:
+        rate = float(value)
+    except ValueError:
+        rate = 0.0
+    if not 0.01 <= rate <= 100:
+        raise argparse.ArgumentTypeError(f'{ascii(value):.40} is no number from 0.01 to 100')
+    return rate
+
+
+def without_nodes(args: argparse.Namespace, instead: str) -> bool:
+    """Tell whether the demo runs without nodes; where nobody asked for that, say why."""
+    if args.no_ros:
+        return True
+    if find_spec('rclpy') is not None and find_spec('sensor_msgs') is not None:
+        return False
+    print(f'There is no ROS in this Python (rclpy is missing), so no nodes: {instead}.')
+    return True
+
+
+def check_recording(bag: Path, no_nodes: bool) -> None:
+    """Open a recording before anything is made or started; nodes replay bags only."""
+    from selfcal_ros.pipeline.replay import ImageRecording
+    from selfcal_ros.pipeline.sources import open_source
+    with open_source(bag):
+        pass
+    if not no_nodes:
+        ImageRecording(bag).close()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,14 +85,22 @@ def run(args: argparse.Namespace) -> int:
     if args.recording == 'object':
         from selfcal_ros.cli import demo_track
         return demo_track.run(args)
+    from selfcal_ros.cli.shared_files import shared_file
+    recording, calibrator = RECORDINGS[args.recording]
+    bag = args.bag or shared_file(recording)
+    no_nodes = without_nodes(args, 'calibrating straight from the bag')
+    check_recording(bag, no_nodes)
+    with output_folder(args.output_dir):
+        return _calibrate(args, bag, None if no_nodes else calibrator)
+
+
+def _calibrate(args: argparse.Namespace, bag: Path, calibrator: str | None) -> int:
+    """Calibrate through the nodes, if there is a calibrator, and without; returns the status."""
     from selfcal_ros.cli.outputs import Outputs
     from selfcal_ros.cli.result_text import result_text
     from selfcal_ros.cli.shared_files import shared_file
     from selfcal_ros.pipeline.sources import open_source
-    recording, calibrator = RECORDINGS[args.recording]
-    bag = args.bag or shared_file(recording)
     folder = args.output_dir
-    folder.mkdir(parents=True, exist_ok=True)
     camera_yaml, result_json = folder / 'camera.yaml', folder / 'result.json'
     outputs = Outputs(camera_yaml, result_json, folder / 'report.html',
                       command=getattr(args, 'command_line', ()), inputs=(bag,))
@@ -70,11 +109,7 @@ def run(args: argparse.Namespace) -> int:
         # of an earlier run
         path.unlink(missing_ok=True)
     result, written = None, []
-    if args.no_ros or find_spec('rclpy') is None or find_spec('sensor_msgs') is None:
-        if not args.no_ros:
-            print('There is no ROS in this Python (rclpy is missing), so no nodes: calibrating '
-                  'straight from the bag.')
-    else:
+    if calibrator:
         print(f'Replaying {bag} through bag_player, feature_tracker and {calibrator} ...',
               flush=True)
         result = _through_nodes(bag, calibrator, folder, args.rate,
@@ -92,10 +127,12 @@ def run(args: argparse.Namespace) -> int:
     text = result_text(direct, truth=read_truth(bag))
     if not result:
         print(f'\n{text}')
-    written += outputs.write(direct, text, str(bag), tracks,
-                             lambda: open_source(bag, colour=True))[0]
-    print(f'\nWritten: {", ".join(map(str, written))}.')
-    return EXIT_DONE if result or direct else EXIT_NOT_CALIBRATED
+    more, left_out = outputs.write(
+        direct, text, str(bag), tracks, lambda: open_source(bag, colour=True))
+    print(f'\nWritten: {", ".join(map(str, [*written, *more]))}.')
+    for one in left_out:
+        print(one.sentence, file=sys.stderr)
+    return status_of(bool(result or direct), left_out)
 
 
 def _agreement(live, direct) -> str:
@@ -112,11 +149,12 @@ def _agreement(live, direct) -> str:
 
 def _through_nodes(bag: Path, calibrator: str, folder: Path, rate: float, profile: Path):
     """Return the result of the nodes, None if they came to none."""
-    command = [sys.executable, '-m', 'selfcal_ros.nodes.replay_supervisor', str(bag), '--output',
-               str(folder), '--rate', str(rate), '--calibrator', calibrator]
+    from selfcal_ros.pipeline.child_process import run_module
     from selfcal_ros.report.result_json import result_from_dict
-    done = subprocess.run(command, env=own_graph(profile, folder / 'log'))
-    if done.returncode not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
+    status = run_module('selfcal_ros.nodes.replay_supervisor',
+                        [str(bag), '--output', str(folder), '--rate', str(rate), '--calibrator',
+                         calibrator], own_graph(profile, folder / 'log'))
+    if status not in (EXIT_DONE, EXIT_NOT_CALIBRATED):
         return None
     try:
         return result_from_dict(json.loads((folder / 'result.json').read_text(encoding='utf-8')))

@@ -16,13 +16,10 @@
 from __future__ import annotations
 
 import argparse
-from importlib.util import find_spec
 import json
 from pathlib import Path
-import subprocess
-import sys
 
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.ros_environment import own_graph
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
@@ -32,28 +29,33 @@ RECORDING = 'bags/tracked_object'
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; returns the exit status."""
+    from selfcal_ros.cli.demo import check_recording, without_nodes
     from selfcal_ros.cli.shared_files import shared_file
-    from selfcal_ros.cli.track import track_recording
     from selfcal_ros.pipeline.tracking_run import read_start, Target
     from selfcal_ros.report.camera_yaml import read_camera_yaml
     from selfcal_ros.rorapid.model import read_model
     bag = args.bag or shared_file(RECORDING)
     model, camera_file, start_file = (bag.with_name(bag.name + suffix) for suffix in (
         '.model.yaml', '.camera.yaml', '.pos'))
-    folder = args.output_dir
-    folder.mkdir(parents=True, exist_ok=True)
-    outputs = folder / 'poses.csv', folder / 'overlay.mp4'
-    check_outputs((), (bag, model, camera_file, start_file), False, outputs)
+    no_nodes = without_nodes(args, 'tracking straight in the bag')
+    check_recording(bag, no_nodes)
     camera, _ = read_camera_yaml(camera_file)
+    target = Target(read_model(model), read_start(str(start_file), None, camera))
+    with output_folder(args.output_dir):
+        outputs = args.output_dir / 'poses.csv', args.output_dir / 'overlay.mp4'
+        check_outputs((), (bag, model, camera_file, start_file), False, outputs)
+        return _track(bag, target, camera, outputs, None if no_nodes else (
+            model, camera_file, start_file, args.output_dir, args.rate))
+
+
+def _track(bag: Path, target, camera, outputs, for_nodes) -> int:
+    """Track through the nodes, if there is something for them, and without; returns the status."""
+    from selfcal_ros.cli.track import track_recording
     truth = _truth(bag)
     rows = []
-    if args.no_ros or find_spec('rclpy') is None or find_spec('sensor_msgs') is None:
-        if not args.no_ros:
-            print('There is no ROS in this Python (rclpy is missing), so no nodes: tracking '
-                  'straight in the bag.')
-    else:
+    if for_nodes:
         print(f'Replaying {bag} through bag_player and rorapid_tracker ...', flush=True)
-        poses = _through_nodes(bag, model, camera_file, start_file, folder, args.rate)
+        poses = _through_nodes(bag, *for_nodes)
         if poses:
             rows.append(('through the nodes', *_errors(poses, truth)))
         else:
@@ -66,7 +68,6 @@ def run(args: argparse.Namespace) -> int:
             poses.append((frame.stamp_ns, _matrix(tracked), tracked.covariance))
 
     with Progress() as progress:
-        target = Target(read_model(model), read_start(str(start_file), None, camera))
         (run,), (table,) = track_recording(bag, [target], camera, overlay=outputs[1],
                                            progress=progress, listeners=[gather])
     if poses:
@@ -98,13 +99,13 @@ def _truth(bag: Path) -> dict:
 def _through_nodes(bag, model, camera, start_pose, folder: Path, rate: float) -> list:
     """Return the poses of the nodes; none if they came to none."""
     from selfcal_ros.cli.shared_files import shared_file
+    from selfcal_ros.pipeline.child_process import run_module
     environment = own_graph(shared_file('config/fastdds.xml'), folder / 'log')
     left = folder / 'node_poses.json'
     left.unlink(missing_ok=True)
-    command = [sys.executable, '-m', 'selfcal_ros.nodes.tracking_supervisor', bag, '--output',
-               folder, '--model', model, '--camera', camera, '--start-pose', start_pose,
-               '--rate', rate]
-    subprocess.run([str(word) for word in command], env=environment)
+    words = [bag, '--output', folder, '--model', model, '--camera', camera, '--start-pose',
+             start_pose, '--rate', rate]
+    run_module('selfcal_ros.nodes.tracking_supervisor', map(str, words), environment)
     try:
         return json.loads(left.read_text(encoding='utf-8'))
     except (OSError, ValueError):

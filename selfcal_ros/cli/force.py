@@ -20,8 +20,10 @@ and pictures are made anew from the same recording, and replace those of the las
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 import os
+from pathlib import Path
 
 from selfcal_ros.cli.machine_output import STANDARD_OUTPUT
 from selfcal_ros.errors import InputError
@@ -70,3 +72,62 @@ def check_outputs(precious: Iterable[str | os.PathLike | None],
     if taken:
         raise InputError(f'{", ".join(taken[:-1])} and {taken[-1]} exist already; choose other '
                          'names, or replace them with --force.')
+
+
+def make_folder(folder: Path) -> None:
+    """
+    Make a folder for outputs, unless it is there.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or nothing can be written in it.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f'{folder} is a file; name a folder, or one to be made.') from None
+    except OSError as error:
+        there = next((parent for parent in folder.parents if parent.exists()), folder)
+        what = (f'the folder {there} refuses new ones' if there.is_dir()
+                else f'{there} is not a folder')
+        raise InputError(f'The folder {folder} cannot be made: {what} ({error.strerror}); name '
+                         'another.') from None
+
+
+@contextmanager
+def output_folder(folder: Path, *inside: str) -> Iterator[None]:
+    """
+    Make a folder that belongs to one run; a run that is refused leaves no empty one.
+
+    Parameters
+    ----------
+    folder : Path
+    *inside : str
+        Folders to make in it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made, or another run is writing there; see `make_folder` and `claimed`.
+
+    """
+    from selfcal_ros.values.output_files import claimed
+    places = [folder, *(folder / name for name in inside)]
+    new = [place for place in (*reversed(folder.parents), *places) if not place.exists()]
+    try:
+        for place in places:
+            make_folder(place)
+        with claimed(folder):
+            yield
+    except BaseException:
+        for place in reversed(new):
+            # what holds something stays
+            with suppress(OSError):
+                place.rmdir()
+        raise

@@ -45,8 +45,8 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     """Build the parser; only the chosen verb gets its arguments."""
     parser = SentenceParser(
         prog='selfcal', description='Calibrate a camera from what it sees while it moves.',
-        epilog='Exit status: 0 done, 1 could not calibrate (and says why), '
-               '2 the input or the arguments are wrong.')
+        epilog='Exit status: 0 done, 1 could not calibrate, or not write a file that was asked '
+               'for (and says why), 2 the input or the arguments are wrong.')
     parser.add_argument('--version', action='store_true', help='print the version and exit')
     commands = parser.add_subparsers(dest='verb', metavar='COMMAND')
     for name, summary in VERBS.items():
@@ -64,7 +64,8 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 done, 1 could not calibrate, 2 wrong input or arguments.
+        Exit status: 0 done, 1 could not calibrate or write what was asked for, 2 wrong input or
+        arguments.
 
     """
     if completion.ASKED in os.environ:

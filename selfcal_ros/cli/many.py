@@ -21,7 +21,7 @@ import re
 import sys
 
 from selfcal_ros.cli.colours import coloured
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, output_folder
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_INPUT, EXIT_NOT_CALIBRATED
@@ -39,12 +39,20 @@ def add_many_arguments(parser: argparse.ArgumentParser) -> None:
                        help='for the camera file and the result of each recording and of each '
                             'camera, and summary.html, .png and .json (default '
                             f'{DEFAULT_FOLDER})')
-    group.add_argument('--jobs', type=int, metavar='N', help='processes (default: one a core)')
+    group.add_argument('--jobs', type=_count, metavar='N', help='processes (default: one a core)')
     group.add_argument('--engine', choices=('processes', 'dask'), default='processes',
                        help='what runs them (default processes)')
     group.add_argument('--scheduler', metavar='ADDRESS',
                        help='Dask scheduler, as tcp://host:8786; its workers must see the same '
                             'files (default: a cluster of this machine)')
+
+
+def _count(value: str) -> int:
+    """Take a number of processes."""
+    if not value.isdecimal() or len(value) > 5 or int(value) < 1:
+        raise argparse.ArgumentTypeError(f'{ascii(value):.40} is no number of processes; give 1 '
+                                         'or more')
+    return int(value)
 
 
 def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
@@ -53,9 +61,7 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
 
     0: every camera has a joint result; 1: one has none; 2: no recording can be used at all.
     """
-    from selfcal_ros.pipeline.many_inputs import calibrate_many
     from selfcal_ros.report.camera_yaml import check_camera_name
-    from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
     if args.poses:
         raise ArgumentError('--poses is for a single recording; with many, --poses-format writes '
                             'the poses of each beside its result.')
@@ -65,15 +71,25 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
                                 'takes the files.')
     check_camera_name(args.camera_name)
     folder = args.output_dir or Path(DEFAULT_FOLDER)
-    own = folder == Path(DEFAULT_FOLDER)
-    taken = None if args.force else _result_in(folder, summaries=not own)
-    if taken:
-        raise InputError(f'{taken} exists already; name another folder with --output-dir, or '
-                         'replace what is there with --force.')
-    try:
-        (folder / 'recordings').mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f'{folder} cannot be made: {error.strerror}.') from None
+
+    def check_folder() -> None:
+        taken = None if args.force else _result_in(
+            folder, summaries=folder != Path(DEFAULT_FOLDER))
+        if taken:
+            raise InputError(f'{taken} exists already; name another folder with --output-dir, or '
+                             'replace what is there with --force.')
+
+    check_folder()
+    with output_folder(folder, 'recordings'):
+        # now that no other run can come between
+        check_folder()
+        return _run_in(folder, args, paths, settings)
+
+
+def _run_in(folder: Path, args: argparse.Namespace, paths: list[Path], settings) -> int:
+    """Calibrate into a folder that is ours; returns the exit status."""
+    from selfcal_ros.pipeline.many_inputs import calibrate_many
+    from selfcal_ros.report.many_inputs_report import summary_to_dict, write_summary_page
     page = args.report or folder / 'summary.html'
     inputs = (*paths, args.mask)
     check_outputs((), inputs, args.force, (page, folder / 'summary.json', args.json))
@@ -91,7 +107,8 @@ def run_many(args: argparse.Namespace, paths: list[Path], settings) -> int:
     if not quiet:
         print(coloured(_text(summary)))
         print(f'Written: {page}, {", ".join(map(str, [*pictures, folder / "summary.json"]))}, '
-              f'and {files.count} results in {folder / "recordings"}.')
+              f'and {files.count} result{"" if files.count == 1 else "s"} in '
+              f'{folder / "recordings"}.')
     for outcome in summary.failures if quiet else ():
         print(outcome.error, file=sys.stderr)
     if not summary.cameras:

@@ -88,7 +88,10 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(made, NoEstimate):
         print(f'No model: {made.reason}', file=sys.stderr)
         return EXIT_NOT_CALIBRATED
-    written = [write_model(made.acquired.model, path) for path in (args.output, args.obj) if path]
+    model = made.acquired.model
+    written = [write_model(model, args.output, replace=args.force)]
+    if args.obj:
+        written.append(write_model(model, args.obj))
     if not args.quiet:
         print(made.text())
         print(f'Written: {", ".join(map(str, written))}.')

@@ -23,12 +23,14 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.cli.force import check_outputs
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.scene_outputs import SceneOutputs
+from selfcal_ros.cli.status import EXIT_INPUT, LeftOut
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.report.camera_yaml import check_camera_name, write_camera_yaml
 from selfcal_ros.report.page import write_page
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.report.result_json import result_to_json
+from selfcal_ros.values.output_files import OutputTaken
 from selfcal_ros.values.tracks import Tracks
 
 
@@ -102,7 +104,8 @@ class Outputs:
               source: str = '', tracks: Tracks | None = None,
               open_frames: Callable | None = None, notes: tuple[Finding | str, ...] = (),
               stamps_ns: Mapping[int, int] | None = None,
-              figures: tuple[str, ...] = ()) -> tuple[list[Path], list[str]]:
+              figures: tuple[str, ...] = (),
+              force: bool = True) -> tuple[list[Path], list[LeftOut]]:
         """
         Write the files, each whole or not at all; a camera file only for a calibration.
 
@@ -124,28 +127,23 @@ class Outputs:
             When the images were taken, where they tell.
         figures : tuple of str
             Further elements for the report, from this program alone.
+        force : bool
+            Replace the camera file and the transform, if they have been made meanwhile.
 
         Returns
         -------
         list of Path
             The files written.
-        list of str
-            Why others were not, a sentence each.
+        list of LeftOut
+            Why others were not.
 
         """
-        written = []
+        written: list[Path] = []
+        left_out: list[LeftOut] = []
         if self.camera_yaml and result:
-            sigma = result.sigma
-            written.append(write_camera_yaml(
-                self.camera_yaml, result.camera, self.camera_name,
-                [f'{result.software}: {source}' if source else result.software,
-                 f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
-                 f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
-                 *([] if result.focal is None else [
-                     'The focal length varied from {:.2f} to {:.2f} px: this is the mean; the '
-                     'result of --json has that of every image.'.format(
-                         result.focal.fx.min(), result.focal.fx.max())]),
-                 *_shutter_comments(result)]))
+            written += written_or_left_out(self.camera_yaml, left_out, lambda path: (
+                write_camera_yaml(path, result.camera, self.camera_name,
+                                  _camera_comments(result, source), replace=force)))
         if self.result_json:
             write_json(self.result_json, result_to_json(result, self.seed))
             if not is_standard_output(self.result_json):
@@ -155,19 +153,47 @@ class Outputs:
                                       camera_name=self.camera_name, notes=notes,
                                       open_frames=open_frames,
                                       made=Provenance.of_this_run(self.command, self.inputs)))
-        more, left_out = (self.scene.write(result, source, tracks, open_frames, stamps_ns)
-                          if result and tracks is not None else ([], []))
         if self.mount and result:
-            try:
-                written.append(write_mount(self.mount, result, self.camera_frame, source,
-                                           open_frames))
-            except ArgumentError as error:
-                left_out = [*left_out, f'{self.mount} was not written: {error}']
-        return written + more, left_out
+            written += written_or_left_out(self.mount, left_out, lambda path: write_mount(
+                path, result, self.camera_frame, source, open_frames, force))
+        if result and tracks is not None:
+            more, why_not = self.scene.write(result, source, tracks, open_frames, stamps_ns)
+            written += more
+            left_out += map(LeftOut, why_not)
+        return written, left_out
+
+
+def written_or_left_out(path: Path, left_out: list[LeftOut],
+                        write: Callable[[Path], Path]) -> list[Path]:
+    """
+    Write a file so that one which cannot be written costs no other.
+
+    Parameters
+    ----------
+    path : Path
+    left_out : list of LeftOut
+        Here it is added why it was not written: the result cannot be in it, or another run has
+        made it meanwhile.
+    write : callable
+        Takes the path.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    """
+    try:
+        return [write(path)]
+    except OutputTaken as error:
+        left_out.append(LeftOut(str(error), EXIT_INPUT))
+    except ArgumentError as error:
+        left_out.append(LeftOut(f'{path} was not written: {error}'))
+    return []
 
 
 def write_mount(path: Path, result: Calibration, frame: str | None, source: str = '',
-                open_frames: Callable | None = None) -> Path:
+                open_frames: Callable | None = None, force: bool = True) -> Path:
     """
     Write the transform from the robot to the camera.
 
@@ -181,11 +207,15 @@ def write_mount(path: Path, result: Calibration, frame: str | None, source: str 
         Where the images come from.
     open_frames : callable, optional
         Opens the images.
+    force : bool
+        Replace what is there.
 
     Raises
     ------
     ArgumentError
         If there is no mount, or not all of it is known.
+    OutputTaken
+        If the file is there, and may not be replaced.
 
     """
     from selfcal_ros.calibration.mount import Mount
@@ -198,7 +228,20 @@ def write_mount(path: Path, result: Calibration, frame: str | None, source: str 
         with open_frames() as frames:
             frame = frames.frame_id
     about = f'{result.software}: {source}' if source else result.software
-    return write_transform(path, stored_mount(result.mount, frame or CAMERA_FRAME, about))
+    return write_transform(path, stored_mount(result.mount, frame or CAMERA_FRAME, about),
+                           replace=force)
+
+
+def _camera_comments(result: Calibration, source: str) -> list[str]:
+    """Say in a camera file where it comes from, and how good it is."""
+    sigma = result.sigma
+    varied = [] if result.focal is None else [
+        'The focal length varied from {:.2f} to {:.2f} px: this is the mean; the result of '
+        '--json has that of every image.'.format(result.focal.fx.min(), result.focal.fx.max())]
+    return [f'{result.software}: {source}' if source else result.software,
+            f'fx +- {sigma["fx"]:.3g} px, fy +- {sigma["fy"]:.3g} px, '
+            f'cx +- {sigma["cx"]:.3g} px, cy +- {sigma["cy"]:.3g} px (one sigma)',
+            *varied, *_shutter_comments(result)]
 
 
 def _shutter_comments(result: Calibration) -> list[str]:

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 import re
 
 from selfcal_ros.cli.status import EXIT_INPUT
@@ -59,6 +60,24 @@ def topic_name(value: str) -> str:
     return value
 
 
+def start_pose(value: str) -> str:
+    """
+    Take what --init takes, which is a single word.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is the first of six numbers.
+
+    """
+    try:
+        float(value)
+    except ValueError:
+        return value
+    raise argparse.ArgumentTypeError('the six numbers go in quotes: --init '
+                                     '"0.1 0 0.4 2.1 0.8 0.1"')
+
+
 def _seed(text: str) -> int:
     """Take a whole number that every generator takes."""
     if not text.isdecimal() or len(text) > 10 or int(text) >= 2**32:
@@ -66,8 +85,30 @@ def _seed(text: str) -> int:
     return int(text)
 
 
+def _path(value: str) -> Path:
+    """Take a path of a file or folder."""
+    if not value:
+        raise argparse.ArgumentTypeError("'' is no name of a file or folder")
+    return Path(value)
+
+
 class SentenceParser(argparse.ArgumentParser):
     """An argparse parser that does not print its whole usage for a slip of the finger."""
+
+    def __init__(self, *args, **kwargs):
+        """Take no empty path, which pathlib makes the current folder."""
+        super().__init__(*args, **kwargs)
+        self.register('type', Path, _path)
+
+    def parse_args(self, args=None, namespace=None):
+        """Let the verb that was given speak of words that nobody takes."""
+        found, rest = self.parse_known_args(args, namespace)
+        if rest:
+            verb = getattr(found, 'verb', None)
+            speaker = next((action.choices[verb] for action in self._actions
+                            if isinstance(action.choices, dict) and verb in action.choices), self)
+            speaker.error(f'unrecognized arguments: {" ".join(rest)}')
+        return found
 
     def error(self, message: str):
         """Say in one sentence what is wrong, and end."""

@@ -16,14 +16,15 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 import sys
 
 from selfcal_ros.cli.colours import coloured
-from selfcal_ros.cli.force import check_outputs
+from selfcal_ros.cli.force import check_outputs, make_folder
 from selfcal_ros.cli.machine_output import is_standard_output, write_json
 from selfcal_ros.cli.progress import Progress
-from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
+from selfcal_ros.cli.status import EXIT_DONE, LeftOut, status_of
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
@@ -62,6 +63,7 @@ def _length(text: str) -> tuple[float, float]:
 
 def run_rig(args: argparse.Namespace, settings) -> int:
     """Calibrate a rig; returns the exit status."""
+    from selfcal_ros.cli.outputs import written_or_left_out
     from selfcal_ros.errors import ArgumentError
     from selfcal_ros.pipeline.rig_input import calibrate_rig_input, rig_inputs
     from selfcal_ros.report.rig_colmap import rig_config, rig_config_path
@@ -92,16 +94,21 @@ def run_rig(args: argparse.Namespace, settings) -> int:
     with Progress.of(args) as progress:
         result, reading = calibrate_rig_input(inputs, settings, args.baseline, progress)
         progress('writing')
-    written, left_out = [], []
+    written: list[Path] = []
+    left_out: list[LeftOut] = []
     if result:
-        written = [atomic_write(path, rig_camera_yaml(result, name, reading.description))
-                   for name, path in files.items()]
+        contents = {path: rig_camera_yaml(result, name, reading.description)
+                    for name, path in files.items()}
         of_kalibr = camchain(result, reading.topics)
         if of_kalibr is not None:
-            written.append(atomic_write(chain, of_kalibr))
+            contents[chain] = of_kalibr
         else:
-            left_out.append('A chain of Kalibr needs metres, all poses, and lenses that Kalibr '
-                            f'knows: {chain} was not written.')
+            # nobody has asked for it
+            left_out.append(LeftOut('A chain of Kalibr needs metres, all poses, and lenses that '
+                                    f'Kalibr knows: {chain} was not written.', EXIT_DONE))
+        for path, camera_file in contents.items():
+            written += written_or_left_out(path, left_out, partial(
+                atomic_write, data=camera_file, replace=args.force))
         written += _for_colmap(of_colmap, rig_config(result), left_out)
         written += _mount_of_first(args, result, left_out)
     text = (rig_text(result, frozenset(settings.mount_facts.stated)) if result else str(result))
@@ -122,33 +129,29 @@ def run_rig(args: argparse.Namespace, settings) -> int:
         print(f'Written: {", ".join(map(str, written))}.' if written else 'Nothing was written.')
     elif not result:
         print(result, file=sys.stderr)
-    for sentence in left_out if not args.quiet else ():
-        print(sentence, file=sys.stderr)
-    return EXIT_DONE if result else EXIT_NOT_CALIBRATED
+    for one in left_out:
+        if one.status or not args.quiet:
+            print(one.sentence, file=sys.stderr)
+    return status_of(bool(result), left_out)
 
 
-def _mount_of_first(args: argparse.Namespace, result, left_out: list[str]) -> list[Path]:
+def _mount_of_first(args: argparse.Namespace, result, left_out: list[LeftOut]) -> list[Path]:
     """Write where the first camera sits on the robot, if it is asked for and known."""
-    from selfcal_ros.cli.outputs import write_mount
-    from selfcal_ros.errors import ArgumentError
+    from selfcal_ros.cli.outputs import write_mount, written_or_left_out
     if args.mount_output is None:
         return []
-    try:
-        return [write_mount(args.mount_output, next(iter(result.cameras.values())),
-                            args.camera_frame)]
-    except ArgumentError as error:
-        left_out.append(f'{args.mount_output} was not written: {error}')
-        return []
+    return written_or_left_out(args.mount_output, left_out, lambda path: write_mount(
+        path, next(iter(result.cameras.values())), args.camera_frame, force=args.force))
 
 
-def _for_colmap(path: Path | None, content: str | None, left_out: list[str]) -> list[Path]:
+def _for_colmap(path: Path | None, content: str | None, left_out: list[LeftOut]) -> list[Path]:
     """Write the rig for COLMAP, if it is asked for and can hold it."""
     from selfcal_ros.values.output_files import atomic_write
     if path is None:
         return []
     if content is None:
-        left_out.append('A rig of COLMAP needs all poses, and lenses without skew that COLMAP '
-                        f'knows: {path} was not written.')
+        left_out.append(LeftOut('A rig of COLMAP needs all poses, and lenses without skew that '
+                                f'COLMAP knows: {path} was not written.'))
         return []
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     return [atomic_write(path, content)]

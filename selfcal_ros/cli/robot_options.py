@@ -61,7 +61,8 @@ def add_mount_outputs(group) -> None:
     group.add_argument('--mount-output', type=Path, metavar='FILE',
                        help='where the camera is on the robot: .urdf (a joint), .yaml '
                             '(parameters of static_transform_publisher), .launch.py (as MoveIt '
-                            'writes it) or .calib (easy_handeye2)')
+                            'writes it) or .calib (easy_handeye2); where it is not known, the '
+                            'exit status is 1')
     group.add_argument('--camera-frame', type=text, metavar='FRAME',
                        help='frame of the camera in that file (default: that of the images, or '
                             'camera_optical_frame)')

@@ -13,6 +13,11 @@
 # limitations under the License.
 """Exit statuses of the command line."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
 EXIT_DONE = 0
 EXIT_NOT_CALIBRATED = 1
 #: Calibrations differ by more than was allowed for.
@@ -20,3 +25,15 @@ EXIT_DIFFER = 1
 EXIT_INPUT = 2
 #: A fault of the program, as in sysexits.h.
 EXIT_FAULT = 70
+
+
+class LeftOut(NamedTuple):
+    """Why an output that was asked for was not written, and the exit status that tells of it."""
+
+    sentence: str
+    status: int = EXIT_NOT_CALIBRATED
+
+
+def status_of(done: bool, left_out: Iterable[LeftOut]) -> int:
+    """Return the exit status of a run that is done or not, and has left outputs out."""
+    return max([EXIT_DONE if done else EXIT_NOT_CALIBRATED, *(one.status for one in left_out)])

@@ -22,7 +22,7 @@ import sys
 
 from selfcal_ros.cli.excerpt_options import add_excerpt_arguments, excerpt_from
 from selfcal_ros.cli.force import check_outputs
-from selfcal_ros.cli.parsing import add_seed_argument
+from selfcal_ros.cli.parsing import add_seed_argument, start_pose
 from selfcal_ros.cli.status import EXIT_DONE, EXIT_NOT_CALIBRATED
 from selfcal_ros.cli.verbosity import add_quiet_argument
 from selfcal_ros.cli.track_rig import (add_rig_arguments, check_single, overlays_of, rig_of,
@@ -82,7 +82,7 @@ def add_object_arguments(parser: argparse.ArgumentParser, required: bool = True)
     group.add_argument('--model', type=Path, required=required, metavar='MODEL.CAO',
                        help="shape of the object: ViSP's .cao, our .yaml, or a mesh: .obj, .ply "
                             'or .stl; `selfcal track` takes several, parted by commas')
-    group.add_argument('--init', metavar='POSE',
+    group.add_argument('--init', type=start_pose, metavar='POSE',
                        help='where the object is in the first image: six numbers '
                             '"tx ty tz rx ry rz" (metres, angle-axis radians, object in the '
                             "camera's optical frame), or a .pos file; or a .init file of object "

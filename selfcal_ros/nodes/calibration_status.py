@@ -21,6 +21,12 @@ from msg_adapters.diagnostics import OK, WARN
 
 from selfcal_ros.pipeline.calibration_session import SessionSnapshot
 
+#: What ~/calibrate answers, for those who tell its answers apart.
+NOTHING_NEW = 'nothing new since the last result, which is published again'
+UNDER_WAY = ('an estimate is under way; its result comes on ~/result',
+             'the estimate under way is from before a change and is dropped; another follows, '
+             'whose result comes on ~/result')
+
 
 def calibration_status(state: SessionSnapshot) -> tuple[int, str, dict]:
     """

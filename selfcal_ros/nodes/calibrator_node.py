@@ -32,7 +32,7 @@ from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.nodes.calibration_file import CalibrationFile
-from selfcal_ros.nodes.calibration_status import calibration_status
+from selfcal_ros.nodes.calibration_status import calibration_status, NOTHING_NEW, UNDER_WAY
 from selfcal_ros.nodes.change_watch import ChangeWatch
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
@@ -286,7 +286,7 @@ class Calibrator(Node):
                 and not self._robot.lacks):
             self._publish_result(state.calibration)
             response.success = True
-            response.message = 'nothing new since the last result, which is published again'
+            response.message = NOTHING_NEW
             return response
         views = self._start()
         response.success = views > 0
@@ -295,11 +295,8 @@ class Calibrator(Node):
         elif state.keyframes < 3:
             response.message = (f'{state.keyframes} views with parallax so far, three are needed: '
                                 'keep moving')
-        elif state.abandoned:
-            response.message = ('the estimate under way is from before a change and is dropped; '
-                                'another follows, whose result comes on ~/result')
         else:
-            response.message = 'an estimate is under way; its result comes on ~/result'
+            response.message = UNDER_WAY[state.abandoned]
         return response
 
     def _on_reset(self, _, response):

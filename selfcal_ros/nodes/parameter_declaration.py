@@ -67,7 +67,12 @@ def declare(node, table):
 
 
 def _tell_of_unknown(node, names: list[str]) -> None:
-    """Warn of what was given under a name that none of our nodes knows: it has no effect."""
+    """
+    Warn of what was given under a name that none of our nodes knows.
+
+    It is no error: launch files give parameters to all nodes at once (`/**`), and other nodes may
+    know it.
+    """
     known = {name for kind in vars(parameters).values() if is_dataclass(kind)
              for name in kind.__dataclass_fields__}
     # rclpy has no other way to ask what was given
@@ -75,7 +80,7 @@ def _tell_of_unknown(node, names: list[str]) -> None:
         if given in known or given.startswith(_OF_ROS) or node.has_parameter(given):
             continue
         near = get_close_matches(given, names, 1, 0.7)
-        node.get_logger().warning(f'there is no parameter {given!r:.60}'
+        node.get_logger().warning(f'there is no parameter {given!r:.60} here, so it has no effect'
                                   + (f'; did you mean {near[0]}?' if near else ''))
 
 

@@ -25,28 +25,21 @@ from contextlib import ExitStack
 import json
 import os
 from pathlib import Path
-import signal
-import subprocess
 import sys
 import time
 
 from msg_adapters.stamps import stamp_ns
-import rclpy
 from rclpy.node import Node
+from selfcal_ros.errors import SelfcalError
+from selfcal_ros.nodes.calibration_status import NOTHING_NEW, UNDER_WAY
 from selfcal_ros.nodes.launch_arguments import CALIBRATORS
+from selfcal_ros.nodes.node_processes import (end_silently, images_of, node_processes,
+                                              ReplayTimeout, wait_for)
 from selfcal_ros.nodes.quality_of_service import LATCHED, PER_IMAGE
-from selfcal_ros.pipeline.replay import ImageRecording
 from selfcal_ros.values.output_files import atomic_write
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-
-#: A process that does not end by itself gets so long before it is killed.
-GRACE_S = 5.0
-
-
-class ReplayTimeout(Exception):
-    """The nodes did not come to a result in time."""
 
 
 class ReplaySupervisor(Node):
@@ -54,8 +47,9 @@ class ReplaySupervisor(Node):
 
     def __init__(self, calibrator: str = 'planar_calibrator'):
         super().__init__('replay_supervisor')
-        self.camera_infos: list[CameraInfo] = []
-        self.results: list[String] = []
+        #: Stamp and K[0] of each.
+        self.camera_infos: list[tuple[int, float]] = []
+        self.results: list[dict] = []
         self.create_subscription(CameraInfo, 'camera_info', self._on_camera_info, PER_IMAGE)
         self.create_subscription(String, f'{calibrator}/result', self._on_result, LATCHED)
         self._calibrate = self.create_client(Trigger, f'{calibrator}/calibrate')
@@ -69,65 +63,38 @@ class ReplaySupervisor(Node):
     def _on_result(self, msg):
         self.results.append(json.loads(msg.data))
 
-    def wait_for(self, condition, timeout_s: float, what: str) -> None:
-        """
-        Spin until a condition holds.
-
-        Raises
-        ------
-        ReplayTimeout
-            If it does not in time.
-
-        """
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > deadline:
-                raise ReplayTimeout(f'no {what} within {timeout_s:.0f} s')
-            rclpy.spin_once(self, timeout_sec=0.05)
-
     def call(self, client, timeout_s: float = 10.0):
         """Call a Trigger service and return its response."""
-        self.wait_for(client.service_is_ready, timeout_s, f'service {client.srv_name}')
+        wait_for(self, client.service_is_ready, timeout_s, f'service {client.srv_name}')
         future = client.call_async(Trigger.Request())
-        self.wait_for(future.done, timeout_s, f'answer of {client.srv_name}')
+        wait_for(self, future.done, timeout_s, f'answer of {client.srv_name}')
         return future.result()
 
     def final_result(self, last_stamp_ns: int, timeout_s: float) -> dict:
         """Wait until the last image is through, then ask for an estimate from everything."""
         self._heard = time.monotonic()
         # the last image may have been dropped on a busy machine: then silence has to do
-        self.wait_for(lambda: (self.camera_infos and self.camera_infos[-1][0] >= last_stamp_ns)
-                      or time.monotonic() - self._heard > 2.0, timeout_s, 'end of the drive')
+        wait_for(self, lambda: (self.camera_infos and self.camera_infos[-1][0] >= last_stamp_ns)
+                 or time.monotonic() - self._heard > 2.0, timeout_s, 'end of the drive')
         while True:
-            seen = len(self.results)
+            before = len(self.results)
             answer = self.call(self._calibrate)
-            if not answer.success and 'under way' not in answer.message:
+            if answer.message == NOTHING_NEW:
+                wait_for(self, self._calibrations, timeout_s, 'result')
+                return self._calibrations()[-1]
+            if answer.success:
+                # what came until now is of estimates that had ended when this one began
+                seen = len(self.results)
+                wait_for(self, lambda: len(self.results) > seen, timeout_s, 'result')
+                return self.results[-1]
+            if answer.message not in UNDER_WAY:
                 return self.results[-1] if self.results else {
                     'status': 'not_calibrated', 'reason': answer.message, 'advice': ''}
-            self.wait_for(lambda: len(self.results) > seen, timeout_s, 'result')
-            if answer.success:
-                return self.results[-1]
+            # it may be of fewer images than there are: so ask again
+            wait_for(self, lambda: len(self.results) > before, timeout_s, 'result')
 
-
-def _start(stack: ExitStack, module: str, parameters: dict) -> subprocess.Popen:
-    """Start a node in a process and a session of its own; it ends with the stack."""
-    command = [sys.executable, '-m', f'selfcal_ros.nodes.{module}', '--ros-args']
-    for name, value in parameters.items():
-        command += ['-p', f'{name}:={json.dumps(value)}']
-    process = subprocess.Popen(command, start_new_session=True)
-    stack.callback(_stop, process)
-    return process
-
-
-def _stop(process: subprocess.Popen) -> None:
-    """End a process that we started, gently at first."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    try:
-        process.wait(GRACE_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    def _calibrations(self) -> list[dict]:
+        return [result for result in self.results if result['status'] == 'calibrated']
 
 
 def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
@@ -160,36 +127,26 @@ def replay(bag, output: Path, rate: float = 1.0, timeout_s: float = 120.0,
     ------
     ReplayTimeout
         If the nodes do not come to a result in time, or one of them fails.
+    InputError, ArgumentError
+        If the bag or the rate cannot be used.
 
     """
-    with ImageRecording(bag) as recording:
-        stamps = [stamp for stamp, _ in recording.messages()]
-        last_ns = [frame.stamp_ns for frame in recording][-1]
-    playing_s = (stamps[-1] - stamps[0]) * 1e-9 / rate
-    rclpy.init()
-    with ExitStack() as stack:
-        stack.callback(rclpy.try_shutdown)
+    last_ns, playing_s = images_of(bag, rate)
+    with node_processes() as processes, ExitStack() as stack:
         supervisor = ReplaySupervisor(calibrator)
         stack.callback(supervisor.destroy_node)
         # the silence after the end of the bag is no reason to warn
-        nodes = [_start(stack, calibrator, {'output': str(Path(output) / 'camera.yaml'),
-                                            'silence_s': 600.0, **(parameters or {})}),
-                 _start(stack, 'feature_tracker', {'silence_s': 600.0})]
-
-        def alive(process):
-            if process.poll() not in (None, 0):
-                raise ReplayTimeout(f'{" ".join(process.args[:3])} ended with status '
-                                    f'{process.returncode}')
-            return True
-
+        processes.start(calibrator, {'output': str(Path(output) / 'camera.yaml'),
+                                     'silence_s': 600.0, **(parameters or {})})
+        processes.start('feature_tracker', {'silence_s': 600.0})
         # nothing is played before everybody hears everybody
-        supervisor.wait_for(lambda: all(map(alive, nodes))
-                            and supervisor.count_publishers('camera_info') > 0
-                            and supervisor.count_subscribers('image/compressed') > 0,
-                            timeout_s, 'connection between the nodes')
-        player = _start(stack, 'bag_player', {'bag': str(Path(bag).absolute()), 'rate': rate})
-        supervisor.wait_for(lambda: all(map(alive, [*nodes, player]))
-                            and player.poll() is not None, playing_s + timeout_s, 'end of the bag')
+        wait_for(supervisor, lambda: processes.alive()
+                 and supervisor.count_publishers('camera_info') > 0
+                 and supervisor.count_subscribers('image/compressed') > 0,
+                 timeout_s, 'connection between the nodes')
+        player = processes.start('bag_player', {'bag': str(Path(bag).absolute()), 'rate': rate})
+        wait_for(supervisor, lambda: processes.alive() and player.poll() is not None,
+                 playing_s + timeout_s, 'end of the bag')
         result = supervisor.final_result(last_ns, timeout_s)
         if result['status'] == 'calibrated':
             supervisor.call(supervisor._save)
@@ -205,12 +162,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--timeout', type=float, default=120.0)
     parser.add_argument('--calibrator', choices=CALIBRATORS, default=CALIBRATORS[0])
     args = parser.parse_args(argv)
+    end_silently()
     os.environ.setdefault('ROS_LOG_DIR', str(args.output / 'log'))
     try:
         result, _ = replay(args.bag, args.output, args.rate, args.timeout,
                            calibrator=args.calibrator)
     except ReplayTimeout as error:
         print(f'The nodes came to no result: {error}.', file=sys.stderr)
+        return 2
+    except SelfcalError as error:
+        print(error, file=sys.stderr)
         return 2
     atomic_write(args.output / 'result.json', json.dumps(result, indent=2) + '\n')
     return 0 if result['status'] == 'calibrated' else 1

@@ -32,12 +32,12 @@ import time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from msg_adapters.poses import pose_covariance, pose_matrix
 from msg_adapters.stamps import stamp_ns
-import rclpy
 from rclpy.node import Node
 
+from selfcal_ros.errors import SelfcalError
+from selfcal_ros.nodes.node_processes import (end_silently, images_of, node_processes,
+                                              ReplayTimeout, wait_for)
 from selfcal_ros.nodes.quality_of_service import PER_IMAGE
-from selfcal_ros.nodes.replay_supervisor import _start, ReplayTimeout
-from selfcal_ros.pipeline.replay import ImageRecording
 from selfcal_ros.values.output_files import atomic_write
 
 #: Nothing has come for so long after the end of the bag: nothing more will.
@@ -57,14 +57,6 @@ class PoseListener(Node):
         self.poses.append((stamp_ns(msg.header.stamp), pose_matrix(msg)[:3].tolist(),
                            pose_covariance(msg).tolist()))
         self.heard = time.monotonic()
-
-    def wait_for(self, condition, timeout_s: float, what: str) -> None:
-        """Spin until a condition holds; ReplayTimeout if it does not in time."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > deadline:
-                raise ReplayTimeout(f'no {what} within {timeout_s:.0f} s')
-            rclpy.spin_once(self, timeout_sec=0.05)
 
 
 def replay_tracking(bag, parameters: dict, rate: float = 1.0, timeout_s: float = 120.0) -> list:
@@ -90,35 +82,25 @@ def replay_tracking(bag, parameters: dict, rate: float = 1.0, timeout_s: float =
     ------
     ReplayTimeout
         If the nodes do not come to an end in time, or one of them fails.
+    InputError, ArgumentError
+        If the bag or the rate cannot be used.
 
     """
-    with ImageRecording(bag) as recording:
-        logged = [stamp for stamp, _ in recording.messages()]
-        last_ns = [frame.stamp_ns for frame in recording][-1]
-    rclpy.init()
-    with ExitStack() as stack:
-        stack.callback(rclpy.try_shutdown)
+    last_ns, playing_s = images_of(bag, rate)
+    with node_processes() as processes, ExitStack() as stack:
         listener = PoseListener()
         stack.callback(listener.destroy_node)
-        tracker = _start(stack, 'rorapid_tracker', {'silence_s': 600.0, **parameters})
-
-        def alive(process):
-            if process.poll() not in (None, 0):
-                raise ReplayTimeout(f'{" ".join(process.args[:3])} ended with status '
-                                    f'{process.returncode}')
-            return True
-
-        listener.wait_for(lambda: alive(tracker) and listener.count_publishers('pose') > 0
-                          and listener.count_subscribers('image/compressed') > 0, timeout_s,
-                          'connection between the nodes')
-        player = _start(stack, 'bag_player', {'bag': str(Path(bag).absolute()), 'rate': rate})
-        playing_s = (logged[-1] - logged[0]) * 1e-9 / rate
-        listener.wait_for(lambda: alive(tracker) and alive(player) and player.poll() is not None,
-                          playing_s + timeout_s, 'end of the bag')
+        processes.start('rorapid_tracker', {'silence_s': 600.0, **parameters})
+        wait_for(listener, lambda: processes.alive() and listener.count_publishers('pose') > 0
+                 and listener.count_subscribers('image/compressed') > 0, timeout_s,
+                 'connection between the nodes')
+        player = processes.start('bag_player', {'bag': str(Path(bag).absolute()), 'rate': rate})
+        wait_for(listener, lambda: processes.alive() and player.poll() is not None,
+                 playing_s + timeout_s, 'end of the bag')
         listener.heard = time.monotonic()
-        listener.wait_for(lambda: (listener.poses and listener.poses[-1][0] >= last_ns)
-                          or time.monotonic() - listener.heard > SILENCE_S, timeout_s,
-                          'end of the poses')
+        wait_for(listener, lambda: (listener.poses and listener.poses[-1][0] >= last_ns)
+                 or time.monotonic() - listener.heard > SILENCE_S, timeout_s,
+                 'end of the poses')
         return list(listener.poses)
 
 
@@ -132,6 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--rate', type=float, default=1.0)
     parser.add_argument('--timeout', type=float, default=120.0)
     args = parser.parse_args(argv)
+    end_silently()
     os.environ.setdefault('ROS_LOG_DIR', str(args.output / 'log'))
     parameters = {'model': str(args.model), 'camera_file': str(args.camera),
                   'start_pose': str(args.start_pose)}
@@ -139,6 +122,9 @@ def main(argv: list[str] | None = None) -> int:
         poses = replay_tracking(args.bag, parameters, args.rate, args.timeout)
     except ReplayTimeout as error:
         print(f'The nodes came to no poses: {error}.', file=sys.stderr)
+        return 2
+    except SelfcalError as error:
+        print(error, file=sys.stderr)
         return 2
     atomic_write(args.output / 'node_poses.json', json.dumps(poses) + '\n')
     return 0 if poses else 1

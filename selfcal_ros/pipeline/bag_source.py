@@ -53,7 +53,20 @@ def _readable(path):
     except Exception as error:
         detail = ' '.join(str(error).split())[:160].rstrip('.') or type(error).__name__
         raise InputError(f'{path} cannot be read as a bag; it is damaged, truncated or was not '
-                         f'closed by the recorder ({detail}).') from error
+                         f'closed by the recorder ({detail}); {_remedy(Path(path))}.') from error
+
+
+def _remedy(path: Path) -> str:
+    """Name the tool that saves what a damaged bag still holds."""
+    if path.suffix == '.bag':
+        return 'try `rosbag reindex` on it'
+    if path.suffix == '.db3':
+        return 'try `sqlite3` with `.recover` on it'
+    if path.suffix == '.mcap':
+        return 'try `mcap recover` on it'
+    if any(path.glob('*.mcap')):
+        return 'try `mcap recover` on its file, then `ros2 bag reindex`'
+    return 'try `ros2 bag reindex` on it'
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -313,7 +326,10 @@ def _check_files(path: Path) -> None:
     """Find what rosbags would not, or would say less clearly."""
     if path.is_dir():
         files = sorted(entry for entry in path.iterdir() if entry.suffix in ('.mcap', '.db3'))
-        if not (path / 'metadata.yaml').is_file():
+        closed = (path / 'metadata.yaml').is_file()
+        if not files and not closed:
+            raise InputError(f'{path} is no bag; give a folder with an .mcap or .db3 file in it.')
+        if not closed:
             raise InputError(f'{path} has no metadata.yaml, so the recording was not closed; run '
                              f'`ros2 bag reindex` on it, or give the file {files[0].name}.')
         check_metadata(path)
@@ -325,6 +341,9 @@ def _check_files(path: Path) -> None:
 
 def _check_file(path: Path) -> None:
     """Check magic number and, for SQLite, completeness."""
+    if path.exists() and path.suffix not in _MAGIC:
+        raise InputError(f'{path} is no bag; give a rosbag2 folder, or an .mcap, .db3 or .bag '
+                         'file.')
     try:
         size = path.stat().st_size
         with path.open('rb') as stream:

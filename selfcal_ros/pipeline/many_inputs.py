@@ -37,7 +37,7 @@ from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.pipeline.bag_source import BAG_SUFFIXES, image_topics, is_bag_folder
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.engines import CRASHED, run_jobs
-from selfcal_ros.pipeline.file_sources import natural_key, VIDEO_SUFFIXES
+from selfcal_ros.pipeline.file_sources import IMAGE_SUFFIXES, natural_key, VIDEO_SUFFIXES
 
 if TYPE_CHECKING:
     from selfcal_ros.calibration.estimators.joint import JointCalibration
@@ -165,7 +165,7 @@ def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
     Raises
     ------
     InputError
-        If a pattern fits nothing, or an input is empty.
+        If a pattern fits nothing, an input is empty, or all of them are single images.
 
     """
     inputs = list(inputs)
@@ -186,7 +186,17 @@ def find_recordings(inputs: Iterable) -> tuple[list[Path], bool]:
         inside = _recordings_inside(path)
         many = many or bool(inside)
         found += inside or [path]
-    return list(dict.fromkeys(found)), many
+    found = list(dict.fromkeys(found))
+    if many and found and all(map(_is_single_image, found)):
+        first, *others = found
+        which = f'{first} is a single image' if not others else (
+            f'{first} and {len(others)} more are single images')
+        raise InputError(f'{which}; give the folder, {first.parent}, and not what lies in it.')
+    return found, many
+
+
+def _is_single_image(path: Path) -> bool:
+    return path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()
 
 
 def _recordings_inside(path: Path) -> list[Path]:
@@ -217,7 +227,7 @@ def calibrate_job(job: Job) -> list[Outcome]:
                                        or path.is_dir() and is_bag_folder(path)):
             topics = list(image_topics(path)) or [None]
     except (SelfcalError, OSError, ValueError) as error:
-        return [Outcome(job.path, error=_sentence(error))]
+        return [Outcome(job.path, error=_sentence(job.path, error))]
     return [_calibrate_topic(job.path, replace(settings, topic=topic)) for topic in topics]
 
 
@@ -228,7 +238,7 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
     try:
         result, reading = calibrate_input(path, settings)
     except (SelfcalError, OSError) as error:
-        return Outcome(path, topic, error=_sentence(error), seconds=time.monotonic() - began)
+        return Outcome(path, topic, error=_sentence(path, error), seconds=time.monotonic() - began)
     except Exception as error:
         # a fault of this program in one recording must not cost the others theirs
         return Outcome(path, topic, error=f'{path}: fault of selfcal_ros, please report: '
@@ -249,8 +259,12 @@ def _calibrate_topic(path: str, settings: CalibrationSettings) -> Outcome:
                    reading.findings, where, reading.stamps_ns)
 
 
-def _sentence(error: Exception) -> str:
-    return str(error) if isinstance(error, SelfcalError) else f'It cannot be read: {error}.'
+def _sentence(path: str, error: Exception) -> str:
+    """Say of a recording why it cannot be used."""
+    if isinstance(error, SelfcalError):
+        return str(error)
+    place = getattr(error, 'filename', None) or path
+    return f'{place} cannot be read: {getattr(error, "strerror", None) or error}.'
 
 
 def calibrate_many(paths: list, settings: CalibrationSettings, *,
@@ -277,10 +291,17 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
     """
     began = time.monotonic()
     found: list[list[Outcome]] = [[] for _ in paths]
-    jobs = [Job(str(path), settings) for path in paths]
+    findable: Callable[..., str] = str
+    if engine.get('engine') == 'dask':
+        # workers of a cluster may run in another folder than this process
+        settings, findable = _with_absolute_paths(settings), os.path.abspath
+    jobs = [Job(findable(path), settings) for path in paths]
     for done, (number, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):
-        path = jobs[number].path
-        found[number] = _outcomes(path, value)
+        # under the name that it was given
+        path = str(paths[number])
+        found[number] = [
+            replace(outcome, path=path, error=outcome.error.replace(jobs[number].path, path))
+            for outcome in _outcomes(path, value)]
         for outcome in found[number]:
             if each:
                 each(outcome)
@@ -293,9 +314,17 @@ def calibrate_many(paths: list, settings: CalibrationSettings, *,
     for outcome in outcomes:
         if outcome.image_size:
             groups.setdefault(outcome.camera_key, []).append(outcome)
-    cameras = tuple(_summarise(group, settings, engine, progress) for group in groups.values())
+    cameras = tuple(_summarise(group, settings, engine, progress, findable)
+                    for group in groups.values())
     failures = tuple(outcome for outcome in outcomes if not outcome.image_size)
     return Summary(cameras, failures, time.monotonic() - began)
+
+
+def _with_absolute_paths(settings: CalibrationSettings) -> CalibrationSettings:
+    """Name the files of settings so that they are found from every folder."""
+    mask, known = (os.path.abspath(path) if path is not None and os.path.isfile(path) else path
+                   for path in (settings.mask, settings.known_object))
+    return replace(settings, mask=mask, known_object=known)
 
 
 def _outcomes(path: str, value) -> list[Outcome]:
@@ -306,8 +335,9 @@ def _outcomes(path: str, value) -> list[Outcome]:
     return value or [Outcome(path, error=f'{path}: {CRASHED}')]
 
 
-def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummary:
-    """Combine the recordings of one camera."""
+def _summarise(group: list[Outcome], settings, engine, progress,
+               findable: Callable[..., str]) -> CameraSummary:
+    """Combine the recordings of one camera; `findable` names them for those who read them."""
     if all(outcome.start_ns is not None for outcome in group):
         group = sorted(group, key=lambda outcome: outcome.start_ns or 0)
     first = group[0]
@@ -324,9 +354,8 @@ def _summarise(group: list[Outcome], settings, engine, progress) -> CameraSummar
     findings: tuple[Finding, ...] = ()
     if again:
         facts = replace(settings.facts, distortion=usual)
-        jobs = [Job(group[number].path, replace(settings, facts=facts,
-                                                topic=first.topic or settings.topic))
-                for number in again]
+        jobs = [Job(findable(group[number].path), replace(
+            settings, facts=facts, topic=first.topic or settings.topic)) for number in again]
         for number in again:
             del results[number]
         for done, (place, value) in enumerate(run_jobs(calibrate_job, jobs, **engine), start=1):

@@ -125,11 +125,11 @@ def _string(text: str) -> str:
 
 
 def write_camera_yaml(path: str | Path, camera: Camera, name: str,
-                      comments: Iterable[str] = ()) -> Path:
+                      comments: Iterable[str] = (), replace: bool = True) -> Path:
     """
     Write a camera file; it appears whole or not at all.
 
-    See `camera_yaml` for the parameters.
+    See `camera_yaml` for the parameters, and `atomic_write` for `replace`.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def write_camera_yaml(path: str | Path, camera: Camera, name: str,
         If the file cannot be written.
 
     """
-    return atomic_write(path, camera_yaml(camera, name, comments))
+    return atomic_write(path, camera_yaml(camera, name, comments), replace)
 
 
 def _matrix(key: str, matrix: np.ndarray) -> list[str]:

@@ -15,7 +15,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 import os
 from pathlib import Path
 import stat
@@ -29,6 +30,10 @@ RECORDED = ('.mcap', '.db3', '.bag', '.zstd', '.zst', '.png', '.jpg', '.jpeg', '
             '.tiff', '.pgm', '.ppm')
 #: Where nobody says what names an output.
 NO_OPTIONS: Mapping[str, str | os.PathLike | None] = MappingProxyType({})
+
+
+class OutputTaken(InputError):
+    """A file that was not there before the work is there now, and is kept."""
 
 
 def check_outputs(outputs: Iterable[str | os.PathLike | None],
@@ -109,7 +114,41 @@ def check_writable(path) -> Path:
     return path
 
 
-def atomic_write(path, data: str | bytes) -> Path:
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """
+    Keep other runs out of a folder; the end of the process, of whatever kind, lets them in again.
+
+    Parameters
+    ----------
+    folder : Path
+        It must exist. Where the file system knows no locks, nobody is kept out.
+
+    Raises
+    ------
+    InputError
+        If another run has claimed it.
+
+    """
+    try:
+        import fcntl
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        with suppress(OSError):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(f'Another run is writing to {folder}; name another folder with '
+                                 '--output-dir, or wait for its end.') from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def atomic_write(path, data: str | bytes, replace: bool = True) -> Path:
     """
     Write a file: a temporary file beside it, then renamed.
 
@@ -120,6 +159,8 @@ def atomic_write(path, data: str | bytes) -> Path:
     path : str or Path
     data : str or bytes
         Text is encoded as UTF-8, line ends as they are.
+    replace : bool
+        Whether a file with content may be replaced.
 
     Returns
     -------
@@ -128,6 +169,8 @@ def atomic_write(path, data: str | bytes) -> Path:
 
     Raises
     ------
+    OutputTaken
+        If there is one that may not.
     InputError
         If the file cannot be written; what was there before is still there.
 
@@ -148,13 +191,31 @@ def atomic_write(path, data: str | bytes) -> Path:
                 stream.flush()
                 os.fsync(stream.fileno())
             os.chmod(temporary, _mode(path))
-            os.replace(temporary, os.path.realpath(path))
+            _move(temporary, path, replace)
         except BaseException:
             os.unlink(temporary)
             raise
     except OSError as error:
         raise InputError(f'{path} cannot be written: {_why(error)}.') from None
     return path
+
+
+def _move(temporary: str, path: Path, replace: bool) -> None:
+    """Give a temporary file its name; where nothing is replaced, no other run can come between."""
+    place = os.path.realpath(path)
+    if not replace:
+        try:
+            os.link(temporary, place)
+        except OSError:
+            # it exists, or the file system has no links
+            if os.path.isfile(place) and os.path.getsize(place):
+                raise OutputTaken(
+                    f'{path} has been made meanwhile and is kept, so it does not hold this '
+                    'result; choose another name, or replace it with --force.') from None
+        else:
+            os.unlink(temporary)
+            return
+    os.replace(temporary, place)
 
 
 def _check_place(path: Path) -> None:

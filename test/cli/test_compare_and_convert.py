@@ -168,7 +168,8 @@ def test_a_camera_file_becomes_that_of_another_program_and_comes_back(capsys):
 
 
 @pytest.mark.parametrize('arguments, words', [
-    (['a.yaml', 'b.yaml'], 'say with --to'), (['a.yaml', 'b.dat'], 'does not tell'),
+    (['a.yaml', 'b.yaml'], 'say with --to'), (['a.yaml', './a.yaml'], 'choose another name'),
+    (['a.yaml', 'b.dat'], 'does not tell'),
     (['a.yaml', 'taken.txt'], '--force'), (['a.yaml', 'b.xml', '--camera', 'cam1'], 'cam1'),
     (['a.yaml', 'b.xml', '--fisheye'], '--fisheye'), (['none.yaml', 'b.xml'], 'none.yaml'),
     (['a.yaml', 'b.xml', '--image-size', '0', '4'], 'image size'),

@@ -45,6 +45,24 @@ def test_a_camera_file_that_exists_is_kept_and_no_work_is_begun(driven, capsys, 
     assert 'image_width: 640' in Path('camera.yaml').read_text(encoding='utf-8')
 
 
+def test_a_camera_file_that_another_run_makes_meanwhile_is_kept_and_told(driven, capsys,
+                                                                         monkeypatch):
+    work = calibrate_input.calibrate_input
+
+    def slow(*arguments):
+        Path('camera.yaml').write_text(MINE, encoding='utf-8')
+        return work(*arguments)
+
+    monkeypatch.setattr(calibrate_input, 'calibrate_input', slow)
+    assert selfcal('calibrate', driven[0], *SIZE, '--json', 'result.json') == 2
+    heard = capsys.readouterr()
+    assert heard.err.count('\n') == 1 and 'camera.yaml has been made meanwhile' in heard.err
+    # the result is not lost: it is printed, and what was asked for beside is written
+    assert 'fx ' in heard.out and 'Written: result.json.' in heard.out
+    assert Path('camera.yaml').read_text(encoding='utf-8') == MINE
+    assert Path('result.json').exists()
+
+
 @pytest.mark.parametrize('arguments', [
     ['calibrate', 'in.csv', '--output', 'mine'],
     ['calibrate', 'in.csv', 'in.csv', '--output-dir', 'earlier'],

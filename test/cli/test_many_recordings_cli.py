@@ -16,8 +16,10 @@
 import json
 from pathlib import Path
 import shutil
+import sys
 
 import numpy as np
+from selfcal_ros.cli.force import output_folder
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.special_scenes import drive, pure_translation
 from test_support.command_line import selfcal, SIZE
@@ -70,8 +72,34 @@ def test_many_recordings_none_of_which_can_be_used(capsys):
     for options, words in ((['--output', 'c.yaml'], '--output is for a single'),
                            (['--poses', 'p.tum'], '--poses-format writes the poses of each'),
                            (['--track', '--model', 'm.cao'], '--track takes a single'),
-                           (['--jobs', '0'], 'positive'), (['--scheduler', 'x'], 'dask')):
+                           (['--jobs', '0'], 'give 1 or more'), (['--scheduler', 'x'], 'dask')):
         assert selfcal('calibrate', 'a.csv', 'b.csv', *options) == 2
         assert words in capsys.readouterr().err
     assert selfcal('calibrate', 'a.csv', '--output-dir', 'x') == 2
     assert '--output-dir is for many' in capsys.readouterr().err
+
+
+def test_a_run_that_is_refused_leaves_no_folder(capsys, monkeypatch):
+    for name in ('a.csv', 'b.csv', 'a.png', 'b.png'):
+        Path(name).touch()
+    monkeypatch.setitem(sys.modules, 'dask.distributed', None)
+    for inputs, options, words in (
+            (['a.csv', 'b.csv'], ['--engine', 'dask'], 'needs Dask'),
+            (['a.csv', 'b.csv'], ['--scheduler', 'tcp://x:1', '--output-dir', 'new/one'], 'dask'),
+            (['a.png', 'b.png'], [], 'a.png and 1 more are single images; give the folder, .,'),
+            (['a.csv', 'b.csv'], ['--output-dir', 'a.csv'], 'a.csv is a file; name a folder')):
+        assert selfcal('calibrate', *inputs, *options) == 2
+        heard = capsys.readouterr()
+        assert words in heard.err and heard.err.count('\n') == 1 and not heard.out
+    assert sorted(path.name for path in Path().iterdir()) == ['a.csv', 'a.png', 'b.csv', 'b.png']
+
+
+def test_of_two_runs_into_one_folder_the_second_is_refused(capsys):
+    for name in ('a.csv', 'b.csv'):
+        Path(name).write_text('frame,track,x,y\n0,1,nan,2\n', encoding='utf-8')
+    with output_folder(Path('out')):
+        for more in ([], ['--force']):
+            assert selfcal('calibrate', 'a.csv', 'b.csv', '--output-dir', 'out', *more) == 2
+            assert 'Another run is writing to out; name another' in capsys.readouterr().err
+    assert selfcal('calibrate', 'a.csv', 'b.csv', '--output-dir', 'out', '-q') == 2
+    assert 'a.csv, line 2' in capsys.readouterr().err

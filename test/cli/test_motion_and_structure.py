@@ -135,10 +135,10 @@ def test_a_camera_that_only_rotates_is_refused_as_planar_and_leaves_no_structure
 def test_a_camera_that_only_rotates_is_calibrated_as_such(capsys):
     pure_rotation(np.random.default_rng(2), views=5).tracks.to_csv('tracks.csv')
     assert command.main(['calibrate', 'tracks.csv', '--ply', 's.ply', '--colmap', 'model',
-                         '--poses', 'path.txt', *SIZE]) == 0
+                         '--poses', 'path.txt', *SIZE]) == 1
     heard = capsys.readouterr()
-    assert 'rotation' in heard.out
-    # it turned, and that is known; it saw no depth
+    assert 'rotation' in heard.out and Path('camera.yaml').exists()
+    # it turned, and that is known; it saw no depth, and two files are missing
     assert heard.err.count('was not written: the camera only turned') == 2
     assert not Path('s.ply').exists() and not Path('model').exists()
     rows = np.loadtxt('path.txt')

@@ -14,11 +14,14 @@
 """`selfcal calibrate --robot`: where the camera sits, in words and files; wrong options."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mount import mount_rotation
+from selfcal_ros.errors import ArgumentError
+from selfcal_ros.report.mounts import transform_files
 from selfcal_ros.report.mounts.transform_reading import read_transform
 from selfcal_ros.synthetic.scenes import observe, sequence_si
 from test_support.command_line import selfcal, SIZE
@@ -77,6 +80,18 @@ def test_an_arm_tells_where_its_camera_sits(arm, capsys):
     ways = [np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
             for places in (rows[:, 1:4], cameras[rows[:, 0].astype(int), :3, 3])]
     assert ways[0] == pytest.approx(ways[1], rel=0.01)
+
+
+def test_a_mount_that_cannot_be_written_is_no_success(arm, capsys, monkeypatch):
+    def refuse(*_):
+        raise ArgumentError('z of the mount is not observable; measure it.')
+
+    monkeypatch.setattr(transform_files, 'stored_mount', refuse)
+    assert selfcal('calibrate', arm[0] / 'tracks.csv', *SIZE, '--robot', arm[0] / 'poses.csv',
+                   '--mount-output', 'a.urdf', '-q') == 1
+    assert capsys.readouterr().err == ('a.urdf was not written: z of the mount is not observable; '
+                                       'measure it.\n')
+    assert sorted(path.name for path in Path().iterdir()) == ['camera.yaml']
 
 
 @pytest.mark.parametrize('options, words', [

@@ -29,9 +29,26 @@ from test_support.command_line import selfcal, SIZE
     (['calibrate', 'x.csv', '--reprot=r.html'], 'unrecognized arguments: --reprot=r.html; did '
      'you mean --report?'),
     (['calibrate', 'x.csv', '--motion', 'plana'], 'did you mean planar?'),
+    (['calibrate', 'x.csv', '--motion', 'pivot'], 'leave --motion out, or say auto'),
+    (['track', 'x', '--model', 'm', '--init', '0.1', '0', '0.4', '2', '1', '0'], 'selfcal track: '
+     'argument --init: the six numbers go in quotes: --init "0.1 0 0.4 2.1 0.8 0.1"'),
+    (['calibrate', '--init', '-0.1', '0', '0.4', '2', '1', '0', 'x'], 'go in quotes'),
+    *([[verb, *words, '--xyzzy'], f'arguments: --xyzzy; selfcal {verb} --help tells more.']
+      for verb, words in (('calibrate', ['x']), ('compare', ['x', 'y']), ('convert', ['x', 'y']),
+                          ('track', ['x', '--model', 'm', '--camera', 'c']), ('watch', []),
+                          ('model', ['x', '--camera', 'c']), ('completion', ['bash']),
+                          ('demo', []))),
+    (['--versoin'], 'did you mean --version? selfcal --help tells more.'),
     (['calibrate', 'x.csv', '--motion', ''], "invalid choice: ''"),
-    (['calibrate', 'x.csv', '--jobs', 'many'], "invalid int value: 'many'"),
+    (['calibrate', 'x.csv', '--jobs', 'many'], "'many' is no number of processes"),
+    (['calibrate', 'x.csv', '--jobs', '0'], 'give 1 or more'),
+    (['calibrate', 'x.csv', '--output', ''], "--output: '' is no name of a file or folder"),
+    (['calibrate', 'x.csv', 'y.csv', '--output-dir', ''], 'is no name of a file or folder'),
     (['demo', '--recording', 'moon'], "invalid choice: 'moon'"),
+    (['demo', '--rate', '0'], "'0' is no number from 0.01 to 100"),
+    (['demo', '--rate', 'nan'], 'from 0.01 to 100'),
+    (['demo', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
+    (['demo', '--recording', 'object', '--bag', 'nope'], 'selfcal demo: nope does not exist'),
     (['convert', 'x', 'out_bag', '--frame-id', '\udcff\udcfe'], 'is not plain text'),
     (['convert', 'x', 'out_bag', '--topic', 'two words'], 'is no name of a topic'),
     (['calibrate', 'x.csv', '--robot-frame', 'base\nlink'], 'is not plain text'),
@@ -94,7 +111,9 @@ def bad_inputs():
 
 
 @pytest.mark.parametrize('arguments, words', [
-    (['truncated.mcap'], 'truncated'), (['mixed'], 'change size'), (['folder'], 'folder'),
+    (['good', '--output-dir', 'x'], 'many recordings'),
+    (['truncated.mcap'], 'truncated'), (['truncated.mcap'], 'try `mcap recover` on it'),
+    (['mixed'], 'change size'), (['folder'], 'folder'),
     (['good', '--topic', '/nothing'], '/camera/image_raw')])
 def test_a_broken_recording_is_status_2_in_one_sentence(bad_inputs, capsys, arguments, words):
     before = sorted(Path().rglob('*'))

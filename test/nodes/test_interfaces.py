@@ -13,7 +13,11 @@
 # limitations under the License.
 """What is written of the nodes' topics, services and parameters is what the nodes have."""
 
+import os
 from pathlib import Path
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -46,6 +50,21 @@ def test_the_player_has_what_is_written_for_the_type_of_its_bag(graph, tmp_path)
     write_image_bag(tmp_path / 'bag', [Frame(0, 10 ** 18, np.zeros((48, 64), np.uint8))])
     node = graph('-p', f'bag:={tmp_path / "bag"}').add(BagPlayer())
     assert has(node) == {end for end in written('bag_player') if 'compressed' not in end[1]}
+
+
+def test_a_service_is_called_as_the_page_says(graph, tmp_path):
+    text = (ROOT / 'docs' / 'nodes.md').read_text(encoding='utf-8')
+    program, = re.findall(r'```python\n(.*?)```', text, re.S)
+    world = graph()
+    world.add(Calibrator('planar_calibrator', PARAMETERS['planar_calibrator']))
+    caller = subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE, text=True,
+                              cwd=tmp_path, env=dict(os.environ))
+    try:
+        world.wait_for(lambda: caller.poll() is not None, 30, 'end of the program')
+        assert 'three are needed' in caller.communicate()[0]
+    finally:
+        caller.kill()
+        caller.wait()
 
 
 @pytest.mark.parametrize('name', sorted(PARAMETERS))

@@ -103,8 +103,8 @@ def test_a_name_that_nobody_knows_is_told_with_the_nearest(graph, monkeypatch):
                  'use_sim_time:=false', '-p', 'zzz:=1').add(Node('some_node'))
     monkeypatch.setattr(type(node.get_logger()), 'warning', lambda self, text: said.append(text))
     declare(node, FeatureTrackerParameters)
-    assert said == ["there is no parameter 'max_feature'; did you mean max_features?",
-                    "there is no parameter 'zzz'"]
+    assert said == ["there is no parameter 'max_feature' here, so it has no effect; did you mean "
+                    "max_features?", "there is no parameter 'zzz' here, so it has no effect"]
 
 
 @pytest.mark.parametrize('name', [*sorted(PARAMETERS), 'all_nodes'])

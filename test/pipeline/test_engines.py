@@ -14,6 +14,7 @@
 """Many jobs in processes and on Dask: order, crashes, threads, errors of the caller."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from operator import call
@@ -105,6 +106,40 @@ def test_a_recording_that_could_not_be_run_says_why(monkeypatch):
     assert first.error == ("a.mcap: it could not be run there (ModuleNotFoundError: No module "
                            "named 'rosbags').")
     assert second.error.startswith('b.mcap: its process died')
+
+
+def test_a_cluster_gets_absolute_paths_and_outcomes_keep_theirs(monkeypatch, tmp_path):
+    jobs = []
+
+    def run(_, given, **__):
+        jobs.extend(given)
+        yield 0, [many_inputs.Outcome(given[0].path, error=f'{given[0].path} is empty.')]
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(many_inputs, 'run_jobs', run)
+    Path('mask.png').touch()
+    Path('points.csv').touch()
+    settings = replace(SETTINGS, mask='mask.png', known_object='points.csv')
+    for engine, folder in (('dask', f'{tmp_path}/'), ('processes', '')):
+        summary = calibrate_many([Path('a.mcap')], settings, engine=engine)
+        job = jobs.pop()
+        assert (job.path, job.settings.mask, job.settings.known_object) == tuple(
+            f'{folder}{name}' for name in ('a.mcap', 'mask.png', 'points.csv'))
+        assert [(one.path, one.error) for one in summary.failures] == [
+            ('a.mcap', 'a.mcap is empty.')]
+    calibrate_many(['a.mcap'], replace(settings, known_object='chessboard:9x6:0.02'),
+                   engine='dask')
+    assert jobs.pop().settings.known_object == 'chessboard:9x6:0.02'
+
+
+def test_what_cannot_be_opened_is_a_plain_sentence(monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, 'Permission denied', 'locked')
+
+    monkeypatch.setattr(many_inputs, 'is_bag_folder', refuse)
+    monkeypatch.setattr(Path, 'is_dir', lambda _: True)
+    (outcome,) = many_inputs.calibrate_job(Job('locked', SETTINGS))
+    assert outcome.error == 'locked cannot be read: Permission denied.'
 
 
 def test_whoever_stops_listening_stops_the_work():
@@ -254,6 +289,14 @@ def test_what_inputs_name(tmp_path, monkeypatch):
     assert find_recordings(['nowhere']) == ([Path('nowhere')], False)
     with pytest.raises(many_inputs.InputError, match='Nothing fits'):
         find_recordings(['no/*.mcap'])
+    # a shell has taken a folder apart; beside recordings they are a line each
+    for name in ('a.png', 'b.JPG'):
+        (folder / name).touch()
+    for inputs in (['drives/a.png', 'drives/b.JPG'], ['drives/*.[pJ]*']):
+        with pytest.raises(many_inputs.InputError, match='drives/a.png and 1 more are single '
+                           'images; give the folder, drives,'):
+            find_recordings(inputs)
+    assert find_recordings(['drives/a.png', 'drives/bag'])[1]
 
 
 def test_topics_of_a_bag_are_cameras_of_their_own(tmp_path):

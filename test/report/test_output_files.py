@@ -22,7 +22,8 @@ import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.report.overlay_video import OverlayVideo
 from selfcal_ros.values import output_files
-from selfcal_ros.values.output_files import atomic_write, check_outputs, check_writable
+from selfcal_ros.values.output_files import (atomic_write, check_outputs, check_writable,
+                                             OutputTaken)
 
 
 def test_write_and_replace(tmp_path):
@@ -32,6 +33,26 @@ def test_write_and_replace(tmp_path):
     atomic_write(path, b'\x00\xff')
     assert path.read_bytes() == b'\x00\xff'
     assert [entry.name for entry in tmp_path.iterdir()] == ['a.txt']
+
+
+def test_what_another_run_has_made_meanwhile_is_kept(tmp_path, monkeypatch):
+    path = tmp_path / 'a.txt'
+    atomic_write(path, 'first', replace=False)
+    for _ in range(2):
+        with pytest.raises(OutputTaken, match='a.txt has been made meanwhile and is kept'):
+            atomic_write(path, 'second', replace=False)
+        assert path.read_text() == 'first' and len(list(tmp_path.iterdir())) == 1
+        # again, where the file system has no links
+        monkeypatch.setattr(output_files.os, 'link', _no_links)
+    path.write_text('')
+    # nothing is lost with an empty one
+    atomic_write(path, 'second', replace=False)
+    atomic_write(tmp_path / 'b.txt', 'third', replace=False)
+    assert path.read_text() == 'second' and (tmp_path / 'b.txt').read_text() == 'third'
+
+
+def _no_links(*_):
+    raise PermissionError(1, 'Operation not permitted')
 
 
 def test_permissions_are_those_of_a_plain_file(tmp_path):

@@ -98,6 +98,13 @@ def test_what_is_wrong_with_a_file_is_one_sentence(tmp_path, text, words):
         read_model(path)
 
 
+def test_a_text_or_half_a_file_is_no_stl(tmp_path):
+    for content in (b'some notes\n', bytes(80) + b'\x0c\0\0\0' + bytes(90)):
+        (tmp_path / 'h.stl').write_bytes(content)
+        with pytest.raises(InputError, match='h.stl cannot be read as stl: it does not begin'):
+            read_model(tmp_path / 'h.stl')
+
+
 def test_a_ply_without_a_format_is_one_sentence(tmp_path):
     path = ply(tmp_path / 'bad.ply')
     for instead in (b'', b'format\n', b'format odd 1.0\n'):

@@ -171,7 +171,7 @@ def chosen(path, cameras: list[StoredCamera], which: str | None = None,
 
 
 def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
-                 topic: str = '') -> Path:
+                 topic: str = '', replace: bool = True) -> Path:
     """
     Write a camera file; it appears whole or not at all.
 
@@ -186,6 +186,8 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
         Name inside a file of ROS.
     topic : str
         Image topic inside a file of Kalibr.
+    replace : bool
+        Whether a file with content may be replaced.
 
     Raises
     ------
@@ -207,14 +209,16 @@ def write_camera(path, kind: str, camera: Camera, name: str = 'camera',
     if camera.width <= 0 or camera.height <= 0:
         raise ArgumentError('The image size is not known; give it with --image-size W H.')
     if kind == 'ros':
-        return atomic_write(path, camera_yaml(camera, name))
-    if kind == 'opencv':
-        return atomic_write(path, opencv_text(camera, xml=suffix == '.xml'))
-    if kind == 'kalibr':
-        return atomic_write(path, kalibr_text(camera, topic=topic))
-    if kind == 'mrcal':
-        return atomic_write(path, mrcal_text(camera))
-    return atomic_write(path, colmap_binary(camera) if suffix == '.bin' else colmap_text(camera))
+        text: str | bytes = camera_yaml(camera, name)
+    elif kind == 'opencv':
+        text = opencv_text(camera, xml=suffix == '.xml')
+    elif kind == 'kalibr':
+        text = kalibr_text(camera, topic=topic)
+    elif kind == 'mrcal':
+        text = mrcal_text(camera)
+    else:
+        text = colmap_binary(camera) if suffix == '.bin' else colmap_text(camera)
+    return atomic_write(path, text, replace)
 
 
 def _from_result(text: str, source: str) -> list[StoredCamera]:

@@ -273,9 +273,10 @@ def kind_of_name(path: Path) -> str:
                         '.urdf, .yaml, .launch.py or .calib.')
 
 
-def write_transform(path: Path, stored: StoredTransform, kind: str | None = None) -> Path:
+def write_transform(path: Path, stored: StoredTransform, kind: str | None = None,
+                    replace: bool = True) -> Path:
     """
-    Write a transform; the file appears whole or not at all.
+    Write a transform; the file appears whole or not at all. See `atomic_write` for `replace`.
 
     Raises
     ------
@@ -285,4 +286,4 @@ def write_transform(path: Path, stored: StoredTransform, kind: str | None = None
     """
     check_frame(stored.parent)
     check_frame(stored.child)
-    return atomic_write(path, FORMATS[kind or kind_of_name(path)].text(stored))
+    return atomic_write(path, FORMATS[kind or kind_of_name(path)].text(stored), replace)

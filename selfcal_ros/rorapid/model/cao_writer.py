@@ -27,7 +27,7 @@ from selfcal_ros.values.wireframe import Conic, WireframeModel
 _ROUND = 0.02
 
 
-def write_cao(model: WireframeModel, path) -> Path:
+def write_cao(model: WireframeModel, path, replace: bool = True) -> Path:
     """
     Write a model as ViSP's ``.cao``, to a temporary file that is then renamed.
 
@@ -37,6 +37,8 @@ def write_cao(model: WireframeModel, path) -> Path:
     ----------
     model : WireframeModel
     path : str or Path
+    replace : bool
+        Whether a file with content may be replaced.
 
     Returns
     -------
@@ -70,7 +72,7 @@ def write_cao(model: WireframeModel, path) -> Path:
             f'{len(face.indices)} {" ".join(map(str, face.indices))}{_name(face.name)}'
             for face in model.faces]),
         *_list('cylinders', cylinders), *_list('circles', circles)]
-    return atomic_write(path, '\n'.join(parts) + '\n')
+    return atomic_write(path, '\n'.join(parts) + '\n', replace)
 
 
 def _list(title, rows):

@@ -113,6 +113,9 @@ def _read_stl(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     else:
         text = data.decode('ascii', errors='replace')
         found = re.findall(r'vertex\s+(\S+)\s+(\S+)\s+(\S+)', text)
+        if not found and not text.lstrip().lower().startswith('solid'):
+            raise ValueError('it does not begin with "solid", as text would, and is not as long '
+                             'as its number of triangles says')
         corners = np.array(found, float).reshape(-1, 3)
         if len(corners) % 3:
             raise ValueError('a facet has not three corners')

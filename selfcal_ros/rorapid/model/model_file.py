@@ -63,7 +63,7 @@ def read_model(path: str | Path, scale: float = 1.0) -> WireframeModel:
     raise InputError(f'The model {path} must be a .cao, .yaml, .obj, .ply or .stl file.')
 
 
-def write_model(model: WireframeModel, path: str | Path) -> Path:
+def write_model(model: WireframeModel, path: str | Path, replace: bool = True) -> Path:
     """
     Write a model: ``.cao``, ``.yaml``, or ``.obj`` for programs that draw it.
 
@@ -71,6 +71,8 @@ def write_model(model: WireframeModel, path: str | Path) -> Path:
     ----------
     model : WireframeModel
     path : str or Path
+    replace : bool
+        Whether a file with content may be replaced.
 
     Returns
     -------
@@ -87,4 +89,4 @@ def write_model(model: WireframeModel, path: str | Path) -> Path:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f'The model {path} must be named .cao, .yaml or .obj to be written.')
-    return writer(model, path)
+    return writer(model, path, replace)

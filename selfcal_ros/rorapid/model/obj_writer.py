@@ -26,7 +26,7 @@ from selfcal_ros.values.wireframe import WireframeModel
 _CORNERS = 64
 
 
-def write_obj(model: WireframeModel, path) -> Path:
+def write_obj(model: WireframeModel, path, replace: bool = True) -> Path:
     """
     Write a model as ``.obj``, to a temporary file that is then renamed.
 
@@ -37,6 +37,8 @@ def write_obj(model: WireframeModel, path) -> Path:
     ----------
     model : WireframeModel
     path : str or Path
+    replace : bool
+        Whether a file with content may be replaced.
 
     Returns
     -------
@@ -62,7 +64,8 @@ def write_obj(model: WireframeModel, path) -> Path:
         elements.append(f'l {_numbers((count, count + 1))}')
         count += 2
     rows = [f'v {x:.9g} {y:.9g} {z:.9g}' for x, y, z in np.concatenate(points)]
-    return atomic_write(Path(path), '\n'.join(['# metres', *rows, *elements]) + '\n')
+    return atomic_write(Path(path), '\n'.join(['# metres', *rows, *elements]) + '\n',
+                        replace)
 
 
 def _numbers(indices) -> str:

@@ -85,12 +85,12 @@ def read_model_yaml(path) -> WireframeModel:
         raise InputError(f'{path} is no model that can be used: {error}') from None
 
 
-def write_model_yaml(model: WireframeModel, path) -> Path:
+def write_model_yaml(model: WireframeModel, path, replace: bool = True) -> Path:
     """
     Write a model as YAML, to a temporary file that is then renamed.
 
     Reading it back gives the same vertices, lines, faces, conics and cylinders in the same
-    order.
+    order. See `atomic_write` for `replace`.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def write_model_yaml(model: WireframeModel, path) -> Path:
     }
     data = {key: value for key, value in data.items() if value not in ([], '')}
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=99)
-    return atomic_write(path, text)
+    return atomic_write(path, text, replace)
 
 
 def _floats(vector):
