@@ -91,6 +91,15 @@ MOUNTING: dict[str, Phrase] = {
         'The plane below the camera is tilted by {degrees:.1f} degrees against the motion.',
         'A robot drives along its floor. A ramp ahead is another plane.',
         'Drive on a level floor, or state the height.'),
+    'mount_facts_wrong': Phrase(
+        'No mount has the stated {facts:and} and explains the poses of the body.',
+        'What is stated without a sigma is held, wherever the images and the poses lead.',
+        'Leave the facts out and look where they come out, or state them with a sigma.'),
+    'mount_fact_contradicted': Phrase(
+        'Images and poses contradict the stated {fact} of the mount by {sigmas:.0f} sigmas: '
+        'they prefer {preferred:preferred} {unit}.',
+        'Without the fact it comes out elsewhere, beyond chance, and the mount with it.',
+        'Leave the fact out, or state it with a sigma that holds what it may be off by.'),
     'no_mount_fits': Phrase(
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',

@@ -168,6 +168,21 @@ def test_a_known_height_is_a_fact():
     assert held.sigma['z'] == 0
 
 
+@pytest.mark.parametrize('yaw_off', [0.1, 0.5, 2.0])
+def test_a_held_fact_that_cannot_be_is_refused(yaw_off):
+    rng, world, calibration = _hand(3)
+    poses = worlds.measured(rng, world.rotation, world.position, SIGMA_M, SIGMA_RAD,
+                            frames=np.arange(VIEWS))
+    yaw = mount_angles(world.T_body_camera[:3, :3])[2] + yaw_off
+    refused = mount_camera(calibration, poses, facts=MountFacts(yaw=(yaw, 0.0))).mount
+    assert not refused
+    if refused.kind == 'mount_fact_contradicted':
+        preferred, = refused.values['preferred']
+        assert abs(preferred['value'] - np.degrees(yaw - yaw_off)) < 4 * preferred['sigma']
+    else:
+        assert refused.kind == 'mount_facts_wrong' and 'yaw' in refused.reason
+
+
 def test_a_few_wrong_poses_are_set_aside_and_told():
     rng, world, calibration = _hand(1)
     position = world.position.copy()

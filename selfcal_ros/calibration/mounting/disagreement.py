@@ -16,13 +16,14 @@ In what poses of a body disagree with those of the camera, by the closed forms a
 
 A pose may be the inverse of what it should be: it takes points of the world to the body. Then
 turns are those about the axes of the world, and ways bend the other way. The inverse of all poses
-agrees with the images, and what was given does not.
+agrees with the images, and what was given does not. Or a stated part of the mount is wrong.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.calibration.mount import Mount, MountFacts, PLACE, TURN
 from selfcal_ros.calibration.mounting.body_track import BodyAt
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.starts import closed_forms, pairs_of
@@ -32,6 +33,8 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 #: Poses that leave less than this share of what moved agree; the inverse is meant where it leaves
 #: so many times less.
 AGREES, TIMES = 0.05, 5.0
+#: A stated part that comes out so many sigmas away without the statement is wrong.
+WRONG = 5.0
 #: Ways are noise where no place and scale take more than this share off.
 NOISE = 0.2
 
@@ -97,6 +100,43 @@ def why_no_start(camera: CameraPoses, body: BodyAt, count: int) -> NoEstimate:
         moved_mm = 1e3 * _median(pairs_of(camera, body).body_move)
         return NoEstimate('body_only_turned', count=count, moved_mm=moved_mm)
     return NoEstimate('no_mount_fits', count=count)
+
+
+def contradicted_fact(facts: MountFacts, free: Mount) -> NoEstimate | None:
+    """
+    Name the stated part of a mount that images and poses contradict most.
+
+    Parameters
+    ----------
+    facts : MountFacts
+    free : Mount
+        From the same images and poses, without these facts.
+
+    Returns
+    -------
+    NoEstimate or None
+        None where chance explains it, or nothing but the facts tells.
+
+    """
+    values = {**dict(zip(PLACE, free.T_body_camera[:3, 3])), **free.angles,
+              'time_offset': free.time_offset_s}
+    sigmas = {**free.sigma, **free.angles_sigma}
+    worst: NoEstimate | None = None
+    for name, (stated, sigma) in facts.stated.items():
+        if name not in values or free.status[name] != 'estimated':
+            continue
+        away = values[name] - stated
+        if name in TURN:
+            away = (away + np.pi) % (2 * np.pi) - np.pi
+        beyond = float(abs(away) / np.hypot(sigma, sigmas[name]))
+        if beyond > (WRONG if worst is None else worst.values['sigmas']):
+            size, unit = (180 / np.pi, 'degrees') if name in TURN else (
+                1.0, 'm' if name in PLACE else 's')
+            worst = NoEstimate('mount_fact_contradicted', fact=name.replace('_', ' '), unit=unit,
+                               sigmas=beyond, preferred=[
+                                   {'name': name, 'value': size * float(values[name]),
+                                    'sigma': size * sigmas[name], 'stated': size * stated}])
+    return worst
 
 
 def _best(camera: CameraPoses, body: BodyAt) -> tuple[float, float]:

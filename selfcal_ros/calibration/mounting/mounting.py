@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+import logging
 
 import numpy as np
 
@@ -27,7 +28,8 @@ from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
-from selfcal_ros.calibration.mounting.disagreement import inverse_is_meant, why_no_start
+from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, inverse_is_meant,
+                                                           why_no_start)
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
@@ -41,6 +43,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.body_poses import BodyPoses
+
+_LOGGER = logging.getLogger(__name__)
 
 #: Share of what tells the offset of the clocks that is no noise, at least.
 LEAST_TRUE = 0.25
@@ -91,6 +95,24 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
         If the calibration comes without its reconstruction.
 
     """
+    try:
+        found = _mounted(calibration, poses, stamps_ns, facts)
+        if not isinstance(found.mount, Mount) or not facts.stated:
+            return found
+        free = _mounted(calibration, poses, stamps_ns, MountFacts(scale=facts.scale))
+        wrong = contradicted_fact(facts, free.mount) if isinstance(free.mount, Mount) else None
+        return found if wrong is None else replace(calibration, mount=wrong)
+    except np.linalg.LinAlgError:
+        # facts that are held and cannot be, most likely
+        _LOGGER.debug('equations without a solution', exc_info=True)
+        return replace(calibration, mount=NoEstimate(
+            'mount_facts_wrong', facts=tuple(facts.stated)) if facts.stated else NoEstimate(
+                'no_mount_fits', count=len(poses)))
+
+
+def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int, int] | None,
+             facts: MountFacts) -> Calibration:
+    """Find where a camera sits; see `mount_camera`."""
     camera = camera_poses(calibration)
     track = BodyTrack(poses, camera.frames, stamps_ns)
     refusal = _too_little(camera, track, poses, facts)
