@@ -140,7 +140,6 @@ class ObjectTopics:
         if done.problem:
             self._node.get_logger().warning(f'image dropped: {done.problem}',
                                             throttle_duration_sec=5.0)
-            return
         tracked, camera = done.tracked, done.camera
         if tracked is None or camera is None:
             # there is a problem with every image that was not tracked

@@ -74,7 +74,6 @@ class RigWorker(TrackingWorker):
                 try:
                     found = session.look(pictures, stamp)
                     tracked, sees = found.tracked, dict(zip(self._cameras, found.sees))
-                    wrong = ''
                 except SelfcalError as error:
                     wrong = str(error)
                 except Exception as error:  # as above
@@ -96,7 +95,8 @@ class RigWorker(TrackingWorker):
         try:
             line = 0
             for session, one, name in compress(zip(self._sessions, objects, self._names), objects):
-                newest = session.newest_of_rig
+                # without a pose of this instant there is one of an earlier image
+                newest = session.newest_of_rig if one.tracked is not None else None
                 if newest is not None and newest.views[which] is not None:
                     picture = draw_overlay(picture, newest.views[which], session.model,
                                            session.cameras[which].camera, one.problem, line, name)

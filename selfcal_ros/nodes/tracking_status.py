@@ -82,4 +82,6 @@ def _describe(newest: ObjectInImage, values: dict) -> tuple[int, str]:
             else 'as the model says; not seen by one camera')
         values['focal length px'] = float(tracked.focal_px)
         values['focal length sigma px'] = float(tracked.focal_sigma_px)
-    return _LEVELS[tracked.state], tracked.reason or tracked.state.value
+    level, text = _LEVELS[tracked.state], tracked.reason or tracked.state.value
+    # the image of another camera could not be used
+    return (max(level, WARN), f'{newest.problem} {text}') if newest.problem else (level, text)

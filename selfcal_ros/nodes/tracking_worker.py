@@ -48,7 +48,7 @@ class ObjectInImage:
         None where the image could not be used.
     camera : Camera or None
     problem : str
-        Why the image could not be used.
+        Why the image could not be used, or that of one of several cameras.
     seconds : float
         From taking up the image to the pose.
     snapshot : TrackingSnapshot

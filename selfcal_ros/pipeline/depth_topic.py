@@ -59,11 +59,15 @@ class DepthTopic:
             If the message is no depth image.
 
         """
-        while not self._kept or self._kept[-1][0] < stamp + SAME_NS:
+        newest = self._kept[-1][0] if self._kept else stamp
+        while newest < stamp + SAME_NS:
             following = next(self._messages, None)
             if following is None:
                 break
-            self._kept.append((stamp_ns(following[1].header.stamp), following[1]))
+            newest = stamp_ns(following[1].header.stamp)
+            # what is too old, as where stamps are zero, is not kept for the loop to end
+            if newest > stamp - _KEPT_NS:
+                self._kept.append((newest, following[1]))
         self._kept = [one for one in self._kept if one[0] > stamp - _KEPT_NS]
         near = min(self._kept, key=lambda one: abs(one[0] - stamp), default=None)
         if near is None or abs(near[0] - stamp) > SAME_NS:

@@ -26,7 +26,7 @@ from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.cli.main import main
 from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.depth_pairing import DepthPairing
-from selfcal_ros.pipeline.depth_topic import open_depths
+from selfcal_ros.pipeline.depth_topic import DepthTopic, open_depths
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.report.poses_csv import read_poses
 from selfcal_ros.rorapid.model import write_model
@@ -62,6 +62,12 @@ def test_what_is_no_depth_image_is_said(msg, words):
 
 
 MS = 1_000_000
+
+
+def test_depth_images_without_stamps_are_not_gathered():
+    zero = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0)))
+    depths = DepthTopic(iter([(None, zero)] * 500))
+    assert depths.at(10**18) is None and not depths._kept
 
 
 def test_images_wait_for_their_depth_until_the_next_image():
