@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
-import numbers
 from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
@@ -421,7 +420,7 @@ class CameraFacts:
 
 def is_number(value: object) -> TypeGuard[float]:
     """Tell whether something is a finite real number."""
-    return isinstance(value, numbers.Real) and math.isfinite(value)
+    return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
 
 
 def is_sigma(value: object) -> bool:

@@ -35,7 +35,7 @@ from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
 from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies
 from selfcal_ros.calibration.moving.sorting import explained_share, explains_all, moving_findings
-from selfcal_ros.calibration.moving.track_test import judged
+from selfcal_ros.calibration.moving.track_judgement import judged
 from selfcal_ros.geometry.relative_pose import epipolar_angles, relative_motion
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.result_json import result_to_json

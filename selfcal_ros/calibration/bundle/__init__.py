@@ -16,8 +16,9 @@ The one estimator: a maximum-likelihood adjustment of a product of blocks.
 
     u(observation) = lens( path[view] · point )
 
-Blocks are `lens`, `path` (with the kinds of `motion`) and `object_poses`. Unknowns have names
-(`unknowns`), facts are priors on them (`priors`). `scene_model` and `object_model` are the
-products, `bundle` adjusts either, `robust_fit` finds outliers and the noise level. Every method
-ends here (thesis 6.3 asks for it). Read `model` first, then `bundle`.
+Blocks are `lens`, `path` (with the kinds of `motion`), `zoom`, `shutter`, `rig` and
+`object_poses`. Unknowns have names (`unknowns`), facts are priors on them (`priors`).
+`scene_model`, `rig_model` and `object_model` are the products, `bundle` adjusts any of them,
+`robust_fit` finds outliers and the noise level. Every method ends here (thesis 6.3 asks for it).
+Read `model` first, then `bundle`.
 """

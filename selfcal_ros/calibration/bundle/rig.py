@@ -126,7 +126,7 @@ class Rig(Lens):
         """Return the rig in a world that is larger by a factor."""
         values = self.values.copy()
         for k in range(1, len(self.cameras)):
-            values[self.of_pose(k)] *= factor
+            values[self.of_pose(k)][:3] *= factor
         return replace(self, values=values)
 
     @property

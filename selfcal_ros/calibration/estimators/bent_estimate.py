@@ -31,7 +31,7 @@ from selfcal_ros.calibration.bundle.robust_fit import refit, RobustFit
 from selfcal_ros.calibration.estimators.coherent_start import coherent_fit
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.moving.sorting import drifts
-from selfcal_ros.calibration.moving.track_test import test_tracks
+from selfcal_ros.calibration.moving.track_judgement import judge_tracks
 from selfcal_ros.calibration.result import Calibration
 
 #: What tells that something shares its errors, and may bend the estimate.
@@ -71,13 +71,13 @@ def unbent_fit(fit: RobustFit, problem: SelfCalibrationProblem, sigma: dict[str,
     """
     if fit.motion.zoom is not None or fit.observations.shutter is not None:
         return None
-    test = test_tracks(fit.bundle, fit.state, fit.observations)
+    test = judge_tracks(fit.bundle, fit.state, fit.observations)
     if test is None or drifts(test):
         return None
     half = coherent_fit(problem, per_view, [fit.state.camera(*problem.size)])
     if half is None or len(half.state.path) != len(fit.state.path):
         return None
-    test = test_tracks(half.bundle, half.state, fit.observations)
+    test = judge_tracks(half.bundle, half.state, fit.observations)
     if test is None:
         return None
     still = np.where(test.tested, test.explained, test.lost == 0)

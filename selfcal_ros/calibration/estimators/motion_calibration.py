@@ -59,7 +59,7 @@ from selfcal_ros.calibration.moving.crowded_views import crowd_in_few_views
 from selfcal_ros.calibration.moving.sorting import (explained_share, explains_all, FEW,
                                                     hides_body, moving_findings, sort_tracks,
                                                     SortedTracks, stands_out, tested_as_still)
-from selfcal_ros.calibration.observability import held_facts
+from selfcal_ros.calibration.observability import held_facts, LEAST_NOISE_PX
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.findings.finding import Finding
@@ -199,7 +199,7 @@ def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat
             name: 'held' if name in held else 'unobservable' for name in MATRIX_PARAMETERS})
     plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
-                                     max(graph.noise_px, 0.02), flat=plane,
+                                     max(graph.noise_px, LEAST_NOISE_PX), flat=plane,
                                      bend=graph.bend,
                                      instants=() if at_once else tuple(
                                          float(frame) for frame in graph.frames))

@@ -28,7 +28,6 @@ from selfcal_ros.geometry.rotation import rotation_vector
 #: With less rotation than this in all it is tested whether there is any (radians): without, a
 #: small sigma would be an accident of a wrong optimum.
 DOUBTFUL_ROTATION_RAD = np.radians(6.0)
-#: What helps then.
 #: A motion that leaves the plane by more than this is not planar (radians, root mean square).
 MAX_TILT_RAD = np.radians(5.0)
 #: A path is circular when the axis keeps its place in the camera to this share of its distance.

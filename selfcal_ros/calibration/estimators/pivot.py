@@ -47,6 +47,7 @@ from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.optimise import PointBlocks
@@ -228,7 +229,7 @@ def left_by_turns(graph: ViewGraph, camera: Camera) -> float:
     turned = np.einsum('nji,nj->ni', every[seen.view], rays)
     mean = unit(blocks.sum_over_points(turned))
     misfit = np.linalg.norm(turned - mean[seen.point], axis=1)
-    return float(np.median(misfit) * camera.K[0, 0] / max(graph.noise_px, 0.02))
+    return float(np.median(misfit) * camera.K[0, 0] / max(graph.noise_px, LEAST_NOISE_PX))
 
 
 def _moved_shares(state: SceneState) -> tuple[float, float]:

@@ -45,7 +45,8 @@ from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, se
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
                                                                           rotation_homographies)
-from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
+from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX,
+                                                   parameter_status, without_held)
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
@@ -231,7 +232,7 @@ def _fit(motion: MotionModel, observed: Observations, H: np.ndarray, order: np.n
          hopeless_px: float = np.inf) -> LensDecision | NoEstimate:
     """Start with several cameras, and fit the lens from the best."""
     priors = priors_from_facts(facts)
-    bundle = bundle_of(observed, motion, priors, max(sigma_px, 0.02))
+    bundle = bundle_of(observed, motion, priors, max(sigma_px, LEAST_NOISE_PX))
     best, least = None, np.inf
     for K in _starting_cameras(conic, size, facts):
         state = _start(K, H, order, observed, priors.lens.name)
@@ -280,7 +281,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     observed, frames, noise_px = found.observed, found.frames, found.noise_px
     state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
     total, motion = len(observed.view), lens.fit.motion
-    bundle = bundle_of(observed, motion, priors, max(noise_px, 0.02))
+    bundle = bundle_of(observed, motion, priors, max(noise_px, LEAST_NOISE_PX))
     for _ in range(3):
         sigma = max(bundle.noise_sigma(state), 1e-6)
         near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
@@ -298,7 +299,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     decided = choose_shutter(RobustFit(bundle, state, observed, total - len(observed.view)),
                              found.observed, stated, size)
     bundle, state, observed = decided.fit.bundle, decided.fit.state, decided.fit.observations
-    if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, 0.02):
+    if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, LEAST_NOISE_PX):
         return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
                           facts=facts)
     focal, skew = state.lens['f'], state.lens['skew']

@@ -55,7 +55,7 @@ class PairGeometry:
         x_secondᵀ F x_first = 0, pixels; of straightened ones where the graph's lens is bent
         (homogeneous: `to_units`⁻¹ times what `DivisionModel.lifted` gives).
     track : ndarray of int, shape (M,)
-        Track identity of the inlying matches.
+        Index of each inlying match among the tracks that are compared, not its identity.
     xy_first, xy_second : ndarray, shape (M, 2)
         Inlying matches, pixels.
 

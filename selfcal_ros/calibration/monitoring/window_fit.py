@@ -36,7 +36,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import planar_start
 from selfcal_ros.calibration.initialisation.view_graph import MIN_NOISE_PX, ViewGraph
-from selfcal_ros.calibration.moving.track_test import judged
+from selfcal_ros.calibration.moving.track_judgement import judged
 from selfcal_ros.geometry.camera import Camera
 
 #: Any camera: by so much of the focal length it may differ from the supposed one.

@@ -216,7 +216,7 @@ class PoseErrors:
         return replace(self, variances=self.variances * factors)
 
     def sigma(self, component: int) -> float:
-        """Return the mean standard deviation of place (0) or turn (3)."""
+        """Return the root mean square of the standard deviations of place (0) or turn (3)."""
         among = [(len(kind), variance) for kind, variance in zip(self.axes, self.variances)
                  if kind and kind[0] // 3 == component // 3]
         return float(np.sqrt(sum(n * v for n, v in among) / sum(n for n, _ in among)))

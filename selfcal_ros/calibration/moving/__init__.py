@@ -14,7 +14,7 @@
 """
 What moves by itself, and matches that jump: tracks are sorted by what explains the whole of them.
 
-Read `sorting` first; `track_test` judges a track by a camera path, `rigid_bodies` finds further
-paths: those of the camera relative to things that move. `crowded_views` tells what crosses from
-patches that drift.
+Read `sorting` first; `track_judgement` judges a track by a camera path, `rigid_bodies` finds
+further paths: those of the camera relative to things that move. `crowded_views` tells what crosses
+from patches that drift.
 """

@@ -33,7 +33,7 @@ from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, Observations,
                                                        OUTLIER_SIGMAS, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.moving.track_test import freedom_of, test_tracks
+from selfcal_ros.calibration.moving.track_judgement import freedom_of, judge_tracks
 from selfcal_ros.geometry.chances import chi2_limit
 
 #: Steps at most, and the share of the tracks that changes where they end.
@@ -55,7 +55,7 @@ def coherent_half(observations: Observations, state: SceneState, motion: MotionM
     state : SceneState
         Its poses and lens are the start, its points do not matter.
     motion : MotionModel
-    priors : dict of str to Prior
+    priors : Priors
     sigma_px : float
         Scale to begin with: the farther the state may be from the truth, the larger.
     noise_px : float
@@ -116,7 +116,7 @@ def _of_all(fit: RobustFit, observations: Observations) -> RobustFit | None:
 
 def _left(observations: Observations, state: SceneState, bundle: Bundle) -> np.ndarray | None:
     """Squares (P,) that tracks leave, over the median of chance; infinite for short ones."""
-    test = test_tracks(bundle, state, observations)
+    test = judge_tracks(bundle, state, observations)
     if test is None or not test.tested.any():
         return None
     square = test.square + OUTLIER_SIGMAS**2 * test.lost

@@ -26,7 +26,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.moving.sorting import UNEXPLAINED_SHARE
-from selfcal_ros.calibration.moving.track_test import freedom_of, TrackTest
+from selfcal_ros.calibration.moving.track_judgement import freedom_of, TrackTest
 from selfcal_ros.geometry.chances import chi2_limit
 
 #: A view is calm where the upper quartile of its tracks leaves no more than so many times that of

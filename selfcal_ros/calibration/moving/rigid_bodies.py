@@ -37,7 +37,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.initial_structure import (PairGeometry,
                                                                       planar_start,
                                                                       spanning_order)
-from selfcal_ros.calibration.moving.track_test import freedom_of, test_tracks, TrackTest
+from selfcal_ros.calibration.moving.track_judgement import freedom_of, judge_tracks, TrackTest
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.relative_pose import relative_motion
@@ -92,7 +92,7 @@ class RigidBody:
         ----------
         observations : Observations
         spread : float
-            See `test_tracks`.
+            See `judge_tracks`.
 
         Returns
         -------
@@ -107,7 +107,7 @@ class RigidBody:
         if not len(points):
             return None
         within = replace(within, view=np.searchsorted(self.views, within.view))
-        test = test_tracks(self.bundle, self.state, within, spread)
+        test = judge_tracks(self.bundle, self.state, within, spread)
         return None if test is None else (test, points)
 
 
@@ -128,7 +128,7 @@ def find_bodies(observations: Observations, camera: Camera, sigma_px: float,
     most : int
         Bodies to look for.
     spread : float
-        See `test_tracks`.
+        See `judge_tracks`.
 
     Yields
     ------

@@ -32,8 +32,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (fit_robustly, Observation
                                                        with_all_points)
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
-from selfcal_ros.calibration.moving.track_test import (CHANCE, freedom_of, instants, test_tracks,
-                                                       TrackTest)
+from selfcal_ros.calibration.moving.track_judgement import (CHANCE, freedom_of, instants,
+                                                            judge_tracks, TrackTest)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
@@ -178,7 +178,7 @@ def tested_as_still(fit: RobustFit, observations: Observations) -> TrackTest | N
     """Judge tracks as points that stand still; None where a view sees none, or no track lasts."""
     if len(np.unique(observations.view)) < len(fit.state.path):
         return None
-    test = test_tracks(fit.bundle, fit.state, observations)
+    test = judge_tracks(fit.bundle, fit.state, observations)
     return test if test is not None and test.tested.any() else None
 
 
@@ -219,7 +219,7 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
     observations = Observations.of(tracks, frames)
     identity, point = observations.track, observations.point
     label = np.full(len(identity), -1)
-    test = test_tracks(fit.bundle, fit.state, observations)
+    test = judge_tracks(fit.bundle, fit.state, observations)
     for _ in range(ROUNDS):
         if test is None:
             return None
@@ -233,7 +233,7 @@ def sort_tracks(fit: RobustFit, tracks: Tracks, frames: np.ndarray, size: tuple[
         if refitted is None:
             break
         fit = refitted
-        test = test_tracks(fit.bundle, fit.state, observations)
+        test = judge_tracks(fit.bundle, fit.state, observations)
     if test is None:
         return None
     # a thing that moves is still in no two halves of a long track; short halves prove nothing
@@ -367,7 +367,7 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
     row, piece, owner = np.concatenate(rows), np.concatenate(part), np.array(which)
     halves = Observations(observations.view[row], piece, observations.xy[row],
                           np.arange(2 * len(owner)))
-    test = test_tracks(fit.bundle, fit.state, halves)
+    test = judge_tracks(fit.bundle, fit.state, halves)
     if test is None:
         return {}
     square, lost = (np.add.reduceat(values, np.arange(0, 2 * len(owner), 2))

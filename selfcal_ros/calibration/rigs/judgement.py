@@ -25,6 +25,7 @@ from selfcal_ros.calibration.bundle.rig import name_in_rig, POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.known_directions import PlaceAlong, places_along
+from selfcal_ros.calibration.estimators.acceptance import MAX_OUTLIERS
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
@@ -52,8 +53,6 @@ from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__
 
-#: A larger share of outliers than this, and the rest proves nothing.
-MAX_OUTLIERS = 1 / 3
 #: Cameras that are rigid to each other leave less than so many times what each leaves alone.
 RIGID = 2.0
 #: A place counts as open where its sigma is more than this share of the spread of the path, a

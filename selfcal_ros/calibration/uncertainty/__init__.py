@@ -14,6 +14,6 @@
 """
 What the covariance of independent noise misses, and what would lower it.
 
-Read `cluster_covariance` first (errors that observations fraction), then `profile_likelihood` and
+Read `cluster_covariance` first (errors that observations share), then `profile_likelihood` and
 `second_order` (parameters that are determined badly).
 """

@@ -16,7 +16,7 @@ What the images say and what the facts say.
 
 The covariance C of an estimate from images and facts obeys C = C (I + Λ) C, with I the images'
 information and Λ that of the facts. So C Λ C is the part of the variance that the facts' own
-sigmas bring in, and of a parameter that has a fact of its own, its fraction is that of the
+sigmas bring in, and of a parameter that has a fact of its own, its share is that of the
 information. An exact fact brings in no variance; what rests on it shows when it is taken away.
 """
 

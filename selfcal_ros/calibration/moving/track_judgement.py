@@ -77,8 +77,8 @@ def freedom_of(count: np.ndarray) -> np.ndarray:
     return np.maximum(2 * count - 3, 0)
 
 
-def test_tracks(bundle: Bundle, state: SceneState, observations: Observations,
-                spread: float = 1.0) -> TrackTest | None:
+def judge_tracks(bundle: Bundle, state: SceneState, observations: Observations,
+                 spread: float = 1.0) -> TrackTest | None:
     """
     Judge every track by the poses of a state.
 
@@ -137,7 +137,7 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0, copies:
     distance : ndarray, shape (N,)
         Length of its residual, sigmas.
     spread : float
-        See `test_tracks`.
+        See `judge_tracks`.
     copies : int
         Observations of a track that are lost together.
 
