@@ -223,10 +223,10 @@ def test_mounts_are_compared_in_millimetres_degrees_and_sigmas():
     assert same.sentences()[-1] == 'The place is not compared in full: z is open in B.'
     assert ': 0.0 sigmas, all degrees of freedom that both know together.' in same.verdict
     # a unit stands beside its number, and nothing is minus zero
-    rows = {row.split()[0]: row.split()[1:] for row in found.sentences()[1:7]}
+    rows = {row[:7].strip(): row[7:].split() for row in found.sentences()[1:7]}
     assert rows['x'] == ['+4.000', 'mm', '1.41', 'mm', '2.8']
     assert rows['z'] == ['+0.000', 'mm', '5.66', 'mm', '0.0']
-    assert rows['yaw'] == ['+0.500', '°', '0.0081', '°', '61.7']
+    assert rows['about z'] == ['+0.500', '°', '0.0081', '°', '61.7']
     assert '-0.0' not in '\n'.join(same.sentences())
 
 

@@ -31,6 +31,8 @@ from selfcal_ros.report.mounts.transform_files import StoredTransform
 from selfcal_ros.report.mounts.transform_reading import (is_transform_file, read_transform,
                                                          stored_of)
 
+#: The turn between two mounts is one about the axes of the body, and no difference of angles.
+SMALL_TURNS = dict(zip(TURN, ('about x', 'about y', 'about z')))
 #: A smaller variance is that of what is held, m² or rad².
 _HELD = 1e-18
 #: Differences of what both hold are the same below this, m or rad.
@@ -99,13 +101,14 @@ class MountComparison:
 
     def sentences(self) -> list[str]:
         """Say it for a person."""
-        lines = [f'{"":>6} {"B - A":>10} {"":2}  {"sigma":>10} {"":2} {"sigmas":>7}'.rstrip()]
+        lines = [f'{"":>7} {"B - A":>10} {"":2}  {"sigma":>10} {"":2} {"sigmas":>7}'.rstrip()]
         for name, value in self.difference.items():
             unit, factor = ('mm', 1e3) if name in PLACE else ('°', 180 / np.pi)
             sigma = self.sigma.get(name)
             judged = ('' if not sigma else f'  {factor * sigma:>10.3g} {unit:2} '
                       f'{abs(value) / sigma:>7.1f}')
-            lines.append(f'{name:>6} {factor * value:>+z10.3f} {unit:2}{judged}'.rstrip())
+            lines.append(f'{SMALL_TURNS.get(name, name):>7} {factor * value:>+z10.3f} '
+                         f'{unit:2}{judged}'.rstrip())
         return [*lines, self.verdict, *self._not_in_full()]
 
     @property
