@@ -63,7 +63,7 @@ def test_equations_without_a_solution_are_a_refusal(monkeypatch):
         return np.linalg.solve(np.zeros((2, 2)), np.ones(2))
 
     monkeypatch.setattr('selfcal_ros.calibration.calibrate.build_view_graph', singular)
-    result = calibrate(Tracks([0, 1, 2], [0, 0, 0], np.eye(3, 2), (640, 480)))
+    result = calibrate(Tracks([0, 1, 2], [0, 0, 0], 50 * np.eye(3, 2), (640, 480)))
     assert not result and result.kind == 'equations_singular'
 
 

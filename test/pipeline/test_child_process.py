@@ -50,6 +50,7 @@ def family(tmp_path):
             'from selfcal_ros.pipeline.child_process import run_module\n'
             # which whoever starts the tests may ignore
             'signal.signal(signal.SIGINT, signal.default_int_handler)\n'
+            'signal.signal(signal.SIGHUP, signal.SIG_DFL)\n'
             'with own_process():\n    run_module("outer")\n')
     command = subprocess.Popen([sys.executable, '-c', code], cwd=tmp_path, env={
         **os.environ, 'PYTHONPATH': f'{ROOT}{os.pathsep}{tmp_path}'})
