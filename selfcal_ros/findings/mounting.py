@@ -100,6 +100,12 @@ MOUNTING: dict[str, Phrase] = {
         'they prefer {preferred:preferred} {unit}.',
         'Without the fact it comes out elsewhere, beyond chance, and the mount with it.',
         'Leave the fact out, or state it with a sigma that holds what it may be off by.'),
+    'metres_differ': Phrase(
+        'A metre of the poses is {ratio:.4g} m of the known object: one of them is wrong.',
+        'The camera moved by more or less before the object than the poses say. Where it sits '
+        'would be off by far more than its sigmas.',
+        'Measure the object again (the side of a square, not the board); where the poses are '
+        'known to be off, state --mount-fact scale=VALUE:SIGMA.'),
     'no_mount_fits': Phrase(
         'No mount of the camera explains the {count} poses of the body.',
         'The closed forms find no place, turn and positive scale.',
@@ -174,6 +180,11 @@ MOUNTING: dict[str, Phrase] = {
         'estimate allows for it. The offset of the clocks is that of the turns, and its sigma '
         'covers both.',
         'Stamp places and turns alike, or take poses before they are smoothed.'),
+    'metres_differ_a_little': Phrase(
+        'A metre of the known object is {scale:measured} m of the poses.',
+        'One of them is a little off. The place of the camera is in metres of the object, and its '
+        'sigmas hold the difference.',
+        'Measure the object again, or state the scale of the poses.'),
     'mount_far_off': Phrase(
         'The camera would sit {distance_m:.3g} m from {body}, which is far for a robot.',
         'Images do not tell metres from millimetres: lengths are as the poses state them.',

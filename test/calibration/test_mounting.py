@@ -13,6 +13,8 @@
 # limitations under the License.
 """Where the camera sits on the robot: known mounts are found, with sigmas that are true."""
 
+from dataclasses import replace
+
 from bench import mount_worlds as worlds
 import numpy as np
 import pytest
@@ -181,6 +183,31 @@ def test_a_held_fact_that_cannot_be_is_refused(yaw_off):
         assert abs(preferred['value'] - np.degrees(yaw - yaw_off)) < 4 * preferred['sigma']
     else:
         assert refused.kind == 'mount_facts_wrong' and 'yaw' in refused.reason
+
+
+@pytest.mark.parametrize('size', [1.0, 1.02, 1.2])
+def test_an_object_that_is_stated_too_large_does_not_move_the_mount_in_silence(size):
+    rng, world, calibration = _hand(4)
+    scene = calibration.reconstruction
+    poses = scene.cam_from_world.copy()
+    true = world.position + world.rotation @ world.T_body_camera[:3, 3]
+    ours = -np.einsum('vji,vj->vi', poses[:, :, :3], poses[:, :, 3])
+    poses[:, :, 3] *= size * np.linalg.norm(true - true[0]) / np.linalg.norm(ours - ours[0])
+    before_board = replace(calibration, motion='known-object', reconstruction=replace(
+        scene, cam_from_world=poses, pose_precision=None, precision=None))
+    result = mount_camera(before_board, worlds.measured(
+        rng, world.rotation, world.position, SIGMA_M, SIGMA_RAD, frames=np.arange(VIEWS)))
+    mount = result.mount
+    if size == 1.2:
+        assert not mount and mount.kind == 'metres_differ'
+        assert mount.values['ratio'] == pytest.approx(size, rel=0.01)
+        return
+    told = [one for one in result.findings if one.kind == 'metres_differ_a_little']
+    assert len(told) == (size > 1) and mount.status['scale'] == ('estimated' if told else 'held')
+    if told:
+        assert abs(mount.scale - 1 / size) < 4 * mount.sigma['scale']
+    off = mount.T_body_camera[:3, 3] - world.T_body_camera[:3, 3]
+    assert (np.abs(off) < 4 * np.sqrt(np.diag(mount.covariance)[:3])).all()
 
 
 def test_a_few_wrong_poses_are_set_aside_and_told():

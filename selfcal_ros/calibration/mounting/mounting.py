@@ -29,8 +29,8 @@ from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, inverse_is_meant,
-                                                           why_no_start)
-from selfcal_ros.calibration.mounting.model import COUNT, LAG, OFFSET, SCALE, T, TURN
+                                                           why_no_start, WRONG)
+from selfcal_ros.calibration.mounting.model import COUNT, LAG, METRE, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
     without_sense)
@@ -62,6 +62,9 @@ MOST_DRIFT_RAD = 0.05
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
 #: No camera sits so far from the middle of its robot; with millimetres for metres one does.
 FAR_M = 8.0
+#: How far the metre of poses may be from that of an object, as a standard deviation; where one is
+#: wrong by more than the second, nothing is told.
+ANY_SCALE, MOST_APART = 0.3, 0.05
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
 
@@ -136,7 +139,16 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     refusal = _contradiction(part, track, optimum, rows)
     if refusal is not None:
         return replace(calibration, mount=refusal)
+    other = (_other_metre(part, track, optimum, rows, facts)
+             if part.is_metric and facts.scale is None else None)
+    if other is not None:
+        adjustment, optimum = other
+        ratio = float(np.exp(optimum.state.log_metre))
+        if abs(ratio - 1) > MOST_APART:
+            return replace(calibration, mount=NoEstimate('metres_differ', ratio=ratio))
     mount = _mount(part, track, poses, facts, adjustment, optimum, rows)
+    if other is not None:
+        mount = _in_either_metre(mount, optimum)
     improved = with_lens(calibration, camera, optimum.state.w,
                          optimum.covariance[COUNT:, COUNT:])
     return replace(improved, mount=mount,
@@ -233,6 +245,27 @@ def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
     return None
 
 
+def _other_metre(camera: CameraPoses, track: BodyTrack, optimum: Optimum, rows: np.ndarray,
+                 facts: MountFacts) -> tuple[Adjustment, Optimum] | None:
+    """Estimate how the poses' metre differs from the known object's; None where it does not."""
+    free = Adjustment(camera, track, rows, replace(facts, scale=(1.0, ANY_SCALE)))
+    found = free.optimum(optimum.state, optimum.errors)
+    sigma = float(np.sqrt(found.covariance[METRE, METRE]))
+    return None if abs(found.state.log_metre) < WRONG * sigma else (free, found)
+
+
+def _in_either_metre(mount: Mount, optimum: Optimum) -> Mount:
+    """Give a mount in metres of the object the sigmas that hold metres of the poses, too."""
+    scale, sigma = np.exp(-optimum.state.log_metre), np.sqrt(optimum.covariance[METRE, METRE])
+    covariance, place = mount.covariance.copy(), np.nan_to_num(mount.T_body_camera[:3, 3])
+    covariance[:3, :3] += np.outer(place, place) * (scale - 1)**2
+    index = NAMES.index('scale')
+    covariance[index], covariance[:, index] = 0, 0
+    covariance[index, index] = (scale * sigma)**2
+    return replace(mount, covariance=covariance, scale=float(scale),
+                   status={**mount.status, 'scale': 'estimated'})
+
+
 def _drifts(optimum: Optimum) -> bool:
     """Tell whether odometry errs by chance, as wheels do, and not by another motion."""
     return bool(optimum.errors.by_component[HEADING] < MOST_DRIFT_RAD
@@ -302,6 +335,9 @@ def _findings(mount: Mount, track: BodyTrack, facts: MountFacts, optimum: Optimu
     if optimum.state.lag:
         found.append(Finding('body_places_late', late_ms=1e3 * optimum.state.lag,
                              sigma_ms=1e3 * float(np.sqrt(optimum.covariance[LAG, LAG]))))
+    if optimum.state.log_metre and facts.scale is None:
+        found.append(Finding('metres_differ_a_little', scale={
+            'value': mount.scale, 'sigma': mount.sigma['scale']}))
     distance_m = float(np.linalg.norm(np.nan_to_num(mount.T_body_camera[:3, 3])))
     if distance_m > FAR_M:
         found.append(Finding('mount_far_off', distance_m=distance_m, body=mount.frame))

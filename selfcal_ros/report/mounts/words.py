@@ -92,6 +92,8 @@ def mount_rows(mount: Mount, facts: frozenset[str] = frozenset(),
 
 def _held_by(name: str, mount: Mount, facts: frozenset[str]) -> str:
     """Name what holds a degree of freedom."""
+    if name == 'scale' and name not in facts:
+        return 'by the size of the object'
     if name == 'time_offset' and name not in facts:
         return 'each pose belongs to its image' if not mount.time_offset_s else ''
     return f'by the stated {name.replace("_", " ")}'
