@@ -432,6 +432,11 @@ REMARKS: dict[str, Phrase] = {
         'Their results are equal to the last digit. Counted twice, they would halve the variance.',
         'Give each recording once.'),
     # cameras that move together
+    'rig_metres_differ': Phrase(
+        'A metre by the stated baseline is {scale:measured} m by the robot.',
+        'One of them is wrong. The rig is in metres of the baseline, the mount in those of the '
+        'robot.',
+        'Measure the baseline again, from lens to lens, or leave it out: the robot gives it.'),
     'rig_overlap': Phrase(
         '{points} scene points were seen by more than one camera.',
         'What two cameras see at once ties them to each other.',

@@ -98,6 +98,18 @@ def test_odometry_gives_metres_and_no_height():
         assert abs(one.direction @ T[:3, 3] - one.value) < 3.5 * one.sigma
 
 
+@pytest.mark.parametrize('off', [1.0, 1.05])
+def test_a_baseline_that_the_robot_contradicts_is_told(off):
+    robot = Robot('hand', True, 3)
+    rig = calibrate_rig(robot.scene.tracks, shared_tracks=True, facts=FACTS,
+                        baseline=(off * robot.scene.baseline_m, 0.0005))
+    found = on_robot(rig, mount_camera(rig.cameras['left'], robot.poses))
+    told = [one for one in found.findings if one.kind == 'rig_metres_differ']
+    assert len(told) == (off > 1)
+    if told:
+        assert told[0].values['scale']['value'] == pytest.approx(1 / off, rel=0.01)
+
+
 def test_a_robot_that_says_nothing_leaves_the_rig_as_it_was():
     robot = Robot('hand', True, 3)
     still = BodyPoses(np.broadcast_to(np.eye(3), (14, 3, 3)).copy(), np.zeros((14, 3)),

@@ -28,10 +28,12 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.calibration.mount import Mount
+from selfcal_ros.calibration.mounting.disagreement import WRONG
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, POSE, RigCalibration
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE, world_and_scale
+from selfcal_ros.findings.finding import Finding
 
 
 def on_robot(rig: RigCalibration, mounted: Calibration) -> RigCalibration:
@@ -47,7 +49,8 @@ def on_robot(rig: RigCalibration, mounted: Calibration) -> RigCalibration:
     Returns
     -------
     RigCalibration
-        In metres, where a robot tells the scale and no length was stated.
+        In metres, where a robot tells the scale and no length was stated. Where one was, and
+        the robot contradicts it, a finding says so.
 
     """
     first, camera = next(iter(rig.cameras.items()))
@@ -56,11 +59,26 @@ def on_robot(rig: RigCalibration, mounted: Calibration) -> RigCalibration:
                                              findings=mounted.findings)}
     rig = replace(rig, cameras=cameras, findings=(*rig.findings, *new))
     mount = mounted.mount
-    if rig.unit == 'm' or not isinstance(mount, Mount) or mount.status['scale'] != 'estimated':
+    if not isinstance(mount, Mount) or mount.status['scale'] != 'estimated':
         return rig
     per_unit = world_and_scale(camera.reconstructed.cam_from_world,
                                rig.motion in IN_A_PLANE)[1]
-    return _in_metres(rig, mount.scale * per_unit, mount.sigma['scale'] * per_unit)
+    metres, sigma = mount.scale * per_unit, mount.sigma['scale'] * per_unit
+    if rig.unit != 'm':
+        return _in_metres(rig, metres, sigma)
+    if abs(metres - 1) < WRONG * np.hypot(sigma, _baseline_spread(rig)):
+        return rig
+    return replace(rig, findings=(*rig.findings, Finding('rig_metres_differ', scale={
+        'value': metres, 'sigma': sigma})))
+
+
+def _baseline_spread(rig: RigCalibration) -> float:
+    """Return the sigma of the stated length, as a share of it."""
+    pose = list(rig.poses.values())[1]
+    along = np.nan_to_num(pose.T_rig_camera[:3, 3])
+    square = float(along @ along)
+    known = np.where(np.isfinite(pose.covariance[:3, :3]), pose.covariance[:3, :3], 0.0)
+    return float(np.sqrt(along @ known @ along)) / square if square else np.inf
 
 
 def _in_metres(rig: RigCalibration, metres: float, sigma: float) -> RigCalibration:
