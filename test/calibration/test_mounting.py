@@ -185,6 +185,27 @@ def test_a_held_fact_that_cannot_be_is_refused(yaw_off):
         assert refused.kind == 'mount_facts_wrong' and 'yaw' in refused.reason
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_an_angle_that_is_held_and_true_is_no_obstacle(seed):
+    """A third of such drives was refused, or ended with a singular matrix."""
+    rng = np.random.default_rng([seed, 77])
+    images, own = 0.5 + 0.5 * np.arange(16), np.arange(0, 9.5, 0.05)
+    late = rng.uniform(-0.05, 0.05)
+    world = worlds.World(*worlds.drive(images - late), worlds.mount_of(rng), True)
+    calibration = worlds.calibrated(rng, world)
+    poses = worlds.odometry(rng, *worlds.drive(own), (0.01, 0.003, 0.01),
+                            stamps_ns=np.round(own * 1e9).astype(int))
+    yaw = mount_angles(world.T_body_camera[:3, :3])[2]
+    stamps = {k: int(round(t * 1e9)) for k, t in enumerate(images)}
+    mount = mount_camera(calibration, poses, stamps, MountFacts(yaw=(yaw, 0.0))).mount
+    assert mount and mount.status['yaw'] == 'held'
+    assert mount.angles['yaw'] == pytest.approx(yaw, abs=1e-4)
+    truth = [*world.T_body_camera[:2, 3], *mount_angles(world.T_body_camera[:3, :3])[:2]]
+    found = [*mount.T_body_camera[:2, 3], mount.angles['roll'], mount.angles['pitch']]
+    sigmas = [mount.sigma[name] for name in ('x', 'y', 'roll', 'pitch')]
+    assert (np.abs(np.subtract(found, truth)) < 4 * np.array(sigmas)).all()
+
+
 @pytest.mark.parametrize('size', [1.0, 1.02, 1.2])
 def test_an_object_that_is_stated_too_large_does_not_move_the_mount_in_silence(size):
     rng, world, calibration = _hand(4)

@@ -16,11 +16,12 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtri
 
-from selfcal_ros.calibration.mount import mount_angles, MountFacts, NAMES
+from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.model import (
@@ -36,6 +37,8 @@ VAGUE_M, VAGUE_RAD, VAGUE_LOG, VAGUE_S = 10.0, 2.0, 2.0, 1.0
 NEAR_M = 0.3
 #: A fact that holds is as sharp as this (metres, radians, ...).
 HELD = 1e-9
+#: Of an angle. Its slopes turn with the camera: a tighter one would reject every step that bends.
+HELD_RAD = 1e-5
 #: One wrong verdict on a pose in so many calibrations.
 FALSE_ALARM = 0.02
 #: Rounds of estimating errors, and steps of a descent.
@@ -115,7 +118,7 @@ class Adjustment:
         return predict(state, self._camera, body, self._track.odometry)
 
     def with_facts(self, state: State) -> State:
-        """Return a state that obeys the facts on the scale of the poses and the clocks."""
+        """Return a state that obeys held angles, and the facts on the metre and the clocks."""
         step = np.zeros(COUNT + len(state.w))
         if 'scale' in self._stated:
             step[METRE] = np.log(self._stated['scale'][0]) - state.log_metre
@@ -123,7 +126,10 @@ class Adjustment:
                 step[SCALE] = step[METRE]
         if 'time_offset' in self._stated and self._track.timed:
             step[OFFSET] = self._stated['time_offset'][0] - state.offset
-        return state.moved(step)
+        angles = dict(zip(NAMES[3:], mount_angles(state.turn)))
+        angles.update({name: value for name, (value, sigma) in self._stated.items()
+                       if name in angles and not sigma})
+        return replace(state.moved(step), turn=mount_rotation(*angles.values()))
 
     def _priors(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Return misfits (f,) of the facts in sigmas, and slopes (f, 16) of what they say."""
@@ -152,8 +158,9 @@ class Adjustment:
                     turned = rotation_matrix(step * np.eye(3)[axis]) @ state.turn
                     slopes[row, TURN.start + axis] = (
                         mount_angles(turned)[index - 3] - angles[index - 3]) / step
-            values[row] /= max(sigma, HELD)
-            slopes[row] /= max(sigma, HELD)
+            sigma = max(sigma, HELD_RAD if 3 <= index < 6 else HELD)
+            values[row] /= sigma
+            slopes[row] /= sigma
         held = np.zeros((len(self._open), COUNT))
         held[:, T] = self._open / NEAR_M
         return (np.concatenate([values, -held[:, T] @ state.place]),
