@@ -48,7 +48,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
-from selfcal_ros.values.still_tracks import find_still_tracks, nothing_moves, StillTracks
+from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
@@ -170,13 +170,15 @@ def _calibrated(tracks: Tracks, motion: str, facts: CameraFacts, rng: np.random.
     """Calibrate by one motion or by the one that is found."""
     tracks = replace(tracks, image_size=tracks.image_size or _size_from(tracks))
     software = f'selfcal_ros {__version__}'
-    still = find_still_tracks(tracks) if motion != 'repeated' else None
+    # objects of one image are no views
+    extents = TrackExtents.measured(tracks) if motion != 'repeated' else None
+    still = None if extents is None else find_still_tracks(tracks, extents)
     if still is not None:
         rest = tracks.select(~np.isin(tracks.track, still.track))
         return _beside_still_tracks(calibrate(
             rest, motion=motion, facts=facts, rng=rng, start=start,
             translation_frames=translation_frames, views=views), rest, still)
-    if motion != 'repeated' and nothing_moves(tracks):
+    if extents is not None and extents.nothing_moves:
         return NotCalibrated.of(NoEstimate('nothing_moves', images=len(tracks.frames)),
                                 frames=tracks.frames, facts=facts, software=software)
     if views is not None:

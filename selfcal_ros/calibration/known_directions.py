@@ -20,9 +20,12 @@ know its height, and so neither its y nor its z, but well a mixture of both.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
+from selfcal_ros.geometry.rotation import angle_sigmas
 
 
 @dataclass(frozen=True)
@@ -104,3 +107,26 @@ def places_along(place: np.ndarray, covariance: np.ndarray, open_along: np.ndarr
             found.append(PlaceAlong(direction, float(direction @ place),
                                     float(np.sqrt(max(square, 0.0)))))
     return tuple(found)
+
+
+def sigmas_of_angles(angles: Mapping[str, float], covariance: np.ndarray,
+                     status: Mapping[str, str]) -> dict[str, float]:
+    """
+    Return the standard deviations of roll, pitch and yaw, radians.
+
+    Parameters
+    ----------
+    angles : mapping of str to float
+        Roll, pitch and yaw by name, radians.
+    covariance : ndarray, shape (3, 3)
+        Of a small turn about fixed axes, rad².
+    status : mapping of str to str
+        Where one is not 'estimated', those of the small turn are returned.
+
+    """
+    if any(status[name] != 'estimated' for name in angles):
+        sigmas = np.sqrt(np.diag(covariance))
+    else:
+        _, pitch, yaw = angles.values()
+        sigmas = angle_sigmas(pitch, yaw, covariance)
+    return dict(zip(angles, sigmas.tolist()))

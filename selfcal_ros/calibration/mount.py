@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
+from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, sigmas_of_angles
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.rotation import angle_sigmas, rotation_matrix
+from selfcal_ros.geometry.rotation import roll_pitch_yaw, rotation_matrix
 
 #: The optical frame (x right, y down, z forward) of a level camera that looks straight ahead, in
 #: the axes of the body (x forward, y left, z up).
@@ -180,11 +180,7 @@ class Mount:
     @property
     def angles_sigma(self) -> dict[str, float]:
         """Standard deviations of `angles` (rad); those of `sigma` where one is not estimated."""
-        small = {name: self.sigma[name] for name in TURN}
-        if any(self.status[name] != 'estimated' for name in TURN):
-            return small
-        _, pitch, yaw = self.angles.values()
-        return dict(zip(TURN, angle_sigmas(pitch, yaw, self.covariance[3:6, 3:6]).tolist()))
+        return sigmas_of_angles(self.angles, self.covariance[3:6, 3:6], self.status)
 
 
 def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:
@@ -202,10 +198,8 @@ def mount_angles(rotation: np.ndarray) -> tuple[float, float, float]:
         Radians; rotation = Rz(yaw) Ry(pitch) Rx(roll) FORWARD. NaN where a matrix has them.
 
     """
-    R = rotation @ FORWARD.T
-    return (float(np.arctan2(R[2, 1], R[2, 2])),
-            float(np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))),
-            float(np.arctan2(R[1, 0], R[0, 0])))
+    roll, pitch, yaw = roll_pitch_yaw(rotation @ FORWARD.T).tolist()
+    return roll, pitch, yaw
 
 
 def mount_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:

@@ -125,6 +125,27 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     return about_axis(vector, 1 - cubic * angle * angle, cosine, cubic)
 
 
+def roll_pitch_yaw(matrix: np.ndarray) -> np.ndarray:
+    """
+    Take rotations apart: Rz(yaw) Ry(pitch) Rx(roll), turns about fixed x, y, z (REP 103).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., 3, 3)
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Radians; NaN where a matrix has them.
+
+    """
+    angles: np.ndarray = np.stack([
+        np.arctan2(matrix[..., 2, 1], matrix[..., 2, 2]),
+        np.arctan2(-matrix[..., 2, 0], np.hypot(matrix[..., 0, 0], matrix[..., 1, 0])),
+        np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])], axis=-1)
+    return angles
+
+
 def angle_sigmas(pitch: float, yaw: float, covariance: np.ndarray) -> np.ndarray:
     """
     Return the standard deviations of roll, pitch and yaw of a rotation Rz(yaw) Ry(pitch) Rx(roll).

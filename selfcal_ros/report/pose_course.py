@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import metres_a_step, metric_path
+from selfcal_ros.geometry.rotation import roll_pitch_yaw
 from selfcal_ros.report.style import BLUE, Drawing, GREEN, GREY, new_panel, ORANGE, styled
 from selfcal_ros.values.tracks import Tracks
 
@@ -54,25 +55,6 @@ class PoseCourse:
     position: np.ndarray
     angles_deg: np.ndarray
     in_metres: bool = False
-
-
-def roll_pitch_yaw(rotations: np.ndarray) -> np.ndarray:
-    """
-    Return the angles of rotations about fixed x, y and z, in this order (REP 103), radians.
-
-    Parameters
-    ----------
-    rotations : ndarray, shape (V, 3, 3)
-        World from body.
-
-    Returns
-    -------
-    ndarray, shape (V, 3)
-
-    """
-    return np.stack([np.arctan2(rotations[:, 2, 1], rotations[:, 2, 2]),
-                     -np.arcsin(np.clip(rotations[:, 2, 0], -1, 1)),
-                     np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])], axis=1)
 
 
 def pose_course(result: Calibration, tracks: Tracks | None = None) -> PoseCourse | None:

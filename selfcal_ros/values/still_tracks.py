@@ -79,7 +79,53 @@ class StillTracks:
                        tracks=len(self.track), share=self.share)
 
 
-def find_still_tracks(tracks: Tracks) -> StillTracks | None:
+@dataclass(frozen=True)
+class TrackExtents:
+    """
+    How far tracks go in the image.
+
+    Attributes
+    ----------
+    names, first, count : ndarray of int, shape (P,)
+        Identity of each track, where its observations begin, and how many they are.
+    of : ndarray of int, shape (N,)
+        Which of the tracks each observation is of.
+    extent : ndarray, shape (P,)
+        Pixels.
+    limit : float
+        Below this a track stands still, pixels.
+
+    """
+
+    names: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    of: np.ndarray
+    extent: np.ndarray
+    limit: float
+
+    @classmethod
+    def measured(cls, tracks: Tracks) -> TrackExtents | None:
+        """Measure tracks; None where there are none."""
+        if not len(tracks):
+            return None
+        xy = tracks.xy
+        names, first, count = np.unique(tracks.track, return_index=True, return_counts=True)
+        of = np.repeat(np.arange(len(names)), count)
+        scatter = _middle(np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1), of,
+                          first, count)
+        limit = float(np.clip(STILL_SIGMAS * _noise_px(xy, of), *STILL_PX))
+        return cls(names, first, count, of, np.maximum(scatter, _moved(xy, of, first, count)),
+                   limit)
+
+    @property
+    def nothing_moves(self) -> bool:
+        """Whether all images show the same: nearly every point stays where it is."""
+        several = self.count > 1
+        return bool(several.any() and np.mean(self.extent[several] < self.limit) > NEARLY_ALL)
+
+
+def find_still_tracks(tracks: Tracks, extents: TrackExtents | None = None) -> StillTracks | None:
     """
     Find what stands still all the time that other tracks move.
 
@@ -87,6 +133,8 @@ def find_still_tracks(tracks: Tracks) -> StillTracks | None:
     ----------
     tracks : Tracks
         Of a whole recording, or of its keyframes.
+    extents : TrackExtents, optional
+        Of these tracks, where they are known.
 
     Returns
     -------
@@ -94,13 +142,13 @@ def find_still_tracks(tracks: Tracks) -> StillTracks | None:
         None where nothing stands still all the time, or nothing else moves.
 
     """
-    if not len(tracks):
+    extents = extents or TrackExtents.measured(tracks)
+    if extents is None:
         return None
-    names, first, count = np.unique(tracks.track, return_index=True, return_counts=True)
-    of = np.repeat(np.arange(len(names)), count)
+    names, first, count, of = extents.names, extents.first, extents.count, extents.of
+    extent, limit = extents.extent, extents.limit
     time = np.unique(tracks.frame, return_inverse=True)[1].ravel()
     begin, end = time[first], time[first + count - 1]
-    extent, limit = _extents(tracks.xy, of, first, count)
     mover = extent > MOVES * limit
     steps = int(time.max())
     way = _way(extent, mover, begin, end, steps)
@@ -123,23 +171,6 @@ def find_still_tracks(tracks: Tracks) -> StillTracks | None:
     share = float(count[chosen].sum() / count.sum())
     return StillTracks(names[chosen], share, share > OF_FIXED_CAMERA and _is_spread(
         tracks.xy[first][still], tracks.xy, tracks.image_size))
-
-
-def nothing_moves(tracks: Tracks) -> bool:
-    """Tell whether all images show the same: nearly every point stays where it is."""
-    if not len(tracks):
-        return False
-    names, first, count = np.unique(tracks.track, return_index=True, return_counts=True)
-    extent, limit = _extents(tracks.xy, np.repeat(np.arange(len(names)), count), first, count)
-    return bool(np.mean(extent[count > 1] < limit) > NEARLY_ALL) if (count > 1).any() else False
-
-
-def _extents(xy, of, first, count) -> tuple[np.ndarray, float]:
-    """Return how far every track goes (P,), and below what it stands still, pixels."""
-    scatter = _middle(np.linalg.norm(xy - _middles(xy, of, first, count)[of], axis=1), of, first,
-                      count)
-    limit = float(np.clip(STILL_SIGMAS * _noise_px(xy, of), *STILL_PX))
-    return np.maximum(scatter, _moved(xy, of, first, count)), limit
 
 
 def _noise_px(xy, of) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.synthetic.special_scenes import drive
-from selfcal_ros.values.still_tracks import find_still_tracks, nothing_moves
+from selfcal_ros.values.still_tracks import find_still_tracks, TrackExtents
 from selfcal_ros.values.tracks import Tracks
 
 SIZE, FOCAL, CENTRE = (640, 480), 620.0, (328.0, 235.0)
@@ -126,10 +126,10 @@ def test_images_that_all_show_the_same_are_refused_as_such():
     for noise_px in (0.0, 0.3):
         xy = np.tile(place, (5, 1)) + noise_px * rng.standard_normal((400, 2))
         tracks = Tracks(np.repeat(np.arange(5), 80), np.tile(np.arange(80), 5), xy, (640, 480))
-        assert nothing_moves(tracks)
+        assert TrackExtents.measured(tracks).nothing_moves
         refused = calibrate(tracks)
         assert not refused and refused.kind == 'nothing_moves'
     # a vehicle that turns by a degree in all
     slow = drive(rng, 0.3, 12, 100, 12).tracks
     drift = slow.xy * 0.01 + place[slow.track % 80]
-    assert not nothing_moves(replace(slow, xy=drift))
+    assert not TrackExtents.measured(replace(slow, xy=drift)).nothing_moves

@@ -100,9 +100,10 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     """
     try:
         found = _mounted(calibration, poses, stamps_ns, facts)
-        if not isinstance(found.mount, Mount) or not facts.stated:
+        others = MountFacts(scale=facts.scale)
+        if not isinstance(found.mount, Mount) or facts == others:
             return found
-        free = _mounted(calibration, poses, stamps_ns, MountFacts(scale=facts.scale))
+        free = _mounted(calibration, poses, stamps_ns, others)
         wrong = contradicted_fact(facts, free.mount) if isinstance(free.mount, Mount) else None
         return found if wrong is None else replace(calibration, mount=wrong)
     except np.linalg.LinAlgError:

@@ -21,11 +21,11 @@ from typing import Literal
 
 import numpy as np
 
-from selfcal_ros.calibration.known_directions import PlaceAlong
+from selfcal_ros.calibration.known_directions import PlaceAlong, sigmas_of_angles
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.findings.finding import Finding, sentences
-from selfcal_ros.geometry.rotation import angle_sigmas
+from selfcal_ros.geometry.rotation import roll_pitch_yaw
 
 #: Degrees of freedom of a camera in its rig: place, and small turns about the rig's axes (rad).
 PLACE, TURN = ('x', 'y', 'z'), ('roll', 'pitch', 'yaw')
@@ -72,18 +72,12 @@ class CameraInRig:
     @property
     def angles(self) -> dict[str, float]:
         """Angles about the fixed x, y and z axes of the rig that turn it to the camera, rad."""
-        R = self.T_rig_camera[:3, :3]
-        return dict(zip(TURN, (float(np.arctan2(R[2, 1], R[2, 2])),
-                               float(-np.arcsin(np.clip(R[2, 0], -1, 1))),
-                               float(np.arctan2(R[1, 0], R[0, 0])))))
+        return dict(zip(TURN, roll_pitch_yaw(self.T_rig_camera[:3, :3]).tolist()))
 
     @property
     def angles_sigma(self) -> dict[str, float]:
         """Standard deviations of `angles` (rad); those of `sigma` where one is not estimated."""
-        if any(self.status[name] != 'estimated' for name in TURN):
-            return {name: self.sigma[name] for name in TURN}
-        _, pitch, yaw = self.angles.values()
-        return dict(zip(TURN, angle_sigmas(pitch, yaw, self.covariance[3:, 3:]).tolist()))
+        return sigmas_of_angles(self.angles, self.covariance[3:, 3:], self.status)
 
     @property
     def baseline(self) -> float:

@@ -34,6 +34,7 @@ from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mount import FORWARD, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.rotation import roll_pitch_yaw
 from selfcal_ros.report.mounts.record import shown_sigma
 from selfcal_ros.values.output_files import atomic_write
 
@@ -85,11 +86,10 @@ class StoredTransform:
 
 def _angles(R: np.ndarray) -> np.ndarray:
     """Take Rz(yaw) Ry(pitch) Rx(roll) apart; straight up or down, yaw is 0."""
-    flat = np.hypot(R[0, 0], R[1, 0])
-    pitch = np.arctan2(-R[2, 0], flat)
-    if flat < 1e-9:
-        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+    angles = roll_pitch_yaw(R)
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return np.array([np.arctan2(-R[1, 2], R[1, 1]), angles[1], 0.0])
+    return angles
 
 
 def stored_mount(mount: Mount, child: str, source: str = '') -> StoredTransform:
