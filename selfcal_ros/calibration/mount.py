@@ -208,7 +208,3 @@ def mount_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     about_x, about_y, about_z = turns
     rotation: np.ndarray = about_z @ about_y @ about_x @ FORWARD
     return rotation
-
-
-#: There is no mount, and why.
-NoMount = NoEstimate

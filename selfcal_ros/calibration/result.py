@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.card import (calibration_card, calibration_text, grade_of,
                                           refusal_card)
-from selfcal_ros.calibration.mount import Mount, NoMount
+from selfcal_ros.calibration.mount import Mount
 from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, StructureSample
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
@@ -183,7 +183,7 @@ class Calibration:
         The rolling shutter, where rows are read one after the other.
     labels : TrackLabels, optional
         What every track is, where things moved by themselves or matches jumped.
-    mount : Mount or NoMount, optional
+    mount : Mount or NoEstimate, optional
         Where the camera sits on the robot, or why that is not known, where its poses were given.
 
     Examples
@@ -223,7 +223,7 @@ class Calibration:
     focal: FocalCourse | None = field(default=None, repr=False)
     shutter: RowReadout | None = None
     labels: TrackLabels | None = field(default=None, repr=False)
-    mount: Mount | NoMount | None = field(default=None, repr=False)
+    mount: Mount | NoEstimate | None = field(default=None, repr=False)
 
     def __bool__(self) -> Literal[True]:
         """Be true: there is a calibration."""

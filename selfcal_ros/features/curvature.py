@@ -47,7 +47,7 @@ _LARGEST = 0.02
 
 
 @dataclass(frozen=True)
-class PairGeometry:
+class EpipolarGeometry:
     """
     Epipolar geometry of some pairs of images.
 
@@ -68,7 +68,7 @@ class PairGeometry:
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[int, int, np.ndarray, DivisionModel]], images: int,
-           ) -> PairGeometry:
+           ) -> EpipolarGeometry:
         """Collect finite ones of (first, second, F as `EpipolarImages` has it, lens)."""
         number = np.full((images, images), -1)
         F: list[np.ndarray] = []
@@ -84,7 +84,7 @@ class PairGeometry:
         return cls(number, np.array(F).reshape(-1, 3, 3), tuple(lenses))
 
     @classmethod
-    def of_matches(cls, matches: Sequence[ImagePairMatches], images: int) -> PairGeometry:
+    def of_matches(cls, matches: Sequence[ImagePairMatches], images: int) -> EpipolarGeometry:
         """Collect the pairs that were matched."""
         return cls.of([(one.first, one.second, one.F, one.lens) for one in matches], images)
 
@@ -168,7 +168,7 @@ def _plane_homographies(F: np.ndarray, lens: DivisionModel, xy_a: np.ndarray, xy
     return H / scale[:, None, None], apart
 
 
-def along_tracks(geometry: PairGeometry, image: np.ndarray, track: np.ndarray,
+def along_tracks(geometry: EpipolarGeometry, image: np.ndarray, track: np.ndarray,
                  reference: np.ndarray, xy: np.ndarray, affine: np.ndarray) -> np.ndarray:
     """
     Second derivatives of the warps from the reference of each track to its other views.
@@ -177,7 +177,7 @@ def along_tracks(geometry: PairGeometry, image: np.ndarray, track: np.ndarray,
 
     Parameters
     ----------
-    geometry : PairGeometry
+    geometry : EpipolarGeometry
     image, track : ndarray of int, shape (N,)
     reference : ndarray of bool, shape (N,)
         One observation of every track.
@@ -207,8 +207,8 @@ def along_tracks(geometry: PairGeometry, image: np.ndarray, track: np.ndarray,
     return total
 
 
-def _nearest_known(geometry: PairGeometry, image: np.ndarray, order: np.ndarray, at: np.ndarray,
-                   steps: np.ndarray) -> np.ndarray:
+def _nearest_known(geometry: EpipolarGeometry, image: np.ndarray, order: np.ndarray,
+                   at: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Of each track the view nearest to the reference whose geometry with another is known."""
     side, here = np.sign(steps[at]), image[order[at]]
     before = order[at - side]

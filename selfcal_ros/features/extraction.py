@@ -35,7 +35,7 @@ from selfcal_ros.features.pairs import propose_pairs
 from selfcal_ros.features.selection import drop_static, KeyframeSelector, Verified, verify
 from selfcal_ros.features.static_region import drop_static_regions
 from selfcal_ros.features.still_features import still_features, without_still
-from selfcal_ros.features.video_curvature import Keyframe, without_feigned_shifts
+from selfcal_ros.features.video_curvature import KeptFrame, without_feigned_shifts
 from selfcal_ros.findings.finding import Finding, sentences
 from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks
@@ -255,8 +255,8 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
     The album keeps images if what moves before a camera that stands could not be followed.
     """
     tracker, selector, part, stamps = KltTracker(mask=mask, renews=False), None, None, {}
-    kept: list[Keyframe] = []
-    of_part: list[Keyframe] = []
+    kept: list[KeptFrame] = []
+    of_part: list[KeptFrame] = []
     size = None
     film, filmed = Film(), {}
     for count, (index, grey, stamp_ns) in enumerate(frames):
@@ -280,7 +280,7 @@ def _video(frames, report, max_keyframes, seed, findings: list[Finding], mask,
                 album = None
         if not lists:
             continue
-        record = Keyframe(index, ids, xy, tracker.appearances)
+        record = KeptFrame(index, ids, xy, tracker.appearances)
         # only here: what the old templates feign is known where their geometry is
         tracker.renew()
         filmed[index] = film.keep()

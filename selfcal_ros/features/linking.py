@@ -24,7 +24,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from selfcal_ros.features.curvature import along_tracks, feigned_shift, PairGeometry
+from selfcal_ros.features.curvature import along_tracks, EpipolarGeometry, feigned_shift
 from selfcal_ros.features.detection import Features
 from selfcal_ros.features.matching import ImagePairMatches
 from selfcal_ros.features.neighbours import local_turns
@@ -204,7 +204,7 @@ def refine(images, image: np.ndarray, track: np.ndarray, xy: np.ndarray, size_px
                             for k, part in zip(here, np.split(rows, at[1:]))]:
                     job.result()
     good = np.flatnonzero(registered)
-    geometry = PairGeometry.of_matches(matches, len(images))
+    geometry = EpipolarGeometry.of_matches(matches, len(images))
     second = along_tracks(geometry, image[good], track[good], is_reference[good], refined[good],
                           warps[good])
     refined[good] -= feigned_shift(responses[track[good]], warps[good], second, scales[good])

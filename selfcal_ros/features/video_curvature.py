@@ -25,14 +25,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.features.curvature import along_tracks, feigned_shift, PairGeometry
+from selfcal_ros.features.curvature import along_tracks, EpipolarGeometry, feigned_shift
 from selfcal_ros.features.klt import Appearances
 from selfcal_ros.features.selection import Verified
 from selfcal_ros.values.tracks import Tracks
 
 
 @dataclass(frozen=True)
-class Keyframe:
+class KeptFrame:
     """
     A frame that was kept.
 
@@ -55,7 +55,7 @@ class Keyframe:
     appearances: Appearances
 
 
-def without_feigned_shifts(verified: Verified, kept: Sequence[Keyframe]) -> Tracks:
+def without_feigned_shifts(verified: Verified, kept: Sequence[KeptFrame]) -> Tracks:
     """
     Take off what curvature feigns.
 
@@ -63,7 +63,7 @@ def without_feigned_shifts(verified: Verified, kept: Sequence[Keyframe]) -> Trac
     ----------
     verified : Verified
         Tracks made of the keyframes, and the geometry between these.
-    kept : sequence of Keyframe
+    kept : sequence of KeptFrame
 
     Returns
     -------
@@ -80,8 +80,8 @@ def without_feigned_shifts(verified: Verified, kept: Sequence[Keyframe]) -> Trac
     anchors, affine, response = (
         np.concatenate([getattr(one.appearances, name) for one in kept])[row]
         for name in ('anchors', 'affine', 'response'))
-    geometry = PairGeometry.of([(*one, verified.lens) for one in verified.fitted],
-                               len(verified.frames))
+    geometry = EpipolarGeometry.of([(*one, verified.lens) for one in verified.fitted],
+                                   len(verified.frames))
     # a template taken anew begins a track of its own here, where it was taken if that is known
     begins = np.any(np.diff(np.column_stack([tracks.track, anchors]), axis=0, prepend=-1), axis=1)
     label, first = np.cumsum(begins) - 1, np.flatnonzero(begins)[1:]

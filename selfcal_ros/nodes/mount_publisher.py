@@ -24,8 +24,9 @@ from msg_adapters.stamps import header_message
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import Floor, Mount, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.report.mounts.record import shown_sigma
@@ -70,7 +71,7 @@ class MountPublisher:
             self._node.destroy_publisher(self._static[1])
             self._static = None
 
-    def take(self, mount: Mount | NoMount | None) -> None:
+    def take(self, mount: Mount | NoEstimate | None) -> None:
         """Take the mount of a calibration in force; None where no robot is listened to."""
         self._open = ''
         if not isinstance(mount, Mount):
@@ -117,7 +118,7 @@ def _differs(mount: Mount, other: Mount) -> bool:
     return bool((apart > NEWS_SIGMAS * np.sqrt(np.diag(sigma)) + 1e-9).any())
 
 
-def mount_values(mount: Mount | NoMount | None) -> dict[str, Any]:
+def mount_values(mount: Mount | NoEstimate | None) -> dict[str, Any]:
     """Return a mount for the diagnostics: metres, degrees, and what is open."""
     if not isinstance(mount, Mount):
         return {} if mount is None else {'mount': no_mount_sentence(mount)}

@@ -37,7 +37,7 @@ LINE_WIDTH, FRUSTUM_LENGTH, POINT_SIZE = 0.05, 0.5, 0.1
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneMessages:
     """Serialised messages: thousands of points take a callback more than a millisecond."""
 
     structure: bytes
@@ -46,7 +46,7 @@ class Scene:
 
 
 def prepare_scene(frame_id: str, calibration: Calibration,
-                  request: EstimateRequest) -> Scene | None:
+                  request: EstimateRequest) -> SceneMessages | None:
     """Build the messages, where the estimate was made; None where there is no depth."""
     if calibration.motion == 'rotation':
         return None
@@ -58,7 +58,7 @@ def prepare_scene(frame_id: str, calibration: Calibration,
     markers = path_markers(scene.cam_from_world, header, types, LINE_WIDTH,
                            calibration.camera, FRUSTUM_LENGTH).markers
     markers += structure_markers(scene.points, header, types, POINT_SIZE).markers
-    return Scene(
+    return SceneMessages(
         serialize_message(structure_cloud(scene.points, header, types)),
         serialize_message(path_message(camera_poses(scene.cam_from_world), headers, header,
                                        types)),
@@ -84,7 +84,7 @@ class ScenePublisher:
         self._path = node.create_publisher(Path, 'camera_path', LATCHED)
         self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
 
-    def publish(self, scene: Scene) -> None:
+    def publish(self, scene: SceneMessages) -> None:
         """Publish what was prepared."""
         self._structure.publish(scene.structure)
         self._path.publish(scene.path)

@@ -37,7 +37,7 @@ _KIND = {'.mcap': 'an mcap file', '.db3': 'a rosbag2 sqlite3 file', '.bag': 'a R
 
 
 @contextmanager
-def _readable(path):
+def readable(path):
     """
     Turn whatever a damaged bag makes rosbags raise into an InputError.
 
@@ -112,7 +112,7 @@ class BagSource(FrameSource):
         super().__init__(path, image_size, colour, excerpt)
         self._reader: Any = None
         _check_files(self.path)
-        with _readable(self.path):
+        with readable(self.path):
             self._reader, self._deserialize = _opened(self.path)
         try:
             self._connections = self._choose(topic)
@@ -176,7 +176,7 @@ class BagSource(FrameSource):
         if self._reader is None:
             raise InputError(f'{self.path} is closed.')
         seen = 0
-        with _readable(self.path):
+        with readable(self.path):
             for connection, log_ns, data in self._reader.messages(self._connections):
                 seen += 1
                 yield log_ns, self._deserialize(data, connection.msgtype)
@@ -206,7 +206,7 @@ class BagSource(FrameSource):
         """Close the bag."""
         reader, self._reader = self._reader, None
         if reader is not None:
-            with _readable(self.path):
+            with readable(self.path):
                 reader.close()
 
 
@@ -222,7 +222,7 @@ def image_topics(path) -> list[str]:
     """
     path = Path(path)
     _check_files(path)
-    with _readable(path):
+    with readable(path):
         reader, _ = _opened(path)
         names = {connection.topic for connection in reader.connections
                  if connection.msgtype in IMAGE_TYPES and connection.msgcount}
@@ -268,7 +268,7 @@ class OpenBag:
 
     def messages(self, connections: list) -> Iterator[tuple[Any, Any]]:
         """Yield connection and message in the order of recording."""
-        with _readable(self._path):
+        with readable(self._path):
             for connection, _, data in self._reader.messages(connections):
                 yield connection, self._deserialize(data, connection.msgtype)
 
@@ -286,7 +286,7 @@ def open_bag(path: str | Path) -> Iterator[OpenBag]:
     """
     path = Path(path)
     _check_files(path)
-    with _readable(path):
+    with readable(path):
         reader, deserialize = _opened(path)
     try:
         yield OpenBag(path, reader, deserialize)

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from selfcal_ros.errors import InputError
-from selfcal_ros.pipeline.bag_source import _readable, BagSource
+from selfcal_ros.pipeline.bag_source import BagSource, readable
 
 
 class ImageRecording(BagSource):
@@ -65,7 +65,7 @@ class ImageRecording(BagSource):
             raise InputError(f'{self.path} is closed.')
         to_cdr = self._converter()
         start = self._reader.start_time + int(start_offset_s * 1e9) if start_offset_s else None
-        with _readable(self.path):
+        with readable(self.path):
             for connection, log_ns, data in self._reader.messages(self._connections, start=start):
                 yield int(log_ns), bytes(to_cdr(data, connection.msgtype))
 

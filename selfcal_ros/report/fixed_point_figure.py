@@ -21,7 +21,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.observations import ObservationTable
-from selfcal_ros.report.pair_geometry import (flat_enough, pair_geometry, PairGeometry,
+from selfcal_ros.report.pair_geometry import (EpipolesAndAxes, flat_enough, pair_geometry,
                                               single_pairs)
 from selfcal_ros.report.style import (BLUE, Drawing, GREEN, GREY, image_axes, INK, new_panel,
                                       ORANGE, PAPER, PURPLE, RED, styled)
@@ -83,7 +83,7 @@ def fixed_points_figure(result: Calibration,
                    'geometry')
 
 
-def _distances(result: Calibration, fixed: FixedPoints, pairs: PairGeometry) -> str:
+def _distances(result: Calibration, fixed: FixedPoints, pairs: EpipolesAndAxes) -> str:
     """Say how far the epipoles of single pairs are from the horizon."""
     line = fixed.horizon
     slope = float(np.linalg.norm(line[:2]))
@@ -130,7 +130,7 @@ def _zoom_window(camera: Camera) -> tuple[np.ndarray, float]:
 
 
 def _whole_window(result: Calibration, fixed: FixedPoints,
-                  pairs: PairGeometry) -> tuple[np.ndarray, float]:
+                  pairs: EpipolesAndAxes) -> tuple[np.ndarray, float]:
     """Choose a square that shows the image, the vanishing point and most epipoles."""
     camera = result.camera
     longer = max(camera.width, camera.height)
@@ -164,7 +164,7 @@ def _segment(line: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray | 
     return np.stack([foot - 3 * half * along, foot + 3 * half * along])
 
 
-def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: PairGeometry, window,
+def _draw(axes, result: Calibration, fixed: FixedPoints, pairs: EpipolesAndAxes, window,
           title: str) -> None:
     """Draw what both panels share."""
     camera = result.camera

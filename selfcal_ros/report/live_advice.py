@@ -60,7 +60,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Scene:
+class LiveStatus:
     """
     What the advice rests on.
 
@@ -107,12 +107,12 @@ class Scene:
     sigma_share: float | None
 
 
-def advise(scene: Scene) -> Advice:
+def advise(scene: LiveStatus) -> Advice:
     """Say what helps most now."""
     return _alarm(scene) or _reached(scene) or _trouble(scene) or _motion(scene)
 
 
-def _alarm(scene: Scene) -> Advice | None:
+def _alarm(scene: LiveStatus) -> Advice | None:
     """Name what makes the numbers worthless."""
     if not scene.is_alive:
         return Advice(Kind.TROUBLE, 'Start the nodes',
@@ -123,7 +123,7 @@ def _alarm(scene: Scene) -> Advice | None:
     return None
 
 
-def _trouble(scene: Scene) -> Advice | None:
+def _trouble(scene: LiveStatus) -> Advice | None:
     """Name what keeps the estimate from getting better."""
     if scene.no_images:
         return Advice(Kind.TROUBLE, 'Look after the images', sentence(scene.no_images))
@@ -136,14 +136,14 @@ def _trouble(scene: Scene) -> Advice | None:
     return None
 
 
-def _reached(scene: Scene) -> Advice | None:
+def _reached(scene: LiveStatus) -> Advice | None:
     if scene.sigma_share is None or scene.sigma_share > PRECISE:
         return None
     return Advice(Kind.DONE, 'Save it', f'The focal length is known to {_percent(scene)}; more '
                   'views change little.')
 
 
-def _motion(scene: Scene) -> Advice:
+def _motion(scene: LiveStatus) -> Advice:
     """Name the motion that is missing."""
     side = Kind.LEFT if scene.left <= scene.right else Kind.RIGHT
     if min(scene.left, scene.right) < TURN_DEG:
@@ -166,7 +166,7 @@ def _motion(scene: Scene) -> Advice:
                   'turns make it better.')
 
 
-def _percent(scene: Scene) -> str:
+def _percent(scene: LiveStatus) -> str:
     assert scene.sigma_share is not None
     return f'{100 * scene.sigma_share:.2g} %'
 

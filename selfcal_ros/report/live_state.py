@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from selfcal_ros.report.live_advice import Advice, advise, Scene, sentence
+from selfcal_ros.report.live_advice import Advice, advise, LiveStatus, sentence
 
 #: Cells of the map of the image.
 COLUMNS, ROWS = 8, 6
@@ -174,7 +174,7 @@ class LiveState:
         _, text, values = self._status
         fx, sigma = _number(values, 'fx', 0.0), _number(values, 'fx sigma', math.inf)
         level, images = self._images if now_s - self._images_s < GONE_S else (0, '')
-        return advise(Scene(
+        return advise(LiveStatus(
             is_alive=now_s - self._heard_s < GONE_S, text=text,
             has_changed=any(name.startswith(CHANGE) for name in values),
             no_images=images if level > WARNING else '',

@@ -39,7 +39,7 @@ FLAT = 4.0
 
 
 @dataclass(frozen=True)
-class PairGeometry:
+class EpipolesAndAxes:
     """
     What the pairs of views look like in the image (thesis 5.1, figure 5.14).
 
@@ -66,7 +66,7 @@ def flat_enough(xy: np.ndarray) -> np.ndarray:
 
 
 def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
-                  most_pairs: int = 400) -> PairGeometry:
+                  most_pairs: int = 400) -> EpipolesAndAxes:
     """
     Derive the epipoles and the screw axes of pairs of views from their poses.
 
@@ -79,7 +79,7 @@ def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
 
     Returns
     -------
-    PairGeometry
+    EpipolesAndAxes
 
     """
     poses = np.asarray(reconstruction.cam_from_world, float)
@@ -92,11 +92,11 @@ def pair_geometry(reconstruction: Reconstruction, K: np.ndarray,
     a, b = pairs.T
     epipoles = np.stack([_seen(K, R[a], t[a], centres[b]), _seen(K, R[b], t[b], centres[a])],
                         axis=1)
-    return PairGeometry(pairs, epipoles, _screw_axes(K, R, t, a, b))
+    return EpipolesAndAxes(pairs, epipoles, _screw_axes(K, R, t, a, b))
 
 
 def single_pairs(result: Calibration, seen: ObservationTable,
-                 most_pairs: int = 150) -> PairGeometry:
+                 most_pairs: int = 150) -> EpipolesAndAxes:
     """
     Estimate the epipoles and the screw axis of pairs, each from its own matches alone.
 
@@ -109,7 +109,7 @@ def single_pairs(result: Calibration, seen: ObservationTable,
 
     Returns
     -------
-    PairGeometry
+    EpipolesAndAxes
         Empty where no pair shares enough points.
 
     """
@@ -133,13 +133,13 @@ def single_pairs(result: Calibration, seen: ObservationTable,
             found_pairs.append((a, b))
             matrices.append(found.F)
     if not found_pairs:
-        return PairGeometry(np.empty((0, 2), int), np.empty((0, 2, 3)), np.empty((0, 3)))
+        return EpipolesAndAxes(np.empty((0, 2), int), np.empty((0, 2, 3)), np.empty((0, 3)))
     pairs, F = np.array(found_pairs), np.array(matrices)
     U, _, Vt = np.linalg.svd(F)
     _, axes, _, _, real = decompose_planar(F)
     turning = _turns(poses[:, :, :3], *pairs.T) & real
-    return PairGeometry(pairs, np.stack([Vt[:, 2], U[:, :, 2]], axis=1),
-                        np.where(turning[:, None], axes, np.nan))
+    return EpipolesAndAxes(pairs, np.stack([Vt[:, 2], U[:, :, 2]], axis=1),
+                           np.where(turning[:, None], axes, np.nan))
 
 
 def _turns(R, a, b) -> np.ndarray:

@@ -24,7 +24,7 @@ from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.depths import inverse_depths, seen_ahead, share_behind
 from selfcal_ros.calibration.bundle.motion import PIVOT
 from selfcal_ros.calibration.bundle.path import AxisPath, path_unknowns
-from selfcal_ros.calibration.bundle.point_of_rest import common_axis, resting_near
+from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_near
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.lens import Lens
@@ -244,7 +244,7 @@ def test_a_long_lever_is_no_free_motion(seed):
 def test_any_point_of_a_common_axis_may_rest():
     sequence = arc(8, noise_px=0.0)
     observed, state = state_of(sequence, sequence.tracks.with_at_least(3))
-    axis = common_axis(state.path.rotations())
+    axis = axis_of_all(state.path.rotations())
     places = state.points[:, :3] - 5.0 * axis * state.points[:, 3:]
     far = replace(state, points=np.column_stack([places, state.points[:, 3]]), path=replace(
         state.path, translation=state.path.translation + 5.0 * axis))

@@ -14,12 +14,12 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.features.curvature import (along_tracks, composed, feigned_shift, PairGeometry,
-                                            plane_curvature)
+from selfcal_ros.features.curvature import (along_tracks, composed, EpipolarGeometry,
+                                            feigned_shift, plane_curvature)
 from selfcal_ros.features.klt import Appearances
 from selfcal_ros.features.registration import DoubledImage, PatchRegistration
 from selfcal_ros.features.selection import Verified
-from selfcal_ros.features.video_curvature import Keyframe, without_feigned_shifts
+from selfcal_ros.features.video_curvature import KeptFrame, without_feigned_shifts
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.projective import cross_matrix
@@ -151,7 +151,7 @@ def test_positions_in_images_of_a_plane_are_off_as_predicted(seed):
 
 
 def test_where_no_geometry_is_known_nothing_is_taken_off():
-    geometry = PairGeometry.of([(0, 1, np.full((3, 3), np.nan), STRAIGHT)], 3)
+    geometry = EpipolarGeometry.of([(0, 1, np.full((3, 3), np.nan), STRAIGHT)], 3)
     second = along_tracks(geometry, np.array([0, 1, 2]), np.zeros(3, int),
                           np.array([False, True, False]), np.ones((3, 2)),
                           np.tile(1.1 * np.eye(2), (3, 1, 1)))
@@ -185,7 +185,7 @@ def test_a_template_taken_anew_shows_a_point_beside_the_first():
             derivatives(moved, one, 1.0) for one in at)))
         shift = feigned_shift(response, A, second) + np.einsum('nij,nj->ni', A, beside)
         seen.append(true[k] + shift)
-        kept.append(Keyframe(k, ids, seen[k], Appearances(seen[begin], A, response)))
+        kept.append(KeptFrame(k, ids, seen[k], Appearances(seen[begin], A, response)))
         if k == 2:
             # the next template is taken where the point seems to be
             begin, beside = 2, shift

@@ -18,15 +18,15 @@ import json
 import numpy as np
 import pytest
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.report.live_advice import advise, Kind, Scene
+from selfcal_ros.report.live_advice import advise, Kind, LiveStatus
 from selfcal_ros.report.live_state import LiveState, MOST_ESTIMATES, turn_deg
 
 SIZE, FOCAL = (640, 480), 520.0
 CALIBRATED = {'frames': '30', 'resets': '0', 'fx': '520', 'fx sigma': '5', 'cx': '320',
               'cx sigma': '4', 'cy': '240', 'cy sigma': '3', 'skew': '0', 'skew sigma': '0'}
-FINE = Scene(is_alive=True, text='calibrated', has_changed=False, no_images='', has_tracks=True,
-             points=300, is_still=False, left=45, right=45, rate=0, coverage=0.9,
-             empty='top left', sigma_share=0.01)
+FINE = LiveStatus(is_alive=True, text='calibrated', has_changed=False, no_images='',
+                  has_tracks=True, points=300, is_still=False, left=45, right=45, rate=0,
+                  coverage=0.9, empty='top left', sigma_share=0.01)
 
 
 def seen(points, heading_deg, ahead):
@@ -122,6 +122,6 @@ def test_nonsense_in_the_diagnostics_is_shown_as_nothing(values):
     ({'sigma_share': None, 'text': 'the path is straight'}, Kind.MOVE, 'The path is straight.'),
     ({}, Kind.MOVE, 'Go on')])
 def test_one_thing_to_do_at_a_time(change, kind, words):
-    advice = advise(Scene(**{**vars(FINE), **change}))
+    advice = advise(LiveStatus(**{**vars(FINE), **change}))
     assert advice.kind is kind
     assert words in f'{advice.do} {advice.why}'

@@ -21,10 +21,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES, NoMount
+from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.calibration.structure.camera_path import camera_path
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.report import figures
 from selfcal_ros.report.figures import draw_tables
 from selfcal_ros.report.mounts.comparison import compare_mounts, PlacedCamera
@@ -82,7 +83,7 @@ def test_a_mount_comes_back_from_json(calibration, is_open):
 
 
 def test_a_refusal_comes_back_from_json_and_has_no_number(calibration):
-    refusal = NoMount('note', text='The wheels stood still.')
+    refusal = NoEstimate('note', text='The wheels stood still.')
     stored = json.loads(result_to_json(replace(calibration, mount=refusal)))
     assert problems(stored, SCHEMA) == []
     assert set(stored['mount']['status'].values()) == {'unobservable'}
@@ -97,7 +98,7 @@ def test_words_say_what_is_known_and_what_would_help(calibration):
     assert '0.6' not in text
     assert 'by the stated time offset' in '\n'.join(
         mount_lines(placed(calibration), frozenset({'time_offset'})))
-    refused = replace(calibration, mount=NoMount('note', text='The wheels stood still.'))
+    refused = replace(calibration, mount=NoEstimate('note', text='The wheels stood still.'))
     assert mount_lines(refused)[-1].endswith('not known: The wheels stood still. Read it.')
     assert mount_lines(calibration) == []
 
@@ -144,7 +145,7 @@ def test_the_page_shows_camera_and_robot(calibration, monkeypatch):
     table = next(one for one in draw_tables(result) if one.section == 'robot')
     assert len(table.rows) == 8
     monkeypatch.setattr(figures, 'draw_figures', lambda *_: [])
-    refused = replace(calibration, mount=NoMount('note', text='The wheels stood still.'))
+    refused = replace(calibration, mount=NoEstimate('note', text='The wheels stood still.'))
     assert 'The wheels stood still.' in page_html(refused, 'text')
     assert 'id="robot"' not in page_html(calibration, 'text')
 

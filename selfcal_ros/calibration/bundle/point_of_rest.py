@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 ONE_AXIS = 0.05
 
 
-def common_axis(rotations: np.ndarray) -> np.ndarray | None:
+def axis_of_all(rotations: np.ndarray) -> np.ndarray | None:
     """
     Return the axis that all views turn about.
 
@@ -69,7 +69,7 @@ def resting_near(state: SceneState) -> SceneState | None:
     """
     path, points = state.path, state.points
     R = path.rotations()
-    axis = common_axis(R @ R[0].T)
+    axis = axis_of_all(R @ R[0].T)
     if axis is None:
         return None
     along = float(axis @ path.translation[0])

@@ -34,7 +34,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.centres import all_rays, points_from_centres
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.point_of_rest import common_axis
+from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all
 from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
@@ -95,7 +95,7 @@ class PivotPath:
         if not np.isfinite(directions).all():
             return
         lever = lever_direction(blocks, directions, self.rotations)
-        axis = common_axis(self.rotations)
+        axis = axis_of_all(self.rotations)
         # along the axis any point rests
         levers = [lever, *(np.eye(3)[[2, 0, 1]] if axis is None else _across(axis).T)]
         yield from self._with_levers(blocks, xy, camera, [
@@ -194,7 +194,7 @@ def lever_direction(blocks: PointBlocks, directions: np.ndarray, rotations: np.n
         Unit, in the camera's frame; its sign is open. Across the common axis, if there is one.
 
     """
-    axis = common_axis(rotations)
+    axis = axis_of_all(rotations)
     across = np.eye(3) if axis is None else _across(axis)
     every = np.arange(len(directions))
     first = blocks.first[blocks.point]

@@ -95,7 +95,7 @@ def mount_by_gyro(calibration: Calibration, rates: AngularRates, stamps_ns: Mapp
     Calibration
         With its mount; the camera, its covariance included, is what images and gyro say
         together. A gyro tells no place and no scale. Where the turns leave an axis open there is
-        a `NoMount`, and the camera is that of the images.
+        a `NoEstimate`, and the camera is that of the images.
 
     """
     precision, frames = calibration.reconstructed.pose_precision, calibration.reconstructed.frames

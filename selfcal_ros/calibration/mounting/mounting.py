@@ -22,7 +22,7 @@ import logging
 import numpy as np
 
 from selfcal_ros.calibration.known_directions import PlaceAlong
-from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, NoMount, TURN as ANGLES
+from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, TURN as ANGLES
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
@@ -89,7 +89,7 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
     Returns
     -------
     Calibration
-        With `mount` set, to a `Mount` or a `NoMount` with its reason; camera and covariance are
+        With `mount` set, to a `Mount` or a `NoEstimate` with its reason; camera and covariance are
         those of images and poses together.
 
     Raises
@@ -157,7 +157,7 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
 
 
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
-                facts: MountFacts) -> NoMount | None:
+                facts: MountFacts) -> NoEstimate | None:
     """Tell why poses of the body cannot say anything, or None."""
     known = int(track.known().sum())
     needed = LEAST_TIMED if track.timed and facts.time_offset is None else LEAST_IMAGES
@@ -229,7 +229,7 @@ def _from_start(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: 
 
 
 def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
-                   rows: np.ndarray) -> NoMount | None:
+                   rows: np.ndarray) -> NoEstimate | None:
     """Tell in what poses of body and camera disagree, or None."""
     wrong = 1 - optimum.keep.mean()
     if wrong > MOST_WRONG:

@@ -20,14 +20,15 @@ from typing import Any
 import numpy as np
 
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
-from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, NAMES, PLACE, TURN
 from selfcal_ros.findings.finding import KINDS
+from selfcal_ros.geometry.estimate import NoEstimate
 
 #: The degrees of freedom of the pose.
 POSE = (*PLACE, *TURN)
 
 
-def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
+def mount_to_dict(mount: Mount | NoEstimate) -> dict[str, Any]:
     """
     Return a mount, or why there is none, as values for JSON.
 
@@ -36,7 +37,7 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
 
     Parameters
     ----------
-    mount : Mount or NoMount
+    mount : Mount or NoEstimate
 
     Returns
     -------
@@ -80,7 +81,7 @@ def mount_to_dict(mount: Mount | NoMount) -> dict[str, Any]:
             **({} if mount.floor is None else {'floor': _floor_to_dict(mount.floor)})}
 
 
-def _floor_to_dict(floor: Floor | NoMount) -> dict[str, Any]:
+def _floor_to_dict(floor: Floor | NoEstimate) -> dict[str, Any]:
     if isinstance(floor, Floor):
         return {'height_m': floor.height_m, 'sigma_m': floor.sigma_m, 'points': floor.points,
                 'tilt_rad': floor.tilt_rad}
@@ -88,13 +89,13 @@ def _floor_to_dict(floor: Floor | NoMount) -> dict[str, Any]:
             'kind': floor.kind, 'values': dict(floor.values), 'reason': floor.reason}
 
 
-def _floor_from_dict(stored: dict | None) -> Floor | NoMount | None:
+def _floor_from_dict(stored: dict | None) -> Floor | NoEstimate | None:
     if stored is None:
         return None
     if 'kind' in stored:
         if stored['kind'] not in KINDS:
-            return NoMount('note', text=stored.get('reason', ''))
-        return NoMount(stored['kind'], **stored.get('values', {}))
+            return NoEstimate('note', text=stored.get('reason', ''))
+        return NoEstimate(stored['kind'], **stored.get('values', {}))
     return Floor(float(stored['height_m']), float(stored['sigma_m']), int(stored['points']),
                  float(stored['tilt_rad']))
 
@@ -126,7 +127,7 @@ def known_angles(mount: Mount) -> dict[str, float | None]:
             for name, value in mount.angles.items()}
 
 
-def mount_from_dict(stored: dict | None) -> Mount | NoMount | None:
+def mount_from_dict(stored: dict | None) -> Mount | NoEstimate | None:
     """
     Turn what `mount_to_dict` gives back into a mount; None for None.
 
@@ -141,8 +142,8 @@ def mount_from_dict(stored: dict | None) -> Mount | NoMount | None:
     if 'kind' in stored:
         if stored['kind'] not in KINDS:
             # of another version
-            return NoMount('note', text=stored.get('reason', ''))
-        return NoMount(stored['kind'], **stored.get('values', {}))
+            return NoEstimate('note', text=stored.get('reason', ''))
+        return NoEstimate(stored['kind'], **stored.get('values', {}))
     names = tuple(stored['names'])
     covariance = np.array([[np.inf if value is None and row == column else value
                             for column, value in enumerate(line)]

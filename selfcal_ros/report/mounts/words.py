@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.calibration.mount import Floor, Mount, NAMES, NoMount, PLACE, TURN
+from selfcal_ros.calibration.mount import Floor, Mount, NAMES, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.report.mounts.record import shown_sigma
 
 #: What each degree of freedom is, for a person.
@@ -148,7 +149,7 @@ def floor_sentence(mount: Mount) -> str:
     return '' if floor is None else f'{floor.reason} {floor.advice}'.rstrip()
 
 
-def no_mount_sentence(mount: NoMount) -> str:
+def no_mount_sentence(mount: NoEstimate) -> str:
     """Say why there is no mount, and what would help."""
     return f'Where the camera sits is not known: {mount.reason} {mount.advice}'.rstrip()
 
