@@ -198,13 +198,7 @@ class RigInputs:
             self._frames[which] = msg.header.frame_id
             if self._by_tf:
                 self._look()
-        try:
-            stamp = stamp_ns(msg.header.stamp)
-        except InputError as error:
-            self._node.get_logger().warning(f'{self.names[which]}: image dropped: {error}',
-                                            throttle_duration_sec=5.0)
-            return
-        for first, images in self._groups.add(which, stamp, msg):
+        for first, images in self._groups.add(which, stamp_ns(msg.header.stamp), msg):
             # a pose without a frame would be of no use
             if self.frame:
                 self._submit(header_message(first, self.frame, self._node.types), images)

@@ -148,11 +148,7 @@ class RorapidNode(Node):
         if self._pairing is None:
             self._submit([(msg, None)])
             return
-        try:
-            self._submit(self._pairing.image(stamp_ns(msg.header.stamp), msg))
-        except InputError:
-            # the worker says what is wrong with the stamp
-            self._submit([(msg, None)])
+        self._submit(self._pairing.image(stamp_ns(msg.header.stamp), msg))
 
     def _on_depth(self, msg: Image):
         try:

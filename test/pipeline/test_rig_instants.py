@@ -88,7 +88,7 @@ def test_tables_of_tracks_are_thinned_to_the_same_frames(tmp_path):
                  for track, (x, y) in enumerate(start + frame * speed)]
         (tmp_path / f'{name}.csv').write_text('frame,track,x,y\n' + ''.join(lines))
     inputs = [RigInput(name, str(tmp_path / f'{name}.csv')) for name in ('left', 'right')]
-    settings = CalibrationSettings(image_size=(640, 480), max_keyframes=20)
+    settings = CalibrationSettings(image_size=(640, 480), max_keyframes=20, motion='rotation')
     _, reading = calibrate_rig_input(inputs, settings)
     left, right = (reading.tracks[name].frames for name in ('left', 'right'))
     np.testing.assert_array_equal(left, right)

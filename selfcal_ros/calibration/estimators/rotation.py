@@ -189,18 +189,12 @@ def fit_rotations(tracks: Tracks, size: tuple[int, int], facts: CameraFacts,
         return NoEstimate('no_motion', motion='none', status={
             k: v for k, v in conic.values['status'].items() if k != 'aspect_ratio'})
     kept = tracks.in_frames(frames).with_at_least(2)
-    names, point = np.unique(kept.track, return_inverse=True)
     order = np.argsort(frames)
     frames = frames[order]
-    view = np.searchsorted(frames, kept.frame)
-    rows = np.lexsort((view, point))
-    observed = timed(Observations(
-        view[rows], point[rows], kept.xy[rows], names,
-        neighbours=None if kept.neighbours is None else kept.neighbours[rows]),
-        kept, frames, size, facts)
+    observed = timed(Observations.of(kept, frames), kept, frames, size, facts)
     bundle = bundle_of(observed, ROTATION, priors_from_facts(facts), 1.0)
     if bundle.degrees_of_freedom < MIN_FREEDOM:
-        return NoEstimate('too_few_observations', points=len(names), images=len(frames),
+        return NoEstimate('too_few_observations', points=len(observed.track), images=len(frames),
                           freedom=bundle.degrees_of_freedom, motion='rotation')
     lens = _fit(_zooming(frames) if varying else ROTATION, observed, homographies.H, order, conic,
                 sigma_px, size, facts, hopeless_px)

@@ -33,6 +33,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import RATE_NAME, VIEW_NAME, Zoom, ZoomModel
 from selfcal_ros.calibration.result import FocalCourse
+from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
@@ -243,12 +244,8 @@ def shape_gain(fit: RobustFit, dependence: float) -> float:
 def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
     """Return the largest gain of log probability, and the size of steps that has it."""
     values, vectors = np.linalg.eigh((own + own.T) / 2)
-    values, turned = np.maximum(values, 0), vectors.T @ pull
-    square = SIZES[:, None]**2
-    gains = 0.5 * np.sum(turned**2 * square / (1 + square * values)
-                         - np.log1p(square * values), axis=1)
-    best = int(np.argmax(gains))
-    return float(gains[best]), float(SIZES[best])
+    size, gain = most_probable_size(np.maximum(values, 0), vectors.T @ pull, SIZES)
+    return gain, size
 
 
 def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covariance: np.ndarray,
