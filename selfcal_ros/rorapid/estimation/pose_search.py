@@ -91,8 +91,8 @@ class PoseSearch:
         best, best_score = guess, -1.0
         for start in starts:
             state = self.control.projection.moved(guess, self.basis @ start)
-            state, view = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
-            score = self._edges.score(image, view)
+            state = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
+            score = self._edges.score(image, self.control.view(state))
             if score > best_score:
                 best, best_score = state, score
         return best
@@ -154,7 +154,7 @@ class PoseSearch:
         prior = np.linalg.inv(spread)
 
         def drawn(states, rounds):
-            poses = [self._drawn_in(image, state, state, prior, rounds)[0] for state in states]
+            poses = [self._drawn_in(image, state, state, prior, rounds) for state in states]
             found = [(pose, self.check.support(image, pose)) for pose in poses]
             return sorted(found, key=lambda pair: -pair[1].length)
 
@@ -164,17 +164,15 @@ class PoseSearch:
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
-    def _drawn_in(self, image, state, guess, prior, rounds: int):
-        """Let the edges draw a start to themselves; returns state and view."""
+    def _drawn_in(self, image, state, guess, prior, rounds: int) -> ObjectPose:
+        """Let the edges draw a start to themselves."""
         reach = int(np.ceil(self.options.search_most_px))
-        view = self.control.view(state)
         for turn in range(rounds):
-            wide = turn < _WIDE_ROUNDS
+            wide, view = turn < _WIDE_ROUNDS, self.control.view(state)
             state = self._edges.fit(
                 image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
                 self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
-            view = self.control.view(state)
-        return state, view
+        return state
 
 
 def best_turned(poses: list[tuple[ObjectPose, Support]], found: ObjectPose) -> Support:
