@@ -13,6 +13,7 @@
 # limitations under the License.
 """A rig on a robot: the mount of its first camera, and metres without a stated length."""
 
+from functools import cache, cached_property
 import json
 
 from bench.mount_worlds import odometry
@@ -50,8 +51,15 @@ class Robot:
                               frames=frames) if kind == 'drive' else BodyPoses(
             body[:, :3, :3], body[:, :3, 3] + 1e-3 * rng.standard_normal((len(path), 3)),
             frames=frames)
-        self.rig = calibrate_rig(self.scene.tracks, shared_tracks=overlap, facts=FACTS)
-        self.found = on_robot(self.rig, mount_camera(self.rig.cameras['left'], self.poses))
+        self.overlap = overlap
+
+    @cached_property
+    def rig(self):
+        return calibrate_rig(self.scene.tracks, shared_tracks=self.overlap, facts=FACTS)
+
+    @cached_property
+    def found(self):
+        return on_robot(self.rig, mount_camera(self.rig.cameras['left'], self.poses))
 
     def errors(self):
         """Of the mount, and of the second camera, over their sigmas."""
@@ -65,8 +73,12 @@ class Robot:
                 / list(pose.sigma.values()))
 
 
+# a rig is calibrated once for all tests that ask for it
+robot_of = cache(Robot)
+
+
 def test_an_arm_gives_a_rig_its_place_and_metres():
-    robot = Robot('hand', True, 3)
+    robot = robot_of('hand', True, 3)
     found = robot.found
     assert found.unit == 'm' and np.isclose(found.scale, robot.scene.step_m, rtol=0.01)
     for errors in robot.errors():
@@ -87,7 +99,7 @@ def test_an_arm_gives_a_rig_its_place_and_metres():
 
 
 def test_odometry_gives_metres_and_no_height():
-    robot = Robot('drive', False, 5)
+    robot = robot_of('drive', False, 5)
     found, T = robot.found, robot.scene.T_rig_camera['right']
     mount, pose = found.cameras['left'].mount, found.poses['right']
     assert found.unit == 'm' and mount.status['z'] == 'unobservable'
@@ -100,7 +112,7 @@ def test_odometry_gives_metres_and_no_height():
 
 @pytest.mark.parametrize('off', [1.0, 1.05])
 def test_a_baseline_that_the_robot_contradicts_is_told(off):
-    robot = Robot('hand', True, 3)
+    robot = robot_of('hand', True, 3)
     rig = calibrate_rig(robot.scene.tracks, shared_tracks=True, facts=FACTS,
                         baseline=(off * robot.scene.baseline_m, 0.0005))
     found = on_robot(rig, mount_camera(rig.cameras['left'], robot.poses))
@@ -111,7 +123,7 @@ def test_a_baseline_that_the_robot_contradicts_is_told(off):
 
 
 def test_a_robot_that_says_nothing_leaves_the_rig_as_it_was():
-    robot = Robot('hand', True, 3)
+    robot = robot_of('hand', True, 3)
     still = BodyPoses(np.broadcast_to(np.eye(3), (14, 3, 3)).copy(), np.zeros((14, 3)),
                       frames=np.arange(14))
     found = on_robot(robot.rig, mount_camera(robot.rig.cameras['left'], still))
@@ -121,7 +133,7 @@ def test_a_robot_that_says_nothing_leaves_the_rig_as_it_was():
 
 @pytest.mark.parametrize('stated', [False, True])
 def test_the_command_takes_a_robot_beside_several_cameras(tmp_path, capsys, stated):
-    robot = Robot('drive', False, 5)
+    robot = robot_of('drive', False, 5)
     for name, tracks in robot.scene.tracks.items():
         tracks.to_csv(tmp_path / f'{name}.csv')
     rows = ['frame,x,y,theta'] + [
