@@ -15,23 +15,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.bundle.depths import share_behind
 from selfcal_ros.calibration.bundle.lens import to_parameters
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.estimators.contradictions import share_that_contradicts
-from selfcal_ros.calibration.estimators.model_selection import ModelDecision, robust_covariance_of
+from selfcal_ros.calibration.estimators.model_selection import ModelDecision
 from selfcal_ros.calibration.estimators.motion_class import (axis_place, describe_path,
                                                              PathDescription, widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
-from selfcal_ros.calibration.estimators.stated_facts import (examine_facts, FactsVerdict,
-                                                             LENS_MODEL)
-from selfcal_ros.calibration.estimators.stated_lens import contradicted_lens
+from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict
+from selfcal_ros.calibration.estimators.supported_optimum import (MAX_BEHIND, supported_optimum,
+                                                                  SupportedOptimum)
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
@@ -41,17 +40,10 @@ from selfcal_ros.calibration.result import Calibration, CENTRE_OUTSIDE, FixedPoi
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
-from selfcal_ros.calibration.uncertainty.cluster_covariance import segment_findings
-from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
-                                                                   find_distortion_misfit)
+from selfcal_ros.calibration.uncertainty.distortion_misfit import DistortionMisfit
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.calibration.uncertainty.hidden_decentring import (
-    hidden_decentring, possible_decentring)
 from selfcal_ros.calibration.uncertainty.identifiability import identify
-from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior
-from selfcal_ros.calibration.uncertainty.points_ahead import points_ahead
-from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.estimate import NoEstimate
@@ -75,8 +67,6 @@ MINIMUM_FREEDOM = 40
 #: A turn that is smaller in all, with a focal length that has a larger share of uncertainty, is
 #: a hint: what is supposed of noise and path weighs more there than the images.
 SMALL_TURN_RAD, HINT_SIGMA = np.radians(15.0), 0.01
-#: With more than this share of the points behind the cameras the scene is inside out.
-MAX_BEHIND = 0.03
 #: Circular motion with an unknown principal point determines the focal length better than this
 #: share, or not at all: what is left of the systematic errors is a multiple of such sigmas.
 OF_CIRCLE_SIGMA = 0.015
@@ -221,84 +211,31 @@ ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
            stated: CameraFacts) -> Calibration | NoEstimate:
     """Judge an optimum: what the data determine, what the motion lacks, and what was stated."""
-    facts, state = problem.facts, fit.state
-    dependence = robust_covariance_of(fit, problem.size)
-    inner, findings = dependence.covariance, dependence.findings()
-    residuals = np.where(fit.linearisation.ahead[:, None], fit.linearisation.residual, np.nan)
-    field = find_distortion_misfit(fit, problem.size, dependence.ratios['track']**2,
-                                   possible_decentring(fit))
-    if field is not None:
-        # the field is what the image's regions share
-        state, inner, residuals = field.state, field.covariance, field.residual
-        findings = (*dependence.findings('track'), *field.findings())
-    ratio, added = model.jackknife
-    hidden = hidden_decentring(fit, dependence.inflation**2,
-                               *(() if field is None else (field.modes, field.size_px)))
-    verdict = examine_facts(fit, stated, problem.size, dependence.inflation**2, hidden)
-    if field is not None and facts.distortion != 'none':
-        # what the lens does beyond its model is in the sigmas, or too much for any lens; unless
-        # another model does the same
-        verdict = verdict.without(LENS_MODEL).blaming(
-            contradicted_lens(fit, stated, problem.size, dependence.inflation**2, field))
-    inner = inner + added + model.profile_excess * dependence.inflation**2
-    findings += segment_findings(ratio)
-    # what no model has is no error of the images, and comes after
-    posterior = lens_posterior(fit, state, inner, residuals)
-    if posterior is not None:
-        state, inner, residuals = posterior.state, posterior.covariance, posterior.residual
-    behind = share_behind(fit) if problem.is_weak else 0.0
-    if behind >= MAX_BEHIND and problem.motion.fixed_pivot:
-        # what the images leave open along the valley is settled by where points can be
-        behind = share_behind(replace(fit, state=state))
-        if behind >= MAX_BEHIND:
-            share = behind
-            ahead, behind = points_ahead(fit, state, inner, residuals)
-            if ahead is not None:
-                alone = {'value': state.lens['f'], 'sigma': float(np.sqrt(inner[0, 0]))}
-                findings += (Finding('points_ahead_counted', share=share, images_fx=alone),)
-                state, inner, residuals = ahead.state, ahead.covariance, ahead.residual
-    if hidden is not None:
-        inner, findings = inner + hidden.covariance, findings + hidden.findings()
-    prism = possible_prism(fit, inner, dependence.inflation**2)
-    if prism is not None:
-        inner, findings = inner + prism.covariance, findings + prism.findings()
-    course = focal_course(fit, state, graph.frames, inner, dependence.inflation**2)
-    findings = course_findings(course) + findings
-    camera = state.camera(*problem.size)
-    covariance = without_held(to_parameters(inner, state.lens), camera, facts)
-    held = held_facts(facts)
-    outliers = fit.outliers + graph.rejected
-    path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
-                         problem.motion.fixed_pivot)
-    status = parameter_status(camera, covariance, facts, fit.bundle.sigma_px)
-    rejected = outliers / max(outliers + len(fit.observations.view), 1)
-    if most_agree(rejected, fit.motion.zoom is not None) is not None:
-        rejected = min(rejected, share_that_contradicts(fit, graph))
-    optimum = _Optimum(fit, model, problem, path, status, held, rejected, graph.noise_px, field,
-                       verdict, covariance, behind)
-    for accepted in ACCEPTANCE_TESTS:
-        refusal = accepted(optimum)
-        if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):
-            # a wrong fact leaves residuals that look like a scene or a lens that is not right
-            refusal = refusal if verdict.cause is None else verdict.cause
-            return refusal.saying(**{'status': status, 'facts': facts, **refusal.values,
-                                     'motion': path.motion})
-    covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
+    found = supported_optimum(fit, model, problem, stated)
+    optimum = _judged(found, fit, model, problem, graph)
+    refusal = _refusal(optimum)
+    if refusal is not None:
+        return refusal
+    state, camera, path = found.state, found.state.camera(*problem.size), optimum.path
+    course = focal_course(fit, state, graph.frames, found.covariance, found.inflation)
+    covariance, of_facts = found.stated.widened(optimum.covariance, camera.parameter_names)
     # first, for all the rest rests on them
-    findings = of_facts + findings
-    known = identify(model.fit, problem.size,
-                     tuple(name for name in status if status[name] == 'estimated'))
+    findings = of_facts + course_findings(course) + found.findings
+    known = identify(model.fit, problem.size, tuple(
+        name for name, one in optimum.status.items() if one == 'estimated'))
     if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
-    precision, shutter = precision_of(fit), readout_of(fit, dependence.inflation)
+    precision = precision_of(fit)
+    shutter = readout_of(fit, float(np.sqrt(found.inflation)))
     # beside the camera the model predicts as little as behind it
-    residuals = np.where(lengths(residuals)[:, None] < max(problem.size), residuals, np.nan)
+    residuals = np.where(lengths(found.residual)[:, None] < max(problem.size), found.residual,
+                         np.nan)
     return Calibration(
-        camera=camera, covariance=covariance, status=status, held_by=held, motion=path.motion,
-        facts=facts, frames=tuple(int(f) for f in graph.frames),
+        camera=camera, covariance=covariance, status=optimum.status, held_by=optimum.held,
+        motion=path.motion, facts=problem.facts, frames=tuple(int(f) for f in graph.frames),
         reprojection_rms_px=rms_length(residuals),
         noise_sigma_px=fit.bundle.sigma_px, observation_count=len(fit.observations.view),
-        outlier_count=outliers,
+        outlier_count=fit.outliers + graph.rejected,
         reconstruction=Reconstruction(graph.frames, state.path.cam_from_world(),
                                       fit.observations.track, state.points, precision,
                                       pose_precision(fit, path.motion in IN_A_PLANE)),
@@ -308,6 +245,36 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         measured=sample_structure(precision, fit.observations.track, state.points,
                                   covariance),
         population=fit.bundle.priors.population, focal=course, shutter=shutter)
+
+
+def _judged(found: SupportedOptimum, fit: RobustFit, model: ModelDecision,
+            problem: SelfCalibrationProblem, graph: ViewGraph) -> _Optimum:
+    """Gather what an optimum is accepted or refused by."""
+    state, camera = found.state, found.state.camera(*problem.size)
+    covariance = without_held(to_parameters(found.covariance, state.lens), camera, problem.facts)
+    path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
+                         problem.motion.fixed_pivot)
+    outliers = fit.outliers + graph.rejected
+    rejected = outliers / max(outliers + len(fit.observations.view), 1)
+    if most_agree(rejected, fit.motion.zoom is not None) is not None:
+        rejected = min(rejected, share_that_contradicts(fit, graph))
+    return _Optimum(fit, model, problem, path,
+                    parameter_status(camera, covariance, problem.facts, fit.bundle.sigma_px),
+                    held_facts(problem.facts), rejected, graph.noise_px, found.field,
+                    found.stated, covariance, found.behind)
+
+
+def _refusal(optimum: _Optimum) -> NoEstimate | None:
+    """Return why an optimum is no calibration, if it is none."""
+    verdict = optimum.stated
+    for accepted in ACCEPTANCE_TESTS:
+        refusal = accepted(optimum)
+        if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):
+            # a wrong fact leaves residuals that look like a scene or a lens that is not right
+            refusal = refusal if verdict.cause is None else verdict.cause
+            return refusal.saying(**{'status': optimum.status, 'facts': optimum.problem.facts,
+                                     **refusal.values, 'motion': optimum.path.motion})
+    return None
 
 
 def only_a_hint(result: Calibration) -> NoEstimate | None:
