@@ -35,6 +35,7 @@ from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_obje
                                                          refused_for_objects)
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)
+from selfcal_ros.calibration.estimators.sliding_images import LONG
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
 from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
 from selfcal_ros.calibration.estimators.turning_views import better_without, frames_in_motion
@@ -63,6 +64,9 @@ DOUBTFUL_PARALLAX = 10.0
 #: Rotation alone is taken where it leaves no more than so many times the noise: depths that
 #: rest on so little would lead the calibration astray.
 ROTATION_NOISE = 1.2
+#: So many times where that takes a long lens: over a plane that is nearly parallel to the image a
+#: path leaves the focal length open, and a turn behind such a lens looks much the same.
+LONG_LENS_NOISE = 1.02
 #: So is whether it turns about a point where the pair in the middle has less. A lens that bends
 #: lines leaves up to 20 where large turns show it: a head was taken for a free hand at 12.
 USUAL_PARALLAX = 25.0
@@ -86,6 +90,9 @@ NEARLY_TURNS = 10.0
 AS_LITTLE, FAR_FROM_TURNS = 2.0, 0.1
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
+#: Refusals of paths that explain the images, whatever the focal length is.
+OF_OPEN_PATH = ('parameters_undetermined', 'unlike_rotations', 'flat_turntable',
+                'circle_undetermined')
 #: Refusals of circular motion, which name the fact that is missing.
 OF_CIRCLES = ('flat_turntable', 'circle_undetermined')
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
@@ -331,6 +338,7 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
     if rotating:
         simpler = not moving or (rotating.noise_sigma_px
                                  <= ROTATION_NOISE * moving.noise_sigma_px)
+        simpler = simpler and not _hides_path(rotating, moving)
         return rotating if motion == 'auto' and simpler else moving
     if not moving and graph.parallax < PARALLAX_RATIO:
         plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
@@ -349,7 +357,21 @@ def _as_turns_say(result: Calibration | NoEstimate, turning: RotationFit | NoEst
     if abs(np.log(focal_px / turned_px)) < FAR_FROM_TURNS:
         return result
     return NoEstimate('unlike_rotations', focal_px=focal_px, turned_px=float(turned_px),
-                      motion=result.motion, facts=result.facts, status=result.status)
+                      left_px=result.noise_sigma_px, motion=result.motion, facts=result.facts,
+                      status=result.status)
+
+
+def _hides_path(rotating: Calibration, moving: Calibration | NoEstimate) -> bool:
+    """Tell whether a path explains what a turn behind a long lens only seems to."""
+    if moving:
+        left_px = moving.noise_sigma_px
+    elif moving.kind in OF_OPEN_PATH:
+        left_px = moving.values.get('left_px', np.inf)
+    else:
+        return False
+    camera = rotating.camera
+    is_long = camera.K[0, 0] > LONG * max(camera.width, camera.height)
+    return bool(is_long and rotating.noise_sigma_px > LONG_LENS_NOISE * left_px)
 
 
 def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,

@@ -195,6 +195,12 @@ REFUSALS: dict[str, Phrase] = {
         'The sigmas of these parameters exceed the limits beyond which a parameter counts as '
         'unobservable.',
         'State a fact that is known of the camera, if it cannot turn further.'),
+    'images_slide': Phrase(
+        'The images slide and turn in themselves, as those of a camera that looks straight at a '
+        'plane: the focal length stays open.',
+        'A camera that looks straight down at a floor sees the same whatever its focal length is. '
+        'Only perspective tells it from a turn behind a very long lens, and none is seen.',
+        'Tilt the camera by 20 degrees or more, or let it see things of different heights.'),
     'no_homography_pair': Phrase(
         'No two images share {needed} points that a homography maps.',
         'The images of a rotating camera are related by homographies. No pair of these is.',

@@ -272,8 +272,10 @@ def _refusal(optimum: _Optimum) -> NoEstimate | None:
         if refusal is not None and not (verdict.is_kept and refusal.kind in OF_WRONG_FACTS):
             # a wrong fact leaves residuals that look like a scene or a lens that is not right
             refusal = refusal if verdict.cause is None else verdict.cause
-            return refusal.saying(**{'status': optimum.status, 'facts': optimum.problem.facts,
-                                     **refusal.values, 'motion': optimum.path.motion})
+            return refusal.saying(**{
+                'status': optimum.status, 'facts': optimum.problem.facts,
+                'left_px': float(optimum.fit.bundle.sigma_px), **refusal.values,
+                'motion': optimum.path.motion})
     return None
 
 

@@ -40,6 +40,7 @@ from selfcal_ros.calibration.estimators.acceptance import most_agree, unchecked
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
                                                                shutter_findings, timed)
+from selfcal_ros.calibration.estimators.sliding_images import only_slides
 from selfcal_ros.calibration.estimators.stated_facts import examine_facts
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
@@ -327,6 +328,10 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         refusal = (NoEstimate('rotations_leave_open', missing=missing) if found.conic
                    else found.conic)
         return refusal.saying(status=status, motion='rotation', facts=facts)
+    if motion.zoom is None and only_slides(fit, size, float(np.sqrt(inner[0, 0])),
+                                           dependence.inflation**2):
+        return NoEstimate('images_slide', motion='rotation', facts=facts, status={
+            **status, 'fx': 'unobservable', 'fy': 'unobservable'})
     # the gates of every other motion
     verdict = examine_facts(fit, stated, size, dependence.inflation**2, hidden)
     for refused in (most_agree(fit.outliers / total), unchecked(bundle),
