@@ -32,6 +32,8 @@ from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Relative to the variances: keeps the factor of a covariance with dependent unknowns.
 _ROUNDING = 1e-12
+#: A path lies in a plane where its height over its extent is less than this.
+FLAT = 0.02
 
 
 @dataclass(frozen=True)
@@ -174,9 +176,15 @@ def _in_a_middle_world(roots: np.ndarray, centre: np.ndarray) -> np.ndarray:
     Return roots in a world that turns and moves with the mean of the poses.
 
     The world is free anyway. One that goes with the first view lets a small error there move
-    what is far away by much, and bend the linear law.
+    what is far away by much, and bend the linear law. A path in a plane takes its plane along: a
+    plane that tilted would lift views whose places along it are hardly known.
     """
     turned = roots[:, 3:].mean(axis=0)
+    middle = centre - centre.mean(axis=0)
+    if np.ptp(middle[:, 2]) < FLAT * np.ptp(middle[:, :2], axis=0).max():
+        # what it takes for the heights (g x c)_z to stay
+        lifted = roots[:, 2] - roots[:, 2].mean(axis=0) + (cross_matrix(middle) @ turned)[:, 2]
+        turned[:2] += np.linalg.lstsq(middle[:, 1::-1] * [1.0, -1.0], lifted, rcond=None)[0]
     moved = roots[:, :3] + cross_matrix(centre) @ turned
     return np.concatenate([moved - moved.mean(axis=0), roots[:, 3:] - turned], axis=1)
 
