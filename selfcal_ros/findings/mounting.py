@@ -174,6 +174,13 @@ MOUNTING: dict[str, Phrase] = {
         '{count} of {of} poses of the body contradict the others and were set aside.',
         'Wheels slip, and a pose may be of another moment. The estimate goes without them.',
         'Nothing; many of them mean wrong stamps or frames.'),
+    'poses_pull_camera': Phrase(
+        'The poses of the body would change the camera by more than three sigmas. It stays as the '
+        'images have it, and the mount may be off by more than its sigmas.',
+        'Poses that err in common do that: an arm whose joints have offsets, a path that was '
+        'smoothed. Images that mislead do it, too.',
+        'Calibrate the arm, or take poses from another source. Compare the camera with that of '
+        'another recording.'),
     'body_places_late': Phrase(
         'Places of the body are {late_ms:.1f} ms behind its turns (sigma {sigma_ms:.1f} ms).',
         'A filter delays what it smooths, and a gyro is quicker than cameras or wheels. The '

@@ -18,9 +18,11 @@ from dataclasses import replace
 from bench import mount_worlds as worlds
 import numpy as np
 import pytest
+from scipy.stats import kstest
 from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
-from selfcal_ros.calibration.mounting.camera_poses import camera_poses
+from selfcal_ros.calibration.mounting.camera_poses import (camera_poses, CameraPoses,
+                                                           chance_of_pull)
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import rotation_matrix
@@ -64,6 +66,23 @@ def test_poses_by_frame_give_the_mount_within_its_sigmas():
         assert mount.sigma_position_m == pytest.approx(SIGMA_M, rel=0.35)
     # 28 degrees of freedom: beyond by chance once in a thousand
     assert 10 < squares < 57
+
+
+def test_the_chance_of_a_pull_is_uniform_where_poses_are_right():
+    rng = np.random.default_rng(1)
+    # five deviations, of which the lens has two; the poses tell of three
+    lens_root = np.array([[3.0, 0.4, 0.1, 0, 0], [0, 2.0, 0.5, 0, 0]])
+    told = rng.normal(size=(3, 5))
+    covariance = np.linalg.inv(np.eye(5) + told.T @ told)
+    poses = CameraPoses(np.arange(1), np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 6, 5)),
+                        lens_root, False, True)
+    moves = np.linalg.cholesky(np.eye(5) - covariance + 1e-12 * np.eye(5))
+    chances = np.array([chance_of_pull(poses, moves @ rng.normal(size=5), covariance)
+                        for _ in range(1000)])
+    assert kstest(chances, 'uniform').pvalue > 1e-3
+    pulled = 4 * moves[:, 0] / np.linalg.norm(np.linalg.pinv(moves) @ moves[:, 0])
+    assert chance_of_pull(poses, 3 * pulled, covariance) < 1e-6
+    assert chance_of_pull(poses, pulled, np.eye(5)) == 1.0
 
 
 def test_a_camera_far_from_its_body_asks_for_the_unit():

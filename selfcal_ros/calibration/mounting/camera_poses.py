@@ -27,11 +27,14 @@ from selfcal_ros.calibration.structure.camera_path import (
     camera_path, OF_AN_OBJECT, TURNING, with_shared_errors)
 from selfcal_ros.calibration.structure.metric_structure import world_and_scale
 from selfcal_ros.calibration.structure.path_precision import pose_precision
+from selfcal_ros.geometry.chances import chi2_chance
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Relative to the variances: keeps the factor of a covariance with dependent unknowns.
 _ROUNDING = 1e-12
+#: What poses tell of the lens counts from this share of what images leave open.
+_TOLD = 1e-3
 #: A path lies in a plane where its height over its extent is less than this.
 FLAT = 0.02
 
@@ -200,6 +203,35 @@ def _root(covariance: np.ndarray) -> np.ndarray:
         values, vectors = np.linalg.eigh(scaled)
         root = vectors * np.sqrt(values.clip(0))
     return scale[:, None] * root
+
+
+def chance_of_pull(poses: CameraPoses, w: np.ndarray, covariance: np.ndarray) -> float:
+    """
+    Return the chance that deviations pull the lens by more than they do, if the body is right.
+
+    Parameters
+    ----------
+    poses : CameraPoses
+    w : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+        Of w; the images alone have that of unity.
+
+    Returns
+    -------
+    float
+        Little where poses of the body and images disagree about the lens.
+
+    """
+    L = poses.lens_root
+    gained = L @ (np.eye(len(w)) - covariance) @ L.T
+    size = np.sqrt(np.maximum(np.diag(gained), 0))
+    free = size > _TOLD * np.sqrt(np.sum(L**2, axis=1))
+    if not free.any():
+        return 1.0
+    pull = (L @ w)[free] / size[free]
+    values, vectors = np.linalg.eigh(gained[np.ix_(free, free)] / np.outer(size[free], size[free]))
+    known = values > _TOLD
+    return float(chi2_chance(np.sum((pull @ vectors[:, known])**2 / values[known]), known.sum()))
 
 
 def with_lens(calibration: Calibration, poses: CameraPoses, w: np.ndarray,

@@ -26,7 +26,8 @@ from selfcal_ros.calibration.mount import Mount, MountFacts, NAMES, TURN as ANGL
 from selfcal_ros.calibration.mounting.adjustment import Adjustment, NEAR_M
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
 from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
-from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPoses, with_lens
+from selfcal_ros.calibration.mounting.camera_poses import (
+    camera_poses, CameraPoses, chance_of_pull, with_lens)
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
 from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, inverse_is_meant,
                                                            why_no_start, WRONG)
@@ -60,6 +61,8 @@ MOST_DRIFT_RAD = 0.05
 #: Places of the poses are late behind their turns where that shows by so many sigmas, and is
 #: more than this, seconds.
 LAG_SHOWS, LEAST_LAG_S = 4.0, 5e-4
+#: Poses that are right change the camera by as much with this chance: three sigmas.
+PULLED = 0.0027
 #: No camera sits so far from the middle of its robot; with millimetres for metres one does.
 FAR_M = 8.0
 #: How far the metre of poses may be from that of an object, as a standard deviation; where one is
@@ -150,10 +153,14 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
     mount = _mount(part, track, poses, facts, adjustment, optimum, rows)
     if other is not None:
         mount = _in_either_metre(mount, optimum)
-    improved = with_lens(calibration, camera, optimum.state.w,
-                         optimum.covariance[COUNT:, COUNT:])
-    return replace(improved, mount=mount,
-                   findings=(*calibration.findings, *_findings(mount, track, facts, optimum)))
+    findings = _findings(mount, track, facts, optimum)
+    w, spread = optimum.state.w, optimum.covariance[COUNT:, COUNT:]
+    if chance_of_pull(part, w, spread) < PULLED:
+        # what poses err in common would be taken for what they tell of the camera
+        return replace(calibration, mount=mount, findings=(
+            *calibration.findings, Finding('poses_pull_camera'), *findings))
+    return replace(with_lens(calibration, camera, w, spread), mount=mount,
+                   findings=(*calibration.findings, *findings))
 
 
 def _too_little(camera: CameraPoses, track: BodyTrack, poses: BodyPoses,
