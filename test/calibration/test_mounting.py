@@ -117,6 +117,43 @@ def test_poses_that_are_anchored_move_on_at_their_rates_from_there():
     assert np.abs(moved.position - before.position).max() > 1e-4
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_noise_of_poses_at_a_high_rate_does_not_pass_for_speed(seed):
+    """Offsets of the clocks came out up to 0.3 s away, by 35 sigmas."""
+    rng = np.random.default_rng([seed, 50])
+    images, own = 0.5 + 0.5 * np.arange(30), np.arange(-1, 17, 0.02)
+    late = 0.037
+    world = worlds.World(*worlds.drive(images - late), worlds.mount_of(rng), True)
+    calibration = worlds.calibrated(rng, world)
+    poses = worlds.measured(rng, *worlds.drive(own), 0.02, 0.01,
+                            stamps_ns=np.round((own + 1) * 1e9).astype(int))
+    mount = mount_camera(calibration, poses,
+                         {k: int(round((t + 1) * 1e9)) for k, t in enumerate(images)}).mount
+    assert mount.status['time_offset'] == 'estimated' and mount.sigma['time_offset'] < 0.03
+    errors = worlds.mount_errors(mount, world.T_body_camera,
+                                 worlds.true_scale(world, calibration), late)
+    assert _in_sigmas(mount, errors)[0] < 24.3
+    assert abs(errors[-1]) < 3.5 * mount.sigma['time_offset']
+
+
+def test_rates_are_taken_over_as_long_as_noise_asks_for():
+    own = np.arange(0, 10, 0.02)
+    for size, seconds in ((0.0, 0.05), (0.02, 0.3)):
+        rng = np.random.default_rng(1)
+        poses = worlds.measured(rng, *worlds.drive(own), size, size / 2,
+                                stamps_ns=np.round(own * 1e9).astype(int))
+        rows = np.arange(8)
+        track = BodyTrack(poses, rows, {k: (k + 1) * 10**9 for k in rows})
+        speed = np.linalg.norm(track.at(0.0, rows).velocity, axis=1)
+        exact = (worlds.drive(rows + 1.01)[1] - worlds.drive(rows + 0.99)[1]) / 0.02
+        off = np.abs(speed - np.linalg.norm(exact, axis=1))
+        assert off.max() < (0.1 if size else 0.01)
+        # what noise feigns is the sum of the squared errors of rates, in sigmas of the poses
+        keep, covariances = np.ones(8, bool), np.tile(np.eye(6) * max(size, 0.01)**2, (8, 1, 1))
+        feigned = track.feigned_information(rows, keep, covariances)
+        assert feigned <= 8 * 3.75 / (2 * seconds**2) and (feigned > 50) == (size > 0)
+
+
 def test_places_that_are_late_behind_turns_are_told_and_widen_the_offset():
     images, own = 0.5 + 0.5 * np.arange(VIEWS), np.arange(0, 11.5, 0.04)
     for late_s in (0.0, 0.01):

@@ -305,7 +305,9 @@ class Adjustment:
         if self._track.odometry:
             state, errors, cost = self._with_wide_tails(state, errors)
         else:
-            cost = self.descend(state, errors)[1]
+            # starts compare by it, and each comes with errors of its own
+            cost = self.descend(state, errors)[1] + float(
+                np.linalg.slogdet(errors.covariances())[1].sum())
         keep = self._distances(self.predict(state), errors) < limit
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):

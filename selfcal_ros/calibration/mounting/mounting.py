@@ -288,7 +288,8 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     columns = np.r_[T, TURN, SCALE, OFFSET]
     total = optimum.covariance.copy()
     # rates that noise made up tell nothing
-    feigned = track.feigned_information(rows, optimum.keep) * total[OFFSET, OFFSET]
+    feigned = total[OFFSET, OFFSET] * track.feigned_information(
+        rows, optimum.keep, optimum.errors.covariances())
     wider = 1 / max(1 - feigned, LEAST_TRUE)
     total[OFFSET] *= wider
     total[:, OFFSET] *= wider
