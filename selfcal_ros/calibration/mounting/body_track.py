@@ -242,7 +242,7 @@ class BodyTrack:
         return min(window, longest)
 
     def feigned_information(self, rows: np.ndarray, keep: np.ndarray,
-                            covariances: np.ndarray) -> float:
+                            covariances: np.ndarray, counted: np.ndarray) -> float:
         """
         Return the information on the offset of the clocks that noise of the poses feigns, 1/s².
 
@@ -256,18 +256,19 @@ class BodyTrack:
         rows : ndarray of int, shape (V,)
         keep : ndarray of bool, shape (m,)
             Which misfits count: of V - 1 steps of odometry, or of V poses.
-        covariances : ndarray, shape (m, 6, 6)
-            Of the misfits.
+        covariances, counted : ndarray, shape (m, 6, 6)
+            Of the misfits, and those by which they count.
 
         """
         if not self.timed:
             return 0.0
+        W = np.linalg.inv(counted[keep])
         if not self.odometry:
-            W = np.linalg.inv(covariances[keep])
             return float(np.einsum('mii,i->', W, self._noise**2) / (2 * self._rate_step**2))
         steps = np.diff(self._instants[rows])[keep]
+        share = np.einsum('mij,mji->m', W, covariances[keep]) / 6
         return (3 if self.flat else 6) * float(np.sum(
-            1 / (self._rate_step * np.maximum(steps, 2 * self._rate_step))))
+            share / (self._rate_step * np.maximum(steps, 2 * self._rate_step))))
 
     def way_errors(self, offset: float, rows: np.ndarray) -> np.ndarray:
         """

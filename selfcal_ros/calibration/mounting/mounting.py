@@ -289,7 +289,7 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     total = optimum.covariance.copy()
     # rates that noise made up tell nothing
     feigned = total[OFFSET, OFFSET] * track.feigned_information(
-        rows, optimum.keep, optimum.errors.covariances())
+        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
     wider = 1 / max(1 - feigned, LEAST_TRUE)
     total[OFFSET] *= wider
     total[:, OFFSET] *= wider
