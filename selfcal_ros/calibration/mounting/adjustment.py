@@ -310,7 +310,8 @@ class Adjustment:
         unknown = int(self._free[:COUNT].sum())
         spare = max(self._size * count - unknown, 1)
         keep = distances < self._size * float(fdtri(self._size, spare, 1 - FALSE_ALARM / count))
-        if self._size * (keep.sum() - 1) < unknown + LEAST_SPARE:
+        least = 1 + (unknown + LEAST_SPARE) / self._size
+        if keep.sum() < least:
             # so few would fit anything
             keep[:] = True
         measured = np.array([not self._track.flat or k in (0, 1, 5) for k in range(6)])
@@ -325,6 +326,10 @@ class Adjustment:
             if not self._track.odometry:
                 errors = errors.in_a_row(prediction.residual, keep)
             near = agreeing(before, prediction.residual, spread, keep, measured)
+            if near.sum() < least:
+                # no mount is made of these: what it would be is not told
+                return Optimum(state, covariance, information, errors, errors, freedom, near,
+                               cost, prediction)
             settled = bool((np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all()
                            and np.allclose(errors.shared, before.shared, atol=1e-2)
                            and (near == keep).all())

@@ -177,6 +177,29 @@ class BodyTrack:
         return BodyAt(rotation_matrix(ahead * turning) @ rotation, position + ahead * velocity,
                       turning, velocity)
 
+    def of_neighbours(self, rows: np.ndarray, step: int) -> tuple[np.ndarray, BodyAt]:
+        """
+        Return the poses by frame that stand so many before or after those of the images.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (V,)
+            Of the images.
+        step : int
+
+        Returns
+        -------
+        known : ndarray of bool, shape (V,)
+            Which images have one: none where poses are by instants.
+        body : BodyAt
+            Of these.
+
+        """
+        at = self._rows[rows] + step
+        known = (at >= 0) & (at < len(self._poses)) & (not self.timed)
+        at, still = at[known], np.zeros((int(known.sum()), 3))
+        return known, BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
+
     def _interpolated(self, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Interpolate through the two poses before and the two after each instant.
