@@ -81,6 +81,11 @@ MOUNTING: dict[str, Phrase] = {
         'in one level plane.',
         'A floor is a thin level layer of many points below the camera.',
         'Look lower, at a floor with texture, or state the height.'),
+    'floor_on_torn_path': Phrase(
+        'The path may be two parts of different scale, at frame {frame}, so that the floor tells '
+        'no height.',
+        'The metre of one part would be taken for that of the other.',
+        'Record slower there, so that more of the scene stays in view, or state the height.'),
     'floor_not_lowest': Phrase(
         'The fullest plane below the camera, at {depth:.2f} m, is not the floor: {points} points '
         'lie below it.',
