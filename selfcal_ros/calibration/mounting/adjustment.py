@@ -305,15 +305,7 @@ class Adjustment:
             # starts compare by it, and each comes with errors of its own
             cost = self.descend(state, errors)[1] + float(
                 np.linalg.slogdet(errors.covariances())[1].sum())
-        distances = self._distances(self.predict(state), errors)
-        count = len(distances)
-        unknown = int(self._free[:COUNT].sum())
-        spare = max(self._size * count - unknown, 1)
-        keep = distances < self._size * float(fdtri(self._size, spare, 1 - FALSE_ALARM / count))
-        least = 1 + (unknown + LEAST_SPARE) / self._size
-        if keep.sum() < least:
-            # so few would fit anything
-            keep[:] = True
+        keep, least = self._first_verdicts(state, errors)
         measured = np.array([not self._track.flat or k in (0, 1, 5) for k in range(6)])
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
@@ -327,9 +319,9 @@ class Adjustment:
                 errors = errors.in_a_row(prediction.residual, keep)
             near = agreeing(before, prediction.residual, spread, keep, measured)
             if near.sum() < least:
-                # no mount is made of these: what it would be is not told
-                return Optimum(state, covariance, information, errors, errors, freedom, near,
-                               cost, prediction)
+                # no mount is made of so few
+                return Optimum(state, covariance, information, errors, errors, freedom,
+                               np.zeros_like(keep), cost, prediction)
             settled = bool((np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all()
                            and np.allclose(errors.shared, before.shared, atol=1e-2)
                            and (near == keep).all())
@@ -341,6 +333,16 @@ class Adjustment:
         information, covariance, _ = self._spread(state, prediction, cautious, keep.astype(float))
         return Optimum(state, covariance, information, errors, cautious, freedom, keep, cost,
                        prediction)
+
+    def _first_verdicts(self, state: State, errors: PoseErrors) -> tuple[np.ndarray, float]:
+        """Return which poses count at first, and how many must, so that anything is tested."""
+        distances = self._distances(self.predict(state), errors)
+        count, unknown = len(distances), int(self._free[:COUNT].sum())
+        spare = max(self._size * count - unknown, 1)
+        keep = distances < self._size * float(fdtri(self._size, spare, 1 - FALSE_ALARM / count))
+        least = min(1 + (unknown + LEAST_SPARE) / self._size, count)
+        # fewer would fit anything
+        return (keep if keep.sum() >= least else np.ones(count, bool)), least
 
     def _with_wide_tails(self, state: State,
                          errors: PoseErrors) -> tuple[State, PoseErrors, float]:
