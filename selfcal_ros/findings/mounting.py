@@ -56,15 +56,22 @@ MOUNTING: dict[str, Phrase] = {
         'Images of a moving camera say nothing of a body that does not move with it.',
         'Check that these are the frames of the robot that carries the camera.'),
     'body_turns_otherwise': Phrase(
-        'Body and camera do not move together: between images the body turned by '
-        '{body_deg:.2g} degrees, the camera by {camera_deg:.2g} (medians).',
+        'Between images the body turned by {body_deg:.2g} degrees and the camera by '
+        '{camera_deg:.2g}, differing by {apart_deg:.2g} (medians).',
         'A camera that is fixed to the body turns by the same angle. The frames, the units of '
         'angles or the clocks may be wrong.',
-        'Check the names of the frames, that angles are in radians, and the stamps.'),
+        'Check the names of the frames, that angles are in radians, and the stamps. Poses by '
+        'image must be those of the image.'),
     'body_poses_wrong': Phrase(
         '{share:percent} % of the poses of the body contradict the others.',
         'A few wrong poses are set aside. So many leave open which are right.',
-        'Check the names of the frames, the clocks and the unit (--robot-unit), or record anew.'),
+        'Check the names of the frames, the clocks, the unit (--robot-unit) and --robot-sigma, or '
+        'record anew.'),
+    'robot_sigma_too_small': Phrase(
+        '{share:percent} % of the poses of the body contradict the others by the stated sigma '
+        '{stated:and}; the images suggest {shown:and}.',
+        'With errors of that size the poses agree with each other and with the images.',
+        'State a larger --robot-sigma, or none: then the misfits tell it.'),
     'body_poses_unusable': Phrase(
         'The poses of the robot cannot be used: {why}',
         'The calibration stands without them.',
@@ -74,6 +81,11 @@ MOUNTING: dict[str, Phrase] = {
         'in one level plane.',
         'A floor is a thin level layer of many points below the camera.',
         'Look lower, at a floor with texture, or state the height.'),
+    'floor_on_torn_path': Phrase(
+        'The path may be two parts of different scale, at frame {frame}, so that the floor tells '
+        'no height.',
+        'The metre of one part would be taken for that of the other.',
+        'Record slower there, so that more of the scene stays in view, or state the height.'),
     'floor_not_lowest': Phrase(
         'The fullest plane below the camera, at {depth:.2f} m, is not the floor: {points} points '
         'lie below it.',
@@ -115,6 +127,22 @@ MOUNTING: dict[str, Phrase] = {
         'A pose takes points of the body to a fixed frame. These take points of that frame to the '
         'body, as a view matrix does.',
         'Invert each pose, or swap the two frames that it leads from and to.'),
+    'body_quaternions_permuted': Phrase(
+        'The {count} poses of the body contradict the images. Their quaternions seem to be in the '
+        'order {truly}, under the names {named}.',
+        'In that order the turns of body and camera agree. Programs differ in where they put w.',
+        'Put the columns in the order of their names.'),
+    'body_poses_shifted': Phrase(
+        'The {count} poses of the body contradict the images. They seem to be those of the image '
+        '{which}.',
+        'Moved by one image, body and camera agree. A robot may report where it was, or a list '
+        'may begin one image late.',
+        'Pair each pose with its own image, and record it while the robot stands.'),
+    'body_positions_mirrored': Phrase(
+        'The turns of the {count} poses of the body agree with the images, and the positions do '
+        'not: {how}.',
+        'With that undone, they agree. A left-handed frame, or columns in another order, do this.',
+        'Correct the positions, in right-handed axes like those of the turns.'),
     'body_only_turned': Phrase(
         'The body turned as the camera did, but it moved by no more than its poses err '
         '({moved_mm:.2g} mm, median).',

@@ -13,14 +13,18 @@
 # limitations under the License.
 """The floor in view gives the height of the camera; what is not the floor gives none."""
 
+from dataclasses import replace
+
 from bench import mount_worlds as worlds
 import numpy as np
 import pytest
+from selfcal_ros import calibrate
 from selfcal_ros.calibration.mount import Floor, Mount, mount_rotation, NAMES
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.floor import floor_below, with_floor
 from selfcal_ros.calibration.structure.metric_structure import middle_steps
+from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
 from selfcal_ros.report.mounts.words import mount_lines
@@ -132,6 +136,43 @@ def test_what_is_not_the_floor_gives_no_height(what, kind):
     stored = mount_to_dict(told.mount)['floor']
     assert stored['height_m'] is None and stored['kind'] == kind
     assert mount_from_dict(mount_to_dict(told.mount)).floor.kind == kind
+
+
+def test_no_height_comes_from_a_torn_path():
+    rng = np.random.default_rng(1)
+    calibration, tracks = seen(rng, np.concatenate([layer(rng, 700, 0.0), things(rng, 300, 2.0)]))
+    torn = replace(calibration, findings=(Finding('path_torn', frame=7, count=1,
+                                                  kept_percent=3.0),))
+    assert floor_below(torn, tracks).kind == 'floor_on_torn_path'
+
+
+def test_a_camera_that_is_not_known_well_leaves_the_height_open_by_as_much():
+    """Of a camera that looks down, focal length and height go together: 5 sigmas off."""
+    rng = np.random.default_rng(2)
+    views, up, f = 24, 1.5, 520.0
+    rotation, position = worlds.drive(0.5 * np.arange(views))
+    R = np.swapaxes(rotation @ mount_rotation(0.05, np.radians(75), 0.3), 1, 2)
+    centre = position + [0, 0, up]
+    spread = np.concatenate([layer(rng, 2500, 0.0, x=(-2, 8), y=(-3, 3)),
+                             layer(rng, 500, 0.05, x=(-2, 8), y=(-3, 3))])
+    X = np.einsum('vij,vpj->vpi', R, spread - centre[:, None])
+    xy = f * X[..., :2] / X[..., 2:] + [320, 240]
+    inside = (X[..., 2] > 0.3) & (xy > 0).all(-1) & (xy < [WIDTH, HEIGHT]).all(-1)
+    inside &= inside.sum(axis=0) >= 3
+    view, point = np.nonzero(inside)
+    tracks = Tracks(view, point, xy[view, point] + rng.normal(0, 0.3, (len(view), 2)),
+                    (WIDTH, HEIGHT))
+    found = calibrate(tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='none'),
+                      rng=rng)
+    steps = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    metres = float(np.mean([steps[k] for k in middle_steps(centre)]))
+    mount = Mount('base_link', np.eye(4), np.zeros((8, 8)), dict.fromkeys(NAMES, 'estimated'),
+                  metres, 0.0, {}, views, 0, 1e-3, 1e-3)
+    floor = floor_below(replace(found, mount=mount), tracks)
+    focal = found.sigma['fx'] / found.camera.K[0, 0]
+    assert focal > 1e-3
+    assert 0.7 * focal < floor.sigma_m / floor.height_m < 1.5 * focal
+    assert abs(floor.height_m - up) < 3.5 * floor.sigma_m
 
 
 def test_a_height_is_told_and_stored():

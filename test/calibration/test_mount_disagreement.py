@@ -18,6 +18,7 @@ from dataclasses import replace
 from bench import mount_worlds as worlds
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -79,3 +80,50 @@ def test_poses_of_something_else_have_no_other_reason():
     mount = mount_camera(calibration, mixed).mount
     assert not mount and mount.kind in ('no_mount_fits', 'body_turns_otherwise',
                                         'body_poses_wrong')
+
+
+def shifted(poses):
+    """Return each pose with the image after its own."""
+    return replace(poses, rotation=np.roll(poses.rotation, 1, axis=0),
+                   position=np.roll(poses.position, 1, axis=0))
+
+
+def permuted(poses):
+    """Return poses whose quaternions x, y, z, w were read as w, x, y, z."""
+    w, x, y, z = Rotation.from_matrix(poses.rotation).as_quat().T
+    return replace(poses, rotation=Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix())
+
+
+def mirrored(poses):
+    """Return poses in a left-handed frame, but for their turns."""
+    return replace(poses, position=poses.position * [1, -1, 1])
+
+
+@pytest.mark.parametrize('spoil, kind, told', [
+    (shifted, 'body_poses_shifted', 'image before'),
+    (permuted, 'body_quaternions_permuted', 'order x, y, z, w, under the names w, x, y, z'),
+    (mirrored, 'body_positions_mirrored', 'y has the wrong sign')])
+def test_a_mistake_that_can_be_undone_is_named(spoil, kind, told):
+    for seed in range(3):
+        # arms move from image to image by chance
+        rng = np.random.default_rng([seed, 5])
+        turns, places = (size * rng.uniform(-1, 1, (VIEWS, 3)) for size in (0.35, 0.3))
+        world = worlds.World(rotation_matrix(turns), places, worlds.mount_of(rng), False)
+        calibration = worlds.calibrated(rng, world)
+        poses = worlds.measured(rng, world.rotation, world.position, 1e-3, 1e-3, **FRAMES)
+        assert mount_camera(calibration, poses).mount
+        refused = mount_camera(calibration, spoil(poses)).mount
+        assert not refused and refused.kind == kind and told in refused.reason
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_a_stated_sigma_that_is_ten_times_too_small_is_named(seed):
+    calibration, poses = robot('hand', seed)
+    true = replace(poses, sigma_position_m=1e-3, sigma_rotation_rad=1e-3)
+    assert mount_camera(calibration, true).mount.outlier_count == 0
+    small = replace(poses, sigma_position_m=1e-4, sigma_rotation_rad=1e-3)
+    refused = mount_camera(calibration, small).mount
+    assert not refused and refused.kind == 'robot_sigma_too_small'
+    stated, = refused.values['stated']
+    shown, = refused.values['shown']
+    assert stated == '0.1 mm' and float(shown.split()[0]) == pytest.approx(1.0, rel=0.4)

@@ -93,6 +93,16 @@ def test_words_and_json_give_the_typical_measurements(result):
     assert again.sigma < length_ratio(wider, told.first, told.second).sigma < 2 * again.sigma
 
 
+@pytest.mark.parametrize('name', ['length_ratio', 'angle_deg'])
+def test_a_measurement_that_says_nothing_is_not_told(result, name):
+    """A ratio was told as 1 ± 26, and an angle as good to ± 2e+03 degrees."""
+    known = getattr(result.measured, name)
+    vague = replace(result.measured, **{name: replace(known, sigma=2 * known.value)})
+    words = [' '.join(measurement_sentences(result.camera, result.covariance, one))
+             for one in (result.measured, vague)]
+    assert ['typical lengths' in one for one in words] == [True, False]
+
+
 @pytest.mark.parametrize('first, second', [
     ((0, 0), (1, 2)), ((0, 1), (2, 2)), ((0, 9999), (1, 2)), ((-1, 0), (1, 2)), ((0,), (1, 2)),
     ((0, 1.5), (1, 2)), (7, (1, 2)), ((0, 10**30), (1, 2))])

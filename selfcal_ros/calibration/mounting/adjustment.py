@@ -19,7 +19,7 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
@@ -28,6 +28,7 @@ from selfcal_ros.calibration.mounting.model import (
     COUNT, LAG, METRE, OFFSET, predict, Prediction, SCALE, State, T, TURN, WORLD_PLACE, WORLD_TURN)
 from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
+from selfcal_ros.calibration.mounting.wrong_poses import agreeing, FALSE_ALARM, LEAST_SPARE
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
@@ -39,8 +40,6 @@ NEAR_M = 0.3
 HELD = 1e-9
 #: Of an angle. Its slopes turn with the camera: a tighter one would reject every step that bends.
 HELD_RAD = 1e-5
-#: One wrong verdict on a pose in so many calibrations.
-FALSE_ALARM = 0.02
 #: Rounds of estimating errors, and steps of a descent.
 _ROUNDS, _STEPS = 20, 30
 #: Variances that change by less (relative) are found; a cost that falls by less is least.
@@ -300,13 +299,14 @@ class Adjustment:
         Optimum
 
         """
-        count = len(self.predict(state).residual)
-        limit = float(chdtri(self._size, FALSE_ALARM / max(count, 1)))
         if self._track.odometry:
             state, errors, cost = self._with_wide_tails(state, errors)
         else:
-            cost = self.descend(state, errors)[1]
-        keep = self._distances(self.predict(state), errors) < limit
+            # starts compare by it, and each comes with errors of its own
+            cost = self.descend(state, errors)[1] + float(
+                np.linalg.slogdet(errors.covariances())[1].sum())
+        keep, least = self._first_verdicts(state, errors)
+        measured = np.array([not self._track.flat or k in (0, 1, 5) for k in range(6)])
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
             state, _ = self.descend(state, errors, keep)
@@ -317,15 +317,32 @@ class Adjustment:
             errors, freedom = errors.refined(prediction.residual, spread, keep)
             if not self._track.odometry:
                 errors = errors.in_a_row(prediction.residual, keep)
-            near = self._distances(prediction, errors) < limit
+            near = agreeing(before, prediction.residual, spread, keep, measured)
+            if near.sum() < least:
+                # no mount is made of so few
+                return Optimum(state, covariance, information, errors, errors, freedom,
+                               np.zeros_like(keep), cost, prediction)
             settled = bool((np.abs(np.log(errors.variances / before.variances)) < _SETTLED).all()
                            and np.allclose(errors.shared, before.shared, atol=1e-2)
                            and (near == keep).all())
-            # late changes of mind would go round in a circle
-            keep = near if turn < _ROUNDS // 2 else keep & near
+            # late changes of mind would go round in a circle: doubt is no contradiction
+            keep = near if turn < _ROUNDS // 2 else keep | near
             if settled:
                 break
-        return Optimum(state, covariance, information, errors, freedom, keep, cost, prediction)
+        cautious = errors.cautious(spread, keep)
+        information, covariance, _ = self._spread(state, prediction, cautious, keep.astype(float))
+        return Optimum(state, covariance, information, errors, cautious, freedom, keep, cost,
+                       prediction)
+
+    def _first_verdicts(self, state: State, errors: PoseErrors) -> tuple[np.ndarray, float]:
+        """Return which poses count at first, and how many must, so that anything is tested."""
+        distances = self._distances(self.predict(state), errors)
+        count, unknown = len(distances), int(self._free[:COUNT].sum())
+        spare = max(self._size * count - unknown, 1)
+        keep = distances < self._size * float(fdtri(self._size, spare, 1 - FALSE_ALARM / count))
+        least = min(1 + (unknown + LEAST_SPARE) / self._size, count)
+        # fewer would fit anything
+        return (keep if keep.sum() >= least else np.ones(count, bool)), least
 
     def _with_wide_tails(self, state: State,
                          errors: PoseErrors) -> tuple[State, PoseErrors, float]:
@@ -374,7 +391,7 @@ class Adjustment:
 
         One step from an optimum that has not allowed for it (Rao's score test).
         """
-        H, g = self._system(optimum.state, optimum.prediction, optimum.errors,
+        H, g = self._system(optimum.state, optimum.prediction, optimum.cautious,
                             optimum.keep.astype(float))
         tied = np.where(self._free, H[:, LAG], 0.0)
         through = optimum.covariance @ tied

@@ -28,9 +28,13 @@ from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
 GAP_STEPS = 5.0
 #: Poses count as those of motion in a plane where their heights and tilts differ by less.
 FLAT_M, FLAT_RAD = 1e-6, 1e-6
-#: Rates are taken over so many usual steps to both sides: noise of the poses must not pass for
-#: speed. That of odometry adds up, however short its steps are: so long at least, seconds.
-_RATE_STEPS, _ODOMETRY_RATE_S = 2.5, 0.4
+#: Rates are taken over so many usual steps to both sides at least. Noise must not pass for speed:
+#: that of odometry adds up, however short its steps are, and asks for so many seconds.
+_RATE_STEPS, _LONGEST_RATE_S = 2.5, 0.4
+#: Of absolute poses, noise may make this share of the rates; longer windows blur the motion.
+_NOISE_SHARE = 0.1
+#: The third difference of white noise, in its sigmas; the median size of a normal variable.
+_THIRD, _MEDIAN = 20**0.5, 0.6745
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,13 @@ class BodyTrack:
         steps = np.diff(self._times)
         self._usual = float(np.median(steps)) if len(steps) else 1.0
         self._gap = GAP_STEPS * self._usual
-        self._rate_step = max(_RATE_STEPS * self._usual,
-                              _ODOMETRY_RATE_S if self.odometry else 0.0)
+        self._rate_step = _RATE_STEPS * self._usual
+        self._noise = np.zeros(6)
+        if self.odometry:
+            self._rate_step = max(self._rate_step, _LONGEST_RATE_S)
+        elif self.timed:
+            self._noise = self._white_noise()
+            self._rate_step = self._rate_window()
 
     @property
     def instants(self) -> np.ndarray:
@@ -168,6 +177,29 @@ class BodyTrack:
         return BodyAt(rotation_matrix(ahead * turning) @ rotation, position + ahead * velocity,
                       turning, velocity)
 
+    def of_neighbours(self, rows: np.ndarray, step: int) -> tuple[np.ndarray, BodyAt]:
+        """
+        Return the poses by frame that stand so many before or after those of the images.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (V,)
+            Of the images.
+        step : int
+
+        Returns
+        -------
+        known : ndarray of bool, shape (V,)
+            Which images have one: none where poses are by instants.
+        body : BodyAt
+            Of these.
+
+        """
+        at = self._rows[rows] + step
+        known = (at >= 0) & (at < len(self._poses)) & (not self.timed)
+        at, still = at[known], np.zeros((int(known.sum()), 3))
+        return known, BodyAt(self._poses.rotation[at], self._poses.position[at], still, still)
+
     def _interpolated(self, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Interpolate through the two poses before and the two after each instant.
@@ -199,26 +231,67 @@ class BodyTrack:
         turns = rotation_vector(np.swapaxes(base, 1, 2)[:, None] @ self._poses.rotation[nodes])
         return base @ rotation_matrix(np.einsum('vn,vni->vi', weights, turns)), position
 
-    def feigned_information(self, rows: np.ndarray, keep: np.ndarray) -> float:
-        """
-        Return the information on the offset of the clocks that noise of odometry feigns, 1/s².
+    def _white_noise(self) -> np.ndarray:
+        """Return sigmas of each pose's own error, (6,): no motion shows in third differences."""
+        steps = np.diff(self._times)
+        even = np.abs(steps - self._usual) < self._usual / 2
+        run = even[:-2] & even[1:-1] & even[2:]
+        if len(self._times) < 4 or not run.any():
+            return np.zeros(6)
+        R = self._poses.rotation
+        turns = rotation_vector(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+        steps = np.concatenate([np.diff(self._poses.position, axis=0), turns], axis=1)
+        third = np.diff(steps, n=2, axis=0)[run]
+        sizes: np.ndarray = np.median(np.abs(third), axis=0) / (_MEDIAN * _THIRD)
+        return sizes
 
-        Rates tell the offset. Errors that add up along the way make rates of 2 w seconds differ
-        by chance. Over a step of s seconds that is 1 / (w s), whatever the size of the errors; s
-        counts as 2 w at least, where both rates are of the same errors in part.
+    def _rate_window(self) -> float:
+        """Return the shortest window to one side, in seconds, in which noise is little speed."""
+        window = _RATE_STEPS * self._usual
+        longest = max(window, _LONGEST_RATE_S)
+        R, p = self._poses.rotation, self._poses.position
+        while window < longest:
+            apart = int(np.ceil(2 * window / self._usual))
+            if apart >= len(self._times):
+                break
+            moved = ((p[apart:] - p[:-apart])**2).mean(axis=0).sum()
+            turned = (rotation_vector(np.swapaxes(R[:-apart], 1, 2) @ R[apart:])**2).mean(
+                axis=0).sum()
+            noise = 2 * self._noise**2
+            if all(by_noise <= _NOISE_SHARE**2 * max(whole - by_noise, 0) for by_noise, whole in (
+                    (noise[:3].sum(), moved), (noise[3:].sum(), turned))):
+                break
+            window *= 1.25
+        return min(window, longest)
+
+    def feigned_information(self, rows: np.ndarray, keep: np.ndarray,
+                            covariances: np.ndarray, counted: np.ndarray) -> float:
+        """
+        Return the information on the offset of the clocks that noise of the poses feigns, 1/s².
+
+        Rates tell the offset. Each absolute pose errs by itself: a rate over 2 w seconds errs by
+        √2 of that over 2 w. Errors of odometry add up along the way. Over a step of s seconds
+        they make rates differ by 1 / (w s) of what the misfits have, whatever their size; s counts
+        as 2 w at least, where both rates are of the same errors in part.
 
         Parameters
         ----------
         rows : ndarray of int, shape (V,)
-        keep : ndarray of bool, shape (V - 1,)
-            Which steps count.
+        keep : ndarray of bool, shape (m,)
+            Which misfits count: of V - 1 steps of odometry, or of V poses.
+        covariances, counted : ndarray, shape (m, 6, 6)
+            Of the misfits, and those by which they count.
 
         """
-        if not (self.timed and self.odometry):
+        if not self.timed:
             return 0.0
+        W = np.linalg.inv(counted[keep])
+        if not self.odometry:
+            return float(np.einsum('mii,i->', W, self._noise**2) / (2 * self._rate_step**2))
         steps = np.diff(self._instants[rows])[keep]
+        share = np.einsum('mij,mji->m', W, covariances[keep]) / 6
         return (3 if self.flat else 6) * float(np.sum(
-            1 / (self._rate_step * np.maximum(steps, 2 * self._rate_step))))
+            share / (self._rate_step * np.maximum(steps, 2 * self._rate_step))))
 
     def way_errors(self, offset: float, rows: np.ndarray) -> np.ndarray:
         """

@@ -11,13 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""
-In what poses of a body disagree with those of the camera, by the closed forms alone.
-
-A pose may be the inverse of what it should be: it takes points of the world to the body. Then
-turns are those about the axes of the world, and ways bend the other way. The inverse of all poses
-agrees with the images, and what was given does not. Or a stated part of the mount is wrong.
-"""
+"""In what poses of a body disagree with those of the camera, by the closed forms alone."""
 
 from __future__ import annotations
 
@@ -30,9 +24,8 @@ from selfcal_ros.calibration.mounting.starts import closed_forms, pairs_of
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
 
-#: Poses that leave less than this share of what moved agree; the inverse is meant where it leaves
-#: so many times less.
-AGREES, TIMES = 0.05, 5.0
+#: Poses that leave less than this share of what moved agree.
+AGREES = 0.05
 #: A stated part that comes out so many sigmas away without the statement is wrong.
 WRONG = 5.0
 #: Ways are noise where no place and scale take more than this share off.
@@ -66,16 +59,6 @@ def misfits(camera: CameraPoses, body: BodyAt) -> list[tuple[float, float, float
                       _median(pairs.body_move - by_mount) / moved if camera.has_path else 0.0,
                       scale))
     return found
-
-
-def inverse_is_meant(camera: CameraPoses, body: BodyAt) -> bool:
-    """Tell whether the inverse of all poses agrees with the images, and they do not."""
-    back = np.swapaxes(body.rotation, 1, 2)
-    inverse = BodyAt(back, -np.einsum('vij,vj->vi', back, body.position), 0 * body.turning,
-                     0 * body.velocity)
-    # ways may be noise, and then turns tell; of turns about one axis the inverse is as good
-    return any(given > AGREES and turned_round * TIMES < min(given, 1.0)
-               for given, turned_round in zip(_best(camera, body), _best(camera, inverse)))
 
 
 def why_no_start(camera: CameraPoses, body: BodyAt, count: int) -> NoEstimate:
@@ -137,13 +120,6 @@ def contradicted_fact(facts: MountFacts, free: Mount) -> NoEstimate | None:
                                    {'name': name, 'value': size * float(values[name]),
                                     'sigma': size * sigmas[name], 'stated': size * stated}])
     return worst
-
-
-def _best(camera: CameraPoses, body: BodyAt) -> tuple[float, float]:
-    """Return the least misfit of turns, and of ways; infinite without one."""
-    found = misfits(camera, body)
-    return (min(turns for turns, _, _ in found),
-            min((ways for _, ways, scale in found if scale > 0), default=np.inf))
 
 
 def _median(vectors: np.ndarray) -> float:

@@ -29,8 +29,9 @@ from selfcal_ros.calibration.mounting.camera_errors import with_errors_of_camera
 from selfcal_ros.calibration.mounting.camera_poses import (
     camera_poses, CameraPoses, chance_of_pull, with_lens)
 from selfcal_ros.calibration.mounting.clocks import LEAST_IMAGES, LEAST_TIMED, offsets
-from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, inverse_is_meant,
-                                                           why_no_start, WRONG)
+from selfcal_ros.calibration.mounting.disagreement import (contradicted_fact, why_no_start,
+                                                           WRONG)
+from selfcal_ros.calibration.mounting.mistaken_poses import what_is_meant
 from selfcal_ros.calibration.mounting.model import COUNT, LAG, METRE, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.open_freedoms import (
     axis_in_camera, degrees_of_freedom, known_places, missing_motion, open_axis, open_places,
@@ -70,6 +71,9 @@ FAR_M = 8.0
 ANY_SCALE, MOST_APART = 0.3, 0.05
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
+#: Where more of the poses contradict the others, a stated sigma may be why, if the misfits are so
+#: many times larger.
+MOST_BY_SIGMA, SIGMA_TOO_SMALL = 0.1, 2.0
 
 
 def mount_camera(calibration: Calibration, poses: BodyPoses,
@@ -130,8 +134,9 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
         camera, track)
     rows = np.flatnonzero(track.known(tried[0], _MARGIN_S if track.timed else 0.0))
     part, body = camera.chosen(rows), track.at(tried[0], rows)
-    if len(rows) >= LEAST_IMAGES and inverse_is_meant(part, body):
-        return replace(calibration, mount=NoEstimate('body_poses_inverse', count=len(poses)))
+    meant = what_is_meant(part, track, tried[0], rows) if len(rows) >= LEAST_IMAGES else None
+    if meant is not None:
+        return replace(calibration, mount=meant)
     started = [_from_start(camera, track, poses, facts, offset) for offset in tried]
     found = [one for one in started if one is not None]
     if not found:
@@ -140,6 +145,10 @@ def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int,
                        else NoEstimate('no_mount_fits', count=len(poses)))
     adjustment, optimum, rows = min(found, key=lambda one: one[1].cost / len(one[2]))
     part, track = camera.chosen(rows), adjustment.track
+    if (~optimum.keep).sum() > MOST_BY_SIGMA * len(optimum.keep):
+        small = _sigma_too_small(calibration, poses, stamps_ns, facts, optimum)
+        if small is not None:
+            return replace(calibration, mount=small)
     refusal = _contradiction(part, track, optimum, rows)
     if refusal is not None:
         return replace(calibration, mount=refusal)
@@ -249,8 +258,32 @@ def _contradiction(camera: CameraPoses, track: BodyTrack, optimum: Optimum,
     if (usual > 5 * STILL_RAD and apart > CONTRADICTION * usual
             and not (track.odometry and _drifts(optimum))):
         return NoEstimate('body_turns_otherwise', camera_deg=float(np.rad2deg(np.median(ours))),
-                          body_deg=float(np.rad2deg(np.median(theirs))))
+                          body_deg=float(np.rad2deg(np.median(theirs))),
+                          apart_deg=float(np.rad2deg(apart)))
     return None
+
+
+def _sigma_too_small(calibration: Calibration, poses: BodyPoses,
+                     stamps_ns: Mapping[int, int] | None, facts: MountFacts,
+                     optimum: Optimum) -> NoEstimate | None:
+    """Tell that poses contradict each other by their stated sigmas alone, or return None."""
+    stated = poses.sigma_position_m, poses.sigma_rotation_rad
+    if stated == (None, None):
+        return None
+    free = _mounted(calibration, replace(poses, sigma_position_m=None, sigma_rotation_rad=None),
+                    stamps_ns, facts).mount
+    if not isinstance(free, Mount) or 2 * free.outlier_count > (~optimum.keep).sum():
+        return None
+    shown = free.sigma_position_m, free.sigma_rotation_rad
+    too_small = [(1e3 * one, 1e3 * other, 'mm') if k == 0 else
+                 (float(np.degrees(one)), float(np.degrees(other)), 'degrees')
+                 for k, (one, other) in enumerate(zip(stated, shown))
+                 if one is not None and other is not None and other > SIGMA_TOO_SMALL * one]
+    if not too_small:
+        return None
+    return NoEstimate('robot_sigma_too_small', share=float(1 - optimum.keep.mean()),
+                      stated=[f'{one:.2g} {unit}' for one, _, unit in too_small],
+                      shown=[f'{other:.2g} {unit}' for _, other, unit in too_small])
 
 
 def _other_metre(camera: CameraPoses, track: BodyTrack, optimum: Optimum, rows: np.ndarray,
@@ -295,7 +328,8 @@ def _mount(camera: CameraPoses, track: BodyTrack, poses: BodyPoses, facts: Mount
     columns = np.r_[T, TURN, SCALE, OFFSET]
     total = optimum.covariance.copy()
     # rates that noise made up tell nothing
-    feigned = track.feigned_information(rows, optimum.keep) * total[OFFSET, OFFSET]
+    feigned = total[OFFSET, OFFSET] * track.feigned_information(
+        rows, optimum.keep, optimum.errors.covariances(), optimum.cautious.covariances())
     wider = 1 / max(1 - feigned, LEAST_TRUE)
     total[OFFSET] *= wider
     total[:, OFFSET] *= wider

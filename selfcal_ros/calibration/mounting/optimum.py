@@ -36,6 +36,9 @@ class Optimum:
     information : ndarray, shape (16 + k, 16 + k)
         Of the poses, the images and the facts.
     errors : PoseErrors
+    cautious : PoseErrors
+        The same with room for what few poses leave open of them; covariance and information are
+        by these.
     freedom : ndarray, shape (K,)
         Degrees of freedom of each variance.
     keep : ndarray of bool, shape (m,)
@@ -50,6 +53,7 @@ class Optimum:
     covariance: np.ndarray
     information: np.ndarray
     errors: PoseErrors
+    cautious: PoseErrors
     freedom: np.ndarray
     keep: np.ndarray
     cost: float

@@ -202,6 +202,30 @@ class PoseErrors:
         freedom: np.ndarray = self.variances * left
         return self._with(self.variances * squares / left), freedom
 
+    def cautious(self, spread: np.ndarray, keep: np.ndarray) -> PoseErrors:
+        """
+        Enlarge variances by what the misfits leave open of them.
+
+        With n degrees of freedom the ratio of an error to its sigma is Student's, whose variance
+        is n / (n - 2). A variance that came out near zero may be as large as its own sigma.
+
+        Parameters
+        ----------
+        spread : ndarray, shape (m, 6, 6)
+            Covariance of what is predicted.
+        keep : ndarray of bool, shape (m,)
+
+        Returns
+        -------
+        PoseErrors
+
+        """
+        W = np.linalg.inv(self.covariances()[keep])
+        shown = (W - W @ spread[keep] @ W) @ self.shapes[:, keep]
+        known = np.einsum('kmij,kmji->k', shown, shown) / 2
+        off = 1 / np.maximum(known, 1e-300)
+        return self._with(self.variances + off / np.maximum(self.variances, np.sqrt(off)))
+
     def _with(self, variances: np.ndarray) -> PoseErrors:
         """Replace variances that are not stated."""
         return replace(self, variances=np.where(

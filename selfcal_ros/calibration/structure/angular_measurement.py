@@ -32,6 +32,8 @@ from selfcal_ros.geometry.camera import Camera
 
 #: An angle across the middle of the image that the report speaks of, degrees.
 COMMON_ANGLE_DEG = 30.0
+#: A ratio or an angle whose sigma is a larger share of it is not told.
+SAYS_NOTHING = 0.5
 
 
 def ray_angles(result: Calibration | NotCalibrated, first: np.ndarray, second: np.ndarray,
@@ -203,7 +205,8 @@ def measurement_findings(camera: Camera, covariance: np.ndarray,
     angle = central_angle(camera, covariance) if sized else None
     if angle:
         found.append(Finding('central_angle', angle_deg=angle.value, sigma_deg=angle.sigma))
-    if sample:
+    if sample and all(one.sigma < SAYS_NOTHING * one.value
+                      for one in (sample.length_ratio, sample.angle_deg)):
         found.append(Finding(
             'typical_measurements', first=sample.first, second=sample.second,
             ratio=asdict(sample.length_ratio), at=sample.corner[1],

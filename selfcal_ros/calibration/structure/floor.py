@@ -29,6 +29,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import Floor, Mount
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE, metric_structure
+from selfcal_ros.calibration.structure.structure_measurement import by_camera_and_path
 from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
@@ -69,6 +70,9 @@ def floor_below(calibration: Calibration, tracks: Tracks) -> Floor | NoEstimate 
     if (not isinstance(mount, Mount) or mount.status['scale'] == 'unobservable'
             or calibration.motion not in IN_A_PLANE):
         return None
+    torn = [one for one in calibration.findings if one.kind == 'path_torn']
+    if torn:
+        return NoEstimate('floor_on_torn_path', frame=torn[0].values['frame'])
     scene = metric_structure(calibration, tracks)
     height = float(scene.centres[:, 2].mean())
     depth = height - scene.points[:, 2]
@@ -101,7 +105,26 @@ def floor_below(calibration: Calibration, tracks: Tracks) -> Floor | NoEstimate 
         return NoEstimate('floor_not_level', degrees=float(np.degrees(tilt)))
     # the metre of the robot is that of the height, too
     metre = mount.sigma['scale'] / mount.scale * fit[0]
-    return Floor(float(fit[0]), float(np.hypot(np.sqrt(spread[0, 0]), metre)), len(place), tilt)
+    camera = _by_camera(calibration, scene.tracks[below][near], design)
+    return Floor(float(fit[0]), float(np.linalg.norm([np.sqrt(spread[0, 0]), metre,
+                                                      camera * fit[0]])), len(place), tilt)
+
+
+def _by_camera(calibration: Calibration, tracks: np.ndarray, design: np.ndarray) -> float:
+    """
+    Return the sigma that errors of the camera and its path leave, as a share of the height.
+
+    In the world of the adjustment all views are at height zero.
+    """
+    shape = calibration.reconstructed
+    if shape.precision is None:
+        return 0.0
+    rows = np.searchsorted(shape.tracks, tracks)
+    weights = np.linalg.pinv(design)[0]
+    X = shape.precision.points[rows]
+    height = weights @ (X[:, 2] / X[:, 3])
+    slope = weights[:, None] * [0.0, 0.0, 1.0]
+    return by_camera_and_path(shape.precision, rows, slope, calibration.covariance) / abs(height)
 
 
 def _fullest(depth: np.ndarray, sigma: np.ndarray) -> float:

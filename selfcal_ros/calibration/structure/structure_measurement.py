@@ -313,14 +313,48 @@ def _measured(precision: StructurePrecision, rows: list[int], quantity, covarian
             value, _ = quantity(points[rows, :3] / points[rows, 3:])
     if not (np.isfinite(value) and np.isfinite(slope).all()):
         return Measured(np.nan, np.nan)
+    own, shared = _variances(precision, rows, slope, covariance)
+    return Measured(value, float(np.sqrt(max(own + shared, 0))))
+
+
+def by_camera_and_path(precision: StructurePrecision, rows: np.ndarray, slope: np.ndarray,
+                       covariance: np.ndarray) -> float:
+    """
+    Return the sigma of a sum over points that errors of the camera and the path leave.
+
+    That of the points' own noise is not in it.
+
+    Parameters
+    ----------
+    precision : StructurePrecision
+    rows : ndarray of int, shape (n,)
+        Points of the adjustment; each once.
+    slope : ndarray, shape (n, 3)
+        By which each enters the sum, in the world of the adjustment.
+    covariance : ndarray, shape (k, k)
+        Of the camera's parameters.
+
+    Returns
+    -------
+    float
+        In the unit of the adjustment.
+
+    """
+    return float(np.sqrt(max(_variances(precision, rows, slope, covariance)[1], 0)))
+
+
+def _variances(precision: StructurePrecision, rows, slope: np.ndarray,
+               covariance: np.ndarray | None) -> tuple[float, float]:
+    """Return the variance that the points' own noise makes, and that of camera and path."""
+    p = precision.points[rows]
     # of X = p / w by steps along the tangents of the homogeneous unit vector
-    basis = tangent_basis(p)
+    basis, X = tangent_basis(p), p[:, :3] / p[:, 3:]
     by_point = (basis[:, :3] - X[:, :, None] * basis[:, 3:]) / p[:, 3:, None]
     form = np.zeros((len(precision.points), 3))
     np.add.at(form, rows, np.einsum('pi,pij->pj', slope, by_point))
     carried, own = precision.elimination.point_form(form)
     joint = precision.covariance
-    variance = precision.noise_factor * own + carried @ joint @ carried
+    variance = carried @ joint @ carried
     if covariance is not None:
         lens = Lens.of(precision.camera)
         count, places = len(precision.lens), lens.places(precision.lens)
@@ -328,7 +362,7 @@ def _measured(precision: StructurePrecision, rows: list[int], quantity, covarian
         pull = regression(inner, joint[:count] @ carried)
         stated = to_intrinsics(covariance, lens)[np.ix_(places, places)]
         variance += pull @ (stated - inner) @ pull
-    return Measured(value, float(np.sqrt(max(variance, 0))))
+    return precision.noise_factor * own, float(variance)
 
 
 def regression(covariance: np.ndarray, shared: np.ndarray) -> np.ndarray:

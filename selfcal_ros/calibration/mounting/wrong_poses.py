@@ -1,0 +1,85 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Which poses contradict the others, by what chance leaves them.
+
+Each is held against the mount that the others give, and against the errors that the others show
+(a test of deletion, with externally studentised misfits). Few poses leave few degrees of freedom:
+then even a large misfit may be chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
+
+#: One wrong verdict on a pose in so many calibrations.
+FALSE_ALARM = 0.02
+#: Without so many degrees of freedom of the others, nothing is set aside.
+LEAST_SPARE = 3.0
+#: A misfit is free by this share of its variance at least, however far the pose leads.
+_LEAST_FREE = 1e-3
+#: Variances this near to the smallest are no larger than they must be: misfits may be smaller.
+_AT_FLOOR = 1.5
+
+
+def agreeing(errors: PoseErrors, residual: np.ndarray, spread: np.ndarray, keep: np.ndarray,
+             measured: np.ndarray) -> np.ndarray:
+    """
+    Tell which poses agree with the others.
+
+    Parameters
+    ----------
+    errors : PoseErrors
+        As the poses that count show them.
+    residual : ndarray, shape (m, 6)
+        Misfits of the state that these poses give.
+    spread : ndarray, shape (m, 6, 6)
+        Covariance of what that state predicts.
+    keep : ndarray of bool, shape (m,)
+        Which poses count. The others may come back.
+    measured : ndarray of bool, shape (6,)
+        Components that the poses measure.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+
+    """
+    blocks = [list(kind) for kind in errors.axes if kind and measured[list(kind)].all()]
+    level = FALSE_ALARM / max(len(residual) * len(blocks), 1)
+    agree = np.ones(len(residual), bool)
+    whole = errors.covariances()
+    for block in blocks:
+        C, P = (one[:, block][:, :, block] for one in (whole, spread))
+        whiten = np.linalg.inv(np.linalg.cholesky(C))
+        # what counts has bent the state towards itself, what does not has not
+        free = np.eye(len(block)) - np.where(keep, 1, -1)[:, None, None] * (
+            whiten @ P @ np.swapaxes(whiten, 1, 2))
+        values, axes = np.linalg.eigh(free)
+        along = np.einsum('mji,mjk,mk->mi', axes, whiten, residual[:, block])
+        misfit = (along**2 / np.maximum(values, _LEAST_FREE)).sum(axis=1)
+        own = [k for k, kind in enumerate(errors.axes) if not kind or list(kind) == block]
+        if errors.stated[own].all():
+            agree &= chdtrc(len(block), misfit) > level
+            continue
+        spare = np.maximum(values[keep].sum() - len(block) * keep, 1e-3)
+        left = np.maximum((along[keep]**2).sum() - misfit * keep, 1e-9) / spare
+        if (errors.variances[own] < _AT_FLOOR * errors.floors[own]).all():
+            left = np.maximum(left, 1.0)
+        chance = fdtrc(len(block), spare, misfit / len(block) / left)
+        agree &= (chance > level) | (spare < LEAST_SPARE)
+    return agree
