@@ -29,6 +29,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.values.mesh_orientation import borders, oriented
 from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
 
 #: Faces that meet under more than this angle meet in a crease.
@@ -39,6 +40,8 @@ CREASE_RAD = np.deg2rad(30.0)
 _RUNS_ON_RAD, _LONG = np.deg2rad(45.0), 0.2
 #: A finer mesh is simplified to about so many faces.
 MOST_FACES = 20_000
+#: Vertices nearer than this share of the extent are one: files hold single precision, and noise.
+_SAME = 1e-5
 #: Creases that are followed, the longest of them.
 _MOST_CREASES = 400
 
@@ -97,7 +100,7 @@ class MeshModel(WireframeModel):
             raise ArgumentError(f'a face names a point that does not exist; there are '
                                 f'{len(vertices)}.')
         remarks = []
-        vertices, triangles, lost = _clean(vertices, triangles, same_place(vertices))
+        vertices, triangles, lost = _clean(vertices, triangles, same_place(vertices, _SAME))
         if lost:
             remarks.append(f'{lost} faces without area were left out.')
         if len(triangles) > MOST_FACES:
@@ -106,7 +109,7 @@ class MeshModel(WireframeModel):
             remarks.append(f'{before} faces were simplified to {len(triangles)}.')
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
-        triangles, turned = _oriented(vertices, triangles)
+        triangles, turned = oriented(vertices, triangles)
         if turned:
             remarks.append(f'{turned} faces that looked inwards were turned round.')
         normals = _unit(np.cross(*np.moveaxis(
@@ -156,11 +159,6 @@ class MeshModel(WireframeModel):
         return np.unique(np.sort(borders(self.smooth), axis=1), axis=0)
 
 
-def borders(triangles: np.ndarray) -> np.ndarray:
-    """Return all first borders of triangles (T, 3), then all second, then all third: (3 T, 2)."""
-    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-
-
 def _unit(vectors):
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
@@ -179,39 +177,6 @@ def _clean(vertices, triangles, same):
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
     return vertices[used], index.reshape(-1, 3), before - len(triangles)
-
-
-def _oriented(vertices, triangles):
-    """
-    Turn faces so that neighbours agree and the object's volume is positive; count those turned.
-
-    Each face is two nodes of a graph, one for each way round. Faces on an edge link the ways that
-    agree, so a part that can be oriented makes two components, one the reverse of the other.
-    """
-    count = len(triangles)
-    ends = borders(triangles)
-    face, along = np.tile(np.arange(count), 3), ends[:, 0] < ends[:, 1]
-    _, index, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
-                               return_counts=True)
-    order = np.argsort(index.ravel(), kind='stable')
-    first = order[np.concatenate([[0], np.cumsum(size)[:-1]])[size == 2]]
-    second = order[(np.concatenate([[0], np.cumsum(size)[:-1]]) + 1)[size == 2]]
-    # neighbours agree where they run along their edge in opposite ways
-    agree = along[first] != along[second]
-    one, other = face[first], face[second] + np.where(agree, 0, count)
-    rows = np.concatenate([one, one + count])
-    columns = np.concatenate([other, (other + count) % (2 * count)])
-    _, part = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)),
-                                              shape=(2 * count, 2 * count)), directed=False)
-    # of the two ways of a part that which more of its faces have already
-    has = np.bincount(part[:count], minlength=part.max() + 1)
-    turn = has[part[count:]] > has[part[:count]]
-    tied = (has[part[count:]] == has[part[:count]]) & (part[count:] < part[:count])
-    turned = np.where((turn | tied)[:, None], triangles[:, ::-1], triangles)
-    corners = vertices[turned] - vertices.mean(axis=0)
-    if np.linalg.det(corners).sum() < 0:
-        turned = turned[:, ::-1]
-    return turned, int((turned[:, 0] != triangles[:, 0]).sum())
 
 
 def _simplified(vertices, triangles):

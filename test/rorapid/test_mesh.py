@@ -195,6 +195,43 @@ def test_faces_that_look_inwards_are_turned_round():
         assert model.remarks == (f'{turned} faces that looked inwards were turned round.',)
 
 
+def cube(side, centre=(0, 0, 0)):
+    return (CUBE / 40 - 0.5) * side + centre, triangles()
+
+
+def joined(*parts):
+    """One mesh of several, each (vertices, faces)."""
+    first = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
+    return (np.concatenate([vertices for vertices, _ in parts]),
+            np.concatenate([faces + at for (_, faces), at in zip(parts, first)]))
+
+
+def test_each_body_looks_outwards_and_voids_stay():
+    """A file of several bodies, one of them inside out; another has a void in it."""
+    large, small, void = cube(0.1), cube(0.03, (0.2, 0, 0)), cube(0.04)
+    # 18 faces, of which the small body's 12 look inwards
+    vertices, faces = joined(large, (small[0], small[1][:, ::-1]), (void[0], void[1][:, ::-1]))
+    model = MeshModel.build(vertices, faces)
+    corners = model.vertices[model.triangles]
+    volume = np.linalg.det(corners) / 6
+    centre = corners.mean(axis=1)
+    whose = np.where(centre[:, 0] > 0.1, 1, np.where(np.abs(centre).max(axis=1) > 0.03, 0, 2))
+    assert np.allclose(np.bincount(whose, volume), [0.1**3, 0.03**3, -0.04**3])
+    assert model.remarks == ('12 faces that looked inwards were turned round.',)
+    # two bodies whose boxes hold each other, but not the bodies: both are mended
+    ringed = joined(ring(0.3), cube(0.01))
+    turned = MeshModel.build(ringed[0], np.concatenate([ringed[1][:-12], ringed[1][-12:, ::-1]]))
+    assert np.allclose(turned.normals, MeshModel.build(*ringed).normals)
+
+
+def test_vertices_that_noise_parts_are_joined():
+    vertices, faces = ring()
+    soup = vertices[faces].reshape(-1, 3)
+    soup += 2e-7 * np.ptp(vertices) * np.random.default_rng(0).standard_normal(soup.shape)
+    model = MeshModel.build(soup, np.arange(len(soup)).reshape(-1, 3))
+    assert len(model.vertices) == len(vertices) and not len(model.lines) and not model.remarks
+
+
 def test_the_renderer_draws_a_part_neither_wider_nor_narrower():
     """The area of a cube seen along an axis is known."""
     model = MeshModel.build(CUBE / 1000 - 0.02, triangles())
