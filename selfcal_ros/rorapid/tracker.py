@@ -27,6 +27,7 @@ from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
 from selfcal_ros.rorapid.estimation.doubts import Doubts
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, start_spread, started_filter)
+from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import (
     ConstantVelocityFilter, DAMPING, seconds_between)
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
@@ -193,7 +194,7 @@ class RorapidTracker:
         self._open, self._stamp_ns = 0, None
         self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
-                                     self._outlined)
+                                     self._outlined, self.model.free_turns)
         if lost:
             self._filter.restart(state, self._wide(state))
 
@@ -286,7 +287,8 @@ class RorapidTracker:
             measured = confirmed_again(self._method, image, measured)
             if measured.recognised and self._standing.good is None and self._outlined:
                 # an outline that was never confirmed is a start, not a return
-                self._starting = StartSearch.again(measured.state, self._wide(measured.state))
+                self._starting = StartSearch.again(
+                    measured.state, self._wide(measured.state), self.model.free_turns)
                 self._standing.begin(lost=False)
                 self._filter.restart(measured.state, measured.covariance)
                 return self._confirm(self._method, image, measured, stamp_ns)
@@ -351,7 +353,8 @@ class RorapidTracker:
         """Accept or refuse a measurement, and say what the state is."""
         options, standing = self.options, self._standing
         lost = self.state is TrackerState.LOST
-        open_turn = not self._led and leaves_turn_open(self._basis, measured)
+        open_turn = not self._led and leaves_turn_open(
+            self._basis, measured, self._control.free(measured.state))
         accepted, innovation = standing.weighs(measured, open_turn, self._led, options), np.nan
         if accepted:
             self.measured = measured
@@ -386,6 +389,10 @@ class RorapidTracker:
         """Say what the state is, with what a doubt adds to the covariance."""
         state, B = self._filter.state, self._basis
         full = B @ self._filter.spread @ B.T
+        free = self._control.free(state)
+        if free.size and measured.details is not None:
+            hold_free(self._filter, free, measured.details.fit.measured)
+            full = with_any_turn(full, free)
         if accepted and len(full) == 6:
             full = full + self._doubts.covariance(state, B)
         return told_frame(self._control, measured, state, full, accepted, told=self.state,

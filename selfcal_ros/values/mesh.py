@@ -30,6 +30,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.values.mesh_orientation import borders, oriented
+from selfcal_ros.values.mesh_symmetry import free_turns
 from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
 
 #: Faces that meet under more than this angle meet in a crease.
@@ -152,6 +153,15 @@ class MeshModel(WireframeModel):
         points = np.zeros((int(self.smooth.max()) + 1, 3))
         points[self.smooth.ravel()] = self.vertices[self.triangles.ravel()]
         return points
+
+    @cached_property
+    def free_turns(self) -> np.ndarray:           # type: ignore[override]
+        """Turns (k, 6) about the middle that do not change it: see `mesh_symmetry`."""
+        area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(
+            self.vertices[self.triangles[:, 1:]] - self.vertices[self.triangles[:, :1]], 1, 0)),
+            axis=1)
+        share = np.bincount(self.smooth.ravel(), np.repeat(area / 3, 3))
+        return free_turns(self.smooth_points - self.centre, self.smooth_normals, share)
 
     @cached_property
     def smooth_edges(self) -> np.ndarray:

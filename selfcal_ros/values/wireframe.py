@@ -309,6 +309,11 @@ class WireframeModel:
         """Diagonal of the bounding box."""
         return float(np.linalg.norm(np.ptp(self.extent, axis=0)))
 
+    @property
+    def free_turns(self) -> np.ndarray:
+        """Turns (k, 6) about the middle that change nothing; none are known of a wireframe."""
+        return np.zeros((0, 6))
+
     def edges(self) -> np.ndarray:
         """End points of the lines, (L, 2, 3) metres."""
         return self.vertices[self.lines]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.rorapid.estimation.free_turn import without_free
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -115,7 +116,11 @@ def refusal(measured: PoseMeasurement, seeking: bool) -> str:
         'the object was expected.'))
 
 
-def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement) -> bool:
-    """Whether an image leaves a rotation open: what is seen of an outline fits many poses."""
-    full = (basis @ measured.covariance @ basis.T)[:3, :3]
+def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement, free: np.ndarray) -> bool:
+    """
+    Whether an image leaves a rotation open: what is seen of an outline fits many poses.
+
+    Turns that no image of the shape could show, free (size, k), do not count.
+    """
+    full = without_free(basis @ measured.covariance @ basis.T, free)[:3, :3]
     return len(basis) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2
