@@ -101,9 +101,12 @@ class MeshModel(WireframeModel):
             raise ArgumentError(f'a face names a point that does not exist; there are '
                                 f'{len(vertices)}.')
         remarks = []
-        vertices, triangles, lost = _clean(vertices, triangles, same_place(vertices, _SAME))
+        vertices, triangles, lost, twice = _clean(vertices, triangles,
+                                                  same_place(vertices, _SAME))
         if lost:
             remarks.append(f'{lost} faces without area were left out.')
+        if twice:
+            remarks.append(f'{twice} faces that are given twice were left out once.')
         if len(triangles) > MOST_FACES:
             before = len(triangles)
             vertices, triangles = _simplified(vertices, triangles)
@@ -183,10 +186,11 @@ def _clean(vertices, triangles, same):
     good = (area > 1e-10 * size**2) & (triangles[:, 0] != triangles[:, 1]) & (
         triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
     triangles = triangles[good]
+    lost = before - len(triangles)
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
-    return vertices[used], index.reshape(-1, 3), before - len(triangles)
+    return vertices[used], index.reshape(-1, 3), lost, before - lost - len(index.ravel()) // 3
 
 
 def _simplified(vertices, triangles):
@@ -199,8 +203,8 @@ def _simplified(vertices, triangles):
         index = index.ravel()
         count = np.bincount(index)
         middle = np.column_stack([np.bincount(index, vertices[:, k]) for k in range(3)])
-        points, faces, _ = _clean(middle / count[:, None], index[triangles],
-                                  np.arange(len(count)))
+        points, faces, *_ = _clean(middle / count[:, None], index[triangles],
+                                   np.arange(len(count)))
         if len(faces) <= MOST_FACES:
             return points, faces
         cells *= 0.8

@@ -122,6 +122,62 @@ def test_a_ply_with_an_absurd_count_is_one_sentence(tmp_path, count):
             read_model(path)
 
 
+@pytest.mark.parametrize('turn', range(6))
+def test_a_concave_face_is_cut_inside_itself(tmp_path, turn):
+    """An L of 72 cm3, each of its two concave faces one polygon that may begin at any corner."""
+    corners = np.roll([(0, 0), (8, 0), (8, 2), (2, 2), (2, 6), (0, 6)], turn, axis=0) / 100
+    vertices = np.concatenate([np.column_stack([corners, np.full(6, z)]) for z in (0, 0.03)])
+    faces = [range(5, -1, -1), range(6, 12)] + [
+        (k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6) for k in range(6)]
+    written = tmp_path / 'l.obj', tmp_path / 'l.ply'
+    written[0].write_text(''.join(f'v {x} {y} {z}\n' for x, y, z in vertices) + ''.join(
+        'f ' + ' '.join(str(k + 1) for k in face) + '\n' for face in faces))
+    written[1].write_text(
+        'ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\n'
+        'property float z\nelement face 8\nproperty list uchar int vertex_indices\nend_header\n'
+        + ''.join(f'{x} {y} {z}\n' for x, y, z in vertices)
+        + ''.join(f'{len(face)} ' + ' '.join(map(str, face)) + '\n' for face in faces))
+    for path in written:
+        model = read_model(path)
+        volume = np.linalg.det(model.vertices[model.triangles]).sum() / 6
+        assert volume == pytest.approx(72e-6) and len(model.lines) == 18 and not model.remarks
+
+
+def test_files_that_are_legal_but_odd_are_read(tmp_path):
+    as_written = stl_text(tmp_path / 'a.stl').read_text()
+    (tmp_path / 'a.stl').write_text(as_written.upper())
+    (tmp_path / 'b.stl').write_bytes(stl(tmp_path / 'b.stl').read_bytes() + b'more')
+    text = obj(tmp_path / 'a.obj').read_text()
+    (tmp_path / 'a.obj').write_bytes(text.replace(' 40.0 ', ' 40.0 \\\r\n ').encode())
+    # a property before the list, another list, and faces of three and of four corners in turn
+    faces = [face for face in SIDES[::2]] + [t for face in SIDES[1::2] for t in (
+        face[:3], (face[0], *face[2:]))]
+    faces = [faces[k] for k in (0, 3, 4, 1, 5, 6, 2, 7, 8)]
+    for name, kind in (('a.ply', 'ascii'), ('b.ply', 'binary_big_endian')):
+        rows = [b'\x07' + b'\x01' + np.array([1], '>f4').tobytes() + bytes([len(face)])
+                + np.array(face, '>i4').tobytes() if kind[0] == 'b' else
+                f'7 1 1.0 {len(face)} {" ".join(map(str, face))}\n'.encode() for face in faces]
+        places = CUBE.astype('>f4').tobytes() if kind[0] == 'b' else ''.join(
+            f'{x} {y} {z}\n' for x, y, z in CUBE).encode()
+        (tmp_path / name).write_bytes(
+            f'ply\nformat {kind} 1.0\nelement vertex 8\nproperty float x\nproperty float y\n'
+            f'property float z\nelement face {len(faces)}\nproperty uchar flags\nproperty list '
+            'uchar float texcoord\nproperty list uchar int vertex_index\nend_header\n'.encode()
+            + places + b''.join(rows))
+    for name in ('a.stl', 'b.stl', 'a.obj', 'a.ply', 'b.ply'):
+        model = read_model(tmp_path / name, 0.001)
+        assert len(model.vertices) == 8 and len(model.triangles) == 12 and not model.remarks
+    (tmp_path / 'none.stl').touch()
+    with pytest.raises(InputError, match='none.stl is empty'):
+        read_model(tmp_path / 'none.stl')
+
+
+def test_faces_that_are_given_twice_are_told():
+    vertices, faces = ring()
+    model = MeshModel.build(vertices, np.concatenate([faces, faces[:7, ::-1]]))
+    assert model.remarks == ('7 faces that are given twice were left out once.',)
+
+
 def test_a_missing_texture_does_no_harm(tmp_path):
     extra = 'mtllib nowhere.mtl\nusemtl gone\n'
     assert len(read_model(obj(tmp_path / 'a.obj', extra=extra), 0.001).lines) == 12
