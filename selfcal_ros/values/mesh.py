@@ -15,7 +15,7 @@
 A triangle mesh as a model to track: its creases are lines, its round parts have outlines.
 
 What cannot be used is left out with a remark: faces without area, faces given twice. A mesh of
-more faces than are needed is simplified: vertices that share a cell of a grid become one.
+more faces than are needed is simplified.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.values.mesh_orientation import borders, oriented
+from selfcal_ros.values.mesh_orientation import borders, edge_counts, oriented
+from selfcal_ros.values.mesh_simplified import simplified
 from selfcal_ros.values.mesh_symmetry import free_turns
 from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
 
@@ -107,20 +108,23 @@ class MeshModel(WireframeModel):
             remarks.append(f'{lost} faces without area were left out.')
         if twice:
             remarks.append(f'{twice} faces that are given twice were left out once.')
-        if len(triangles) > MOST_FACES:
-            before = len(triangles)
-            vertices, triangles = _simplified(vertices, triangles)
-            remarks.append(f'{before} faces were simplified to {len(triangles)}.')
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
         triangles, turned = oriented(vertices, triangles)
         if turned:
             remarks.append(f'{turned} faces that looked inwards were turned round.')
-        normals = _unit(np.cross(*np.moveaxis(
-            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
-        lines, sides, smooth, open_edges = _creases(vertices, triangles, normals)
+        open_edges = int((edge_counts(triangles) == 1).sum())
         if open_edges:
             remarks.append(f'The mesh is open: {open_edges} edges bound one face only.')
+        if len(triangles) > MOST_FACES:
+            before = len(triangles)
+            vertices, triangles, off = simplified(vertices, triangles, MOST_FACES)
+            vertices, triangles, *_ = _clean(vertices, triangles, np.arange(len(vertices)))
+            remarks.append(f'{before} faces were simplified to {len(triangles)}, which lie up to '
+                           f'{1e3 * off:.2g} mm off.')
+        normals = _unit(np.cross(*np.moveaxis(
+            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
+        lines, sides, smooth = _creases(vertices, triangles, normals)
         model = cls(vertices, lines, name=name, normals=normals, smooth=smooth, line_sides=sides,
                     remarks=tuple(remarks))
         for key, value in (('line_names', ('',) * len(lines)), ('triangles', triangles),
@@ -193,25 +197,8 @@ def _clean(vertices, triangles, same):
     return vertices[used], index.reshape(-1, 3), lost, before - lost - len(index.ravel()) // 3
 
 
-def _simplified(vertices, triangles):
-    """Join the vertices of each cell of a grid, so coarse that few enough faces are left."""
-    size = float(np.ptp(vertices, axis=0).max())
-    cells = np.sqrt(MOST_FACES / 6.0)
-    while True:
-        cell = np.floor((vertices - vertices.min(axis=0)) / size * cells).astype(np.int64)
-        _, index = np.unique(cell, axis=0, return_inverse=True)
-        index = index.ravel()
-        count = np.bincount(index)
-        middle = np.column_stack([np.bincount(index, vertices[:, k]) for k in range(3)])
-        points, faces, *_ = _clean(middle / count[:, None], index[triangles],
-                                   np.arange(len(count)))
-        if len(faces) <= MOST_FACES:
-            return points, faces
-        cells *= 0.8
-
-
 def _creases(vertices, triangles, normals):
-    """Return creases and borders (L, 2), their faces (L, 2), smooth corners, and open edges."""
+    """Return creases and borders (L, 2), their faces (L, 2), and smooth corners."""
     count = len(triangles)
     pairs = np.sort(borders(triangles), axis=1)
     face = np.tile(np.arange(count), 3)
@@ -239,7 +226,7 @@ def _creases(vertices, triangles, normals):
     _, smooth = connected_components(coo_matrix(
         (np.ones(len(rows)), (rows, columns)), shape=(3 * count, 3 * count)), directed=False)
     kept = crease[np.argsort(-length[crease])][:_MOST_CREASES]
-    return edges[kept], sides[kept], smooth.reshape(-1, 3), int((size == 1).sum())
+    return edges[kept], sides[kept], smooth.reshape(-1, 3)
 
 
 def _runs(vertices, creases):

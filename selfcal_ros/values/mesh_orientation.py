@@ -30,6 +30,13 @@ def borders(triangles: np.ndarray) -> np.ndarray:
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
+def edge_counts(triangles: np.ndarray) -> np.ndarray:
+    """How many triangles (T, 3) each edge bounds, (E,) of int."""
+    low, high = np.sort(borders(triangles), axis=1).T
+    count: np.ndarray = np.unique(low * (int(high.max()) + 1) + high, return_counts=True)[1]
+    return count
+
+
 def oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
     """
     Turn faces so that neighbours agree and each body's volume is positive.
@@ -83,7 +90,8 @@ def _agreed(triangles):
     count = len(triangles)
     ends = borders(triangles)
     face, along = np.tile(np.arange(count), 3), ends[:, 0] < ends[:, 1]
-    _, index, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
+    low, high = np.sort(ends, axis=1).T
+    _, index, size = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True,
                                return_counts=True)
     order = np.argsort(index.ravel(), kind='stable')
     first = order[np.concatenate([[0], np.cumsum(size)[:-1]])[size == 2]]
