@@ -373,7 +373,7 @@ class RorapidTracker:
             if tracking and isinstance(self._method, RobustTracker):
                 self._doubts.look(image, measured, self._method.check)
             doubt = self._doubts.text()
-            reason = standing.confirm(measured, tracking, doubt)
+            reason = standing.confirm(measured, tracking, doubt, options)
             if tracking and not doubt and self._camera_model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
@@ -382,7 +382,7 @@ class RorapidTracker:
                 place = self._filter.state if standing.good is None else standing.good
                 self._filter.restart(place, self._wide(place))
             reason = refusal(measured, isinstance(self._method, RobustTracker)
-                             and not self._method.placed)
+                             and not self._method.placed, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
