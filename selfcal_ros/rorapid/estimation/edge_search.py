@@ -21,7 +21,8 @@ import numpy as np
 
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
-from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_penalty
+from selfcal_ros.rorapid.edges.edge_choice import (
+    change_of_light, contrast_matches, contrast_penalty)
 from selfcal_ros.rorapid.edges.edge_noise import (
     CommonScatter, EdgeNoise, shared_by_outline, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
@@ -149,7 +150,9 @@ class EdgeSearch:
         """Share of the edges searched that were found (C,) and look as they are remembered."""
         if not len(fit.at):
             return 0.0
-        same = found & contrast_matches(fit.contrast, self.contrast[fit.view.ids[fit.at]])
+        wanted = self.contrast[fit.view.ids[fit.at]]
+        light = change_of_light(np.where(found, fit.contrast, 0.0), wanted * found)
+        same = found & contrast_matches(fit.contrast, light * wanted)
         # in clutter the edge of one is that of another: it speaks for no line
         return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
 
