@@ -63,10 +63,14 @@ def oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, i
                                          corners[:, 2] - corners[:, 0]), axis=1)
     bounds = np.stack([_over(np.minimum, part, corners.min(axis=1)),
                        -_over(np.minimum, part, -corners.max(axis=1))], axis=1)
-    own = np.bincount(part, np.linalg.det(corners - bounds.mean(axis=1)[part][:, None]) / 6)
+    # about its own middle the volume of a flat part is none
+    whole = np.bincount(part, area)
+    middle = np.column_stack([np.bincount(part, area * corners[:, :, k].mean(axis=1))
+                              for k in range(3)]) / np.maximum(whole, 1e-300)[:, None]
+    own = np.bincount(part, np.linalg.det(corners - middle[part][:, None]) / 6)
     closed = _closed(agreed, part)
     size = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
-    clear = closed | (np.abs(own) > _HOLLOW * np.bincount(part, area) * size)
+    clear = closed | (np.abs(own) > _HOLLOW * whole * size)
     # parts whose own volume tells nothing go together
     backwards = np.where(clear, own < 0, volume[~clear].sum() < 0)
     for k in np.flatnonzero(backwards & clear):

@@ -313,6 +313,17 @@ def test_each_body_looks_outwards_and_voids_stay():
     assert np.allclose(turned.normals, MeshModel.build(*ringed).normals)
 
 
+def test_pieces_that_hang_apart_keep_the_way_they_look():
+    """A ring of faces that have no edge in common: each is a flat part of its own."""
+    vertices, faces = ring()
+    corners = vertices[faces]
+    apart = (0.9 * corners + 0.1 * corners.mean(axis=1, keepdims=True)).reshape(-1, 3)
+    pieces = np.arange(len(apart)).reshape(-1, 3)
+    right = MeshModel.build(vertices, faces).normals
+    for given in (pieces, pieces[:, ::-1]):
+        assert np.allclose(MeshModel.build(apart, given).normals, right)
+
+
 def test_vertices_that_noise_parts_are_joined():
     vertices, faces = ring()
     soup = vertices[faces].reshape(-1, 3)
