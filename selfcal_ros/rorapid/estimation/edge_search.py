@@ -152,7 +152,9 @@ class EdgeSearch:
             return 0.0
         wanted = self.contrast[fit.view.ids[fit.at]]
         light = change_of_light(np.where(found, fit.contrast, 0.0), wanted * found)
-        same = found & contrast_matches(fit.contrast, light * wanted)
+        # a lamp may have changed for some faces only: what looks as before counts, too
+        same = found & (contrast_matches(fit.contrast, wanted)
+                        | contrast_matches(fit.contrast, light * wanted))
         # in clutter the edge of one is that of another: it speaks for no line
         return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
 
