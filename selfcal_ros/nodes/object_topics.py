@@ -45,6 +45,13 @@ MARKER_COLOURS = {TrackerState.TRACKING: (0.0, 0.62, 0.45),
 MARKER_LIFE_S = 1.0
 
 
+def _check_frame(frame: str, images: str) -> None:
+    """Raise InputError if a pose is in another frame than the images; empty ones may be any."""
+    if frame and images and frame != images:
+        raise InputError(f'It is in the frame {frame!r:.60}, the images are in {images!r:.60}; '
+                         'give it in the frame of the images.')
+
+
 class ObjectTopics:
     """
     One object of the node.
@@ -73,6 +80,7 @@ class ObjectTopics:
         self._types, self.name = rclpy_types(), name
         self._segments = wireframe_segments(model)
         self._state: TrackerState | None = None
+        self._claimed = ''
         self.newest: ObjectInImage | None = None
         p, before = node.parameters, f'{name}/' if name else ''
         self._frame = f'{p.object_frame}_{name}' if name else p.object_frame
@@ -90,16 +98,29 @@ class ObjectTopics:
 
     def _on_initialpose(self, msg: PoseWithCovarianceStamped):
         try:
-            frame, images = msg.header.frame_id, self._node.image_frame
-            if frame and images and frame != images:
-                raise InputError(f'It is in the frame {frame!r:.60}, the images are in '
-                                 f'{images!r:.60}; give it in the frame of the images.')
+            _check_frame(msg.header.frame_id, self._node.image_frame)
             pose = pose_matrix(msg)
             sigma_m = distance_sigma(pose[:3, 3], msg.pose.covariance)
         except InputError as error:
             self._node.get_logger().warning(f'{self._named("initialpose")} dropped: {error}')
             return
+        # before any image nobody knows their frame
+        self._claimed = '' if self._node.image_frame else msg.header.frame_id
         self._begin(pose[:3, :3], pose[:3, 3], sigma_m)
+
+    def check_frame(self, images: str):
+        """Drop a start that came before any image, if it is not in the frame of the images."""
+        claimed, self._claimed = self._claimed, ''
+        try:
+            _check_frame(claimed, images)
+        except InputError as error:
+            self._node.get_logger().warning(f'{self._named("initialpose")} dropped: {error}')
+
+            def drop(session: TrackingSession):
+                session.reset(forget_pose=True)
+                self._start = None
+
+            self._command(drop, anew=True)
 
     def _named(self, topic: str) -> str:
         """Return a topic's name with that of the object."""

@@ -143,12 +143,17 @@ class RorapidNode(Node):
     # what comes in
 
     def _on_image(self, msg):
-        self._watchdog.heard()
-        self.image_frame = msg.header.frame_id
+        self._hear(msg.header.frame_id)
         if self._pairing is None:
             self._submit([(msg, None)])
             return
         self._submit(self._pairing.image(stamp_ns(msg.header.stamp), msg))
+
+    def _hear(self, frame: str):
+        self._watchdog.heard()
+        self.image_frame = frame
+        for one in self._objects:
+            one.check_frame(frame)
 
     def _on_depth(self, msg: Image):
         try:
@@ -157,8 +162,7 @@ class RorapidNode(Node):
             self.get_logger().warning(f'depth image dropped: {error}', throttle_duration_sec=5.0)
 
     def _on_instant(self, header, images):
-        self._watchdog.heard()
-        self.image_frame = header.frame_id
+        self._hear(header.frame_id)
         self._worker.submit((header, images), self._are_drawn())
 
     def _are_drawn(self) -> list[bool]:

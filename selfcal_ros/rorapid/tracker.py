@@ -27,6 +27,7 @@ from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
 from selfcal_ros.rorapid.estimation.doubts import Doubts
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, start_spread, started_filter)
+from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import (
     ConstantVelocityFilter, DAMPING, seconds_between)
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
@@ -193,7 +194,7 @@ class RorapidTracker:
         self._open, self._stamp_ns = 0, None
         self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
-                                     self._outlined)
+                                     self._outlined, self.model.free_turns)
         if lost:
             self._filter.restart(state, self._wide(state))
 
@@ -286,7 +287,8 @@ class RorapidTracker:
             measured = confirmed_again(self._method, image, measured)
             if measured.recognised and self._standing.good is None and self._outlined:
                 # an outline that was never confirmed is a start, not a return
-                self._starting = StartSearch.again(measured.state, self._wide(measured.state))
+                self._starting = StartSearch.again(
+                    measured.state, self._wide(measured.state), self.model.free_turns)
                 self._standing.begin(lost=False)
                 self._filter.restart(measured.state, measured.covariance)
                 return self._confirm(self._method, image, measured, stamp_ns)
@@ -351,7 +353,8 @@ class RorapidTracker:
         """Accept or refuse a measurement, and say what the state is."""
         options, standing = self.options, self._standing
         lost = self.state is TrackerState.LOST
-        open_turn = not self._led and leaves_turn_open(self._basis, measured)
+        open_turn = not self._led and leaves_turn_open(
+            self._basis, measured, self._control.free(measured.state))
         accepted, innovation = standing.weighs(measured, open_turn, self._led, options), np.nan
         if accepted:
             self.measured = measured
@@ -370,7 +373,7 @@ class RorapidTracker:
             if tracking and isinstance(self._method, RobustTracker):
                 self._doubts.look(image, measured, self._method.check)
             doubt = self._doubts.text()
-            reason = standing.confirm(measured, tracking, doubt)
+            reason = standing.confirm(measured, tracking, doubt, options)
             if tracking and not doubt and self._camera_model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
@@ -379,13 +382,17 @@ class RorapidTracker:
                 place = self._filter.state if standing.good is None else standing.good
                 self._filter.restart(place, self._wide(place))
             reason = refusal(measured, isinstance(self._method, RobustTracker)
-                             and not self._method.placed)
+                             and not self._method.placed, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Say what the state is, with what a doubt adds to the covariance."""
         state, B = self._filter.state, self._basis
         full = B @ self._filter.spread @ B.T
+        free = self._control.free(state)
+        if free.size and measured.details is not None:
+            hold_free(self._filter, free, measured.details.fit.measured)
+            full = with_any_turn(full, free)
         if accepted and len(full) == 6:
             full = full + self._doubts.covariance(state, B)
         return told_frame(self._control, measured, state, full, accepted, told=self.state,

@@ -15,7 +15,7 @@
 A triangle mesh as a model to track: its creases are lines, its round parts have outlines.
 
 What cannot be used is left out with a remark: faces without area, faces given twice. A mesh of
-more faces than are needed is simplified: vertices that share a cell of a grid become one.
+more faces than are needed is simplified.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
+from selfcal_ros.values.mesh_orientation import borders, edge_counts, oriented
+from selfcal_ros.values.mesh_simplified import simplified
+from selfcal_ros.values.mesh_symmetry import free_turns
 from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
 
 #: Faces that meet under more than this angle meet in a crease.
@@ -39,6 +42,8 @@ CREASE_RAD = np.deg2rad(30.0)
 _RUNS_ON_RAD, _LONG = np.deg2rad(45.0), 0.2
 #: A finer mesh is simplified to about so many faces.
 MOST_FACES = 20_000
+#: Vertices nearer than this share of the extent are one: files hold single precision, and noise.
+_SAME = 1e-5
 #: Creases that are followed, the longest of them.
 _MOST_CREASES = 400
 
@@ -97,23 +102,29 @@ class MeshModel(WireframeModel):
             raise ArgumentError(f'a face names a point that does not exist; there are '
                                 f'{len(vertices)}.')
         remarks = []
-        vertices, triangles, lost = _clean(vertices, triangles, same_place(vertices))
+        vertices, triangles, lost, twice = _clean(vertices, triangles,
+                                                  same_place(vertices, _SAME))
         if lost:
             remarks.append(f'{lost} faces without area were left out.')
-        if len(triangles) > MOST_FACES:
-            before = len(triangles)
-            vertices, triangles = _simplified(vertices, triangles)
-            remarks.append(f'{before} faces were simplified to {len(triangles)}.')
+        if twice:
+            remarks.append(f'{twice} faces that are given twice were left out once.')
         if not len(triangles):
             raise ArgumentError('none of its faces has an area.')
-        triangles, turned = _oriented(vertices, triangles)
+        triangles, turned = oriented(vertices, triangles)
         if turned:
             remarks.append(f'{turned} faces that looked inwards were turned round.')
-        normals = _unit(np.cross(*np.moveaxis(
-            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
-        lines, sides, smooth, open_edges = _creases(vertices, triangles, normals)
+        open_edges = int((edge_counts(triangles) == 1).sum())
         if open_edges:
             remarks.append(f'The mesh is open: {open_edges} edges bound one face only.')
+        if len(triangles) > MOST_FACES:
+            before = len(triangles)
+            vertices, triangles, off = simplified(vertices, triangles, MOST_FACES)
+            vertices, triangles, *_ = _clean(vertices, triangles, np.arange(len(vertices)))
+            remarks.append(f'{before} faces were simplified to {len(triangles)}, which lie up to '
+                           f'{1e3 * off:.2g} mm off.')
+        normals = _unit(np.cross(*np.moveaxis(
+            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
+        lines, sides, smooth = _creases(vertices, triangles, normals)
         model = cls(vertices, lines, name=name, normals=normals, smooth=smooth, line_sides=sides,
                     remarks=tuple(remarks))
         for key, value in (('line_names', ('',) * len(lines)), ('triangles', triangles),
@@ -151,14 +162,18 @@ class MeshModel(WireframeModel):
         return points
 
     @cached_property
+    def free_turns(self) -> np.ndarray:           # type: ignore[override]
+        """Turns (k, 6) about the middle that do not change it: see `mesh_symmetry`."""
+        area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(
+            self.vertices[self.triangles[:, 1:]] - self.vertices[self.triangles[:, :1]], 1, 0)),
+            axis=1)
+        share = np.bincount(self.smooth.ravel(), np.repeat(area / 3, 3))
+        return free_turns(self.smooth_points - self.centre, self.smooth_normals, share)
+
+    @cached_property
     def smooth_edges(self) -> np.ndarray:
         """Pairs (E, 2) of smooth vertices that a face joins."""
         return np.unique(np.sort(borders(self.smooth), axis=1), axis=0)
-
-
-def borders(triangles: np.ndarray) -> np.ndarray:
-    """Return all first borders of triangles (T, 3), then all second, then all third: (3 T, 2)."""
-    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
 def _unit(vectors):
@@ -175,64 +190,15 @@ def _clean(vertices, triangles, same):
     good = (area > 1e-10 * size**2) & (triangles[:, 0] != triangles[:, 1]) & (
         triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])
     triangles = triangles[good]
+    lost = before - len(triangles)
     _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     triangles = triangles[np.sort(first)]
     used, index = np.unique(triangles, return_inverse=True)
-    return vertices[used], index.reshape(-1, 3), before - len(triangles)
-
-
-def _oriented(vertices, triangles):
-    """
-    Turn faces so that neighbours agree and the object's volume is positive; count those turned.
-
-    Each face is two nodes of a graph, one for each way round. Faces on an edge link the ways that
-    agree, so a part that can be oriented makes two components, one the reverse of the other.
-    """
-    count = len(triangles)
-    ends = borders(triangles)
-    face, along = np.tile(np.arange(count), 3), ends[:, 0] < ends[:, 1]
-    _, index, size = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True,
-                               return_counts=True)
-    order = np.argsort(index.ravel(), kind='stable')
-    first = order[np.concatenate([[0], np.cumsum(size)[:-1]])[size == 2]]
-    second = order[(np.concatenate([[0], np.cumsum(size)[:-1]]) + 1)[size == 2]]
-    # neighbours agree where they run along their edge in opposite ways
-    agree = along[first] != along[second]
-    one, other = face[first], face[second] + np.where(agree, 0, count)
-    rows = np.concatenate([one, one + count])
-    columns = np.concatenate([other, (other + count) % (2 * count)])
-    _, part = connected_components(coo_matrix((np.ones(len(rows)), (rows, columns)),
-                                              shape=(2 * count, 2 * count)), directed=False)
-    # of the two ways of a part that which more of its faces have already
-    has = np.bincount(part[:count], minlength=part.max() + 1)
-    turn = has[part[count:]] > has[part[:count]]
-    tied = (has[part[count:]] == has[part[:count]]) & (part[count:] < part[:count])
-    turned = np.where((turn | tied)[:, None], triangles[:, ::-1], triangles)
-    corners = vertices[turned] - vertices.mean(axis=0)
-    if np.linalg.det(corners).sum() < 0:
-        turned = turned[:, ::-1]
-    return turned, int((turned[:, 0] != triangles[:, 0]).sum())
-
-
-def _simplified(vertices, triangles):
-    """Join the vertices of each cell of a grid, so coarse that few enough faces are left."""
-    size = float(np.ptp(vertices, axis=0).max())
-    cells = np.sqrt(MOST_FACES / 6.0)
-    while True:
-        cell = np.floor((vertices - vertices.min(axis=0)) / size * cells).astype(np.int64)
-        _, index = np.unique(cell, axis=0, return_inverse=True)
-        index = index.ravel()
-        count = np.bincount(index)
-        middle = np.column_stack([np.bincount(index, vertices[:, k]) for k in range(3)])
-        points, faces, _ = _clean(middle / count[:, None], index[triangles],
-                                  np.arange(len(count)))
-        if len(faces) <= MOST_FACES:
-            return points, faces
-        cells *= 0.8
+    return vertices[used], index.reshape(-1, 3), lost, before - lost - len(index.ravel()) // 3
 
 
 def _creases(vertices, triangles, normals):
-    """Return creases and borders (L, 2), their faces (L, 2), smooth corners, and open edges."""
+    """Return creases and borders (L, 2), their faces (L, 2), and smooth corners."""
     count = len(triangles)
     pairs = np.sort(borders(triangles), axis=1)
     face = np.tile(np.arange(count), 3)
@@ -260,7 +226,7 @@ def _creases(vertices, triangles, normals):
     _, smooth = connected_components(coo_matrix(
         (np.ones(len(rows)), (rows, columns)), shape=(3 * count, 3 * count)), directed=False)
     kept = crease[np.argsort(-length[crease])][:_MOST_CREASES]
-    return edges[kept], sides[kept], smooth.reshape(-1, 3), int((size == 1).sum())
+    return edges[kept], sides[kept], smooth.reshape(-1, 3)
 
 
 def _runs(vertices, creases):

@@ -20,7 +20,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.values.mesh import borders, CREASE_RAD, MeshModel
+from selfcal_ros.values.mesh import CREASE_RAD, MeshModel
+from selfcal_ros.values.mesh_orientation import borders
 from selfcal_ros.values.wireframe import FACE_LIMIT, FLAT_RAD, Polygon, WireframeModel
 
 #: A mesh of more plane faces is followed as a mesh.

@@ -26,6 +26,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.polygon import cut_into_triangles, newell_normal
@@ -306,6 +309,11 @@ class WireframeModel:
         """Diagonal of the bounding box."""
         return float(np.linalg.norm(np.ptp(self.extent, axis=0)))
 
+    @property
+    def free_turns(self) -> np.ndarray:
+        """Turns (k, 6) about the middle that change nothing; none are known of a wireframe."""
+        return np.zeros((0, 6))
+
     def edges(self) -> np.ndarray:
         """End points of the lines, (L, 2, 3) metres."""
         return self.vertices[self.lines]
@@ -320,14 +328,21 @@ def across_axes(cylinder: Cylinder) -> tuple[np.ndarray, np.ndarray]:
     return u, np.cross(axis, u)
 
 
-def same_place(vertices: np.ndarray) -> np.ndarray:
-    """For each vertex (V, 3) the first one within a millionth of the extent of it, (V,) int."""
-    if not len(vertices):
-        return np.zeros(0, int)
-    step = 1e-6 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    cell = np.rint((vertices - vertices.min(axis=0)) / step).astype(np.int64)
+def same_place(vertices: np.ndarray, share: float = 1e-6) -> np.ndarray:
+    """For each vertex (V, 3) the first one within a share of the extent of it, (V,) int."""
+    if not len(vertices) or not (np.abs(vertices) < LARGEST_M).all():
+        return np.arange(len(vertices))
+    near = share * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    # one of each cell of a finer grid: of many in one place not each is compared with each
+    cell = np.rint((vertices - vertices.min(axis=0)) / (0.25 * near)).astype(np.int64)
     _, first, inverse = np.unique(cell, axis=0, return_index=True, return_inverse=True)
-    return first[inverse.ravel()]
+    places = vertices[first]
+    pairs = cKDTree(places).query_pairs(near, output_type='ndarray')
+    _, group = connected_components(coo_matrix(
+        (np.ones(len(pairs)), tuple(pairs.T)), shape=2 * (len(places),)), directed=False)
+    lowest = np.full(len(places), len(vertices))
+    np.minimum.at(lowest, group, first)
+    return lowest[group[inverse.ravel()]]
 
 
 def _check_faces(vertices, faces):

@@ -231,6 +231,25 @@ def test_bad_input_is_told_in_a_sentence_and_the_node_goes_on(station):
     station.graph.wait_for(lambda: station.states[-1].data.startswith('tracking'))
 
 
+def test_a_start_in_another_frame_that_came_before_any_image_is_dropped(station):
+    station = station()
+    node, said = station.add_node(), []
+    node.get_logger().warning = lambda text, **_: said.append(text)
+    node.get_logger = lambda logger=node.get_logger(): logger
+    station.send_info()
+    station.send_start(frame='map')
+    station.graph.spin_for(0.2)
+    station.send(0)
+    station.graph.wait_for(lambda: any("'map'" in text and repr(FRAME) in text for text in said),
+                           5.0, 'a warning that names both frames')
+    station.graph.wait_for(lambda: any('no start pose yet' in text for text in said), 5.0,
+                           'images without a start')
+    assert not station.poses
+    station.send_start()
+    station.graph.spin_for(0.2)
+    station.track(range(3))
+
+
 def test_a_loss_is_told_gives_no_pose_and_ends_where_the_object_is_back(station):
     station = station()
     station.add_node()

@@ -77,6 +77,32 @@ class ControlView:
         return self.inside != 0
 
 
+def free_at(turns: np.ndarray, state: ObjectPose, projection: Projection) -> np.ndarray:
+    """
+    Corrections that leave a shape where it is.
+
+    Parameters
+    ----------
+    turns : ndarray, shape (k, 6)
+        `free_turns` of the model, object frame, about its middle.
+    state : ObjectPose
+        Of the middle.
+    projection : Projection
+
+    Returns
+    -------
+    ndarray, shape (size, k)
+        No columns for the affine camera.
+
+    """
+    size = projection.size
+    turns = turns if size < 8 else turns[:0]
+    out = np.zeros((size, len(turns)))
+    out[:3] = state.rotation @ turns[:, :3].T
+    out[3:6] = state.rotation @ turns[:, 3:].T
+    return out
+
+
 class ControlModel:
     """
     The primitives of a model, seen by one camera.
@@ -103,6 +129,8 @@ class ControlModel:
         self._bend = np.linalg.norm(visible_model.bends, axis=1)
         self._towards = self._step * visible_model.bends / np.maximum(self._bend, 1e-12)[:, None]
         self._curved = bool(conic.any())
+        #: Turns (k, 6) about the middle that the shape leaves open, object frame.
+        self.free_turns = visible_model.model.free_turns
 
     def resize(self, image_size: tuple[int, int]) -> None:
         """Take images of another size: width and height."""
@@ -116,6 +144,20 @@ class ControlModel:
         points = seen.object_points - self.centre
         return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
                            seen.inward, state)
+
+    def free(self, state: ObjectPose) -> np.ndarray:
+        """Corrections (size, k) that a body of revolution does not show, at a state."""
+        return free_at(self.free_turns, state, self.projection)
+
+    def rows(self, state: ObjectPose, view: ControlView) -> np.ndarray:
+        """
+        Motion of the control points along their normals per unit of correction, (C, size).
+
+        What the shape leaves open moves nothing: its facets would pretend that it did.
+        """
+        rows = self.projection.rows(state, view.projected, view.normal)
+        free = self.free(state)
+        return rows - (rows @ free) @ np.linalg.pinv(free) if free.size else rows
 
     def again(self, view: ControlView, state: ObjectPose) -> ControlView:
         """Return the same control points in a state nearby."""

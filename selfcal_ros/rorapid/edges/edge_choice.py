@@ -23,6 +23,9 @@ _CLUTTER_PX, _CLUTTER_LENGTH_PX, _CLUTTERED = 5.0, 15.0, 0.1
 _ALONGSIDE = 0.94
 #: The contrast of an edge changes by this factor at the most while it is the same edge.
 _CHANGE = 2.5
+#: Of so many places, this share must have changed alike, up to this factor: then it is the light
+#: that changed, and by this (logarithm) at the most.
+_LIGHT_PLACES, _LIGHT_AGREE, _LIGHT_LIKE, _MOST_LIGHT = 12, 0.7, 1.5, np.log(8)
 #: A weaker edge than the strongest of a control point seems up to so much further away, pixels.
 _WEAK_PX = 5.0
 #: An edge of the wrong polarity seems so much further away, pixels.
@@ -54,6 +57,21 @@ def contrast_matches(contrast: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Whether edges look as they are remembered, (C,); what is not remembered may be anything."""
     ratio = contrast / np.where(wanted == 0, 1.0, wanted)
     return (wanted == 0) | ((ratio > 1 / _CHANGE) & (ratio < _CHANGE))
+
+
+def change_of_light(contrast: np.ndarray, wanted: np.ndarray) -> float:
+    """
+    Factor that all contrasts (C,) have changed by against what is remembered, for it is a lamp's.
+
+    1 where few are remembered, or they do not agree: then these are other edges.
+    """
+    known = np.flatnonzero(contrast * wanted > 0)
+    if len(known) < _LIGHT_PLACES or len(known) < _LIGHT_AGREE * np.count_nonzero(wanted):
+        return 1.0
+    change = np.log(contrast[known] / wanted[known])
+    common = float(np.median(change))
+    agree = np.mean(np.abs(change - common) < np.log(_LIGHT_LIKE))
+    return float(np.exp(common)) if agree >= _LIGHT_AGREE and abs(common) < _MOST_LIGHT else 1.0
 
 
 def clutter_weight(view) -> np.ndarray:

@@ -107,8 +107,9 @@ class Arrival:
             best, support = ranked[0]
             if not search.outlined:
                 ranked += search.ranked(image, quartered(best), spread)
+            free = search.control.free_turns
             yield [best] + [
-                pose for pose, other in ranked[1:] if turned_by(best, pose) > OTHER_RAD
+                pose for pose, other in ranked[1:] if turned_by(best, pose, free) > OTHER_RAD
                 and search.check.rivals(support, other)]
 
     def nearest(self, poses: list[ObjectPose], expected: ObjectPose) -> list[ObjectPose]:

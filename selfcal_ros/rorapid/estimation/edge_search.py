@@ -21,7 +21,8 @@ import numpy as np
 
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
-from selfcal_ros.rorapid.edges.edge_choice import contrast_matches, contrast_penalty
+from selfcal_ros.rorapid.edges.edge_choice import (
+    change_of_light, contrast_matches, contrast_penalty)
 from selfcal_ros.rorapid.edges.edge_noise import (
     CommonScatter, EdgeNoise, shared_by_outline, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
@@ -115,7 +116,7 @@ class EdgeSearch:
                  corners: CornerFit):
         """Start without memory."""
         self.basis, self.options = basis, options
-        self._corners, self.projection = corners, control.projection
+        self._corners, self._control = corners, control
         visible = control.visible_model
         round_parts = visible.outline < len(visible.kind)
         self._common = CommonScatter(UNSEEN_OUTLINE if round_parts else UNSEEN)
@@ -142,13 +143,18 @@ class EdgeSearch:
     def adopt(self, options: TrackerOptions, control: ControlModel, nearest: np.ndarray) -> None:
         """Go on by other settings; each control point remembers what the nearest one did."""
         self.options, self.contrast = options, self.contrast[nearest]
+        self._control = control
         self._remembered = control.visible_model.remembered()
 
     def found_share(self, fit: EdgeFit, found: np.ndarray) -> float:
         """Share of the edges searched that were found (C,) and look as they are remembered."""
         if not len(fit.at):
             return 0.0
-        same = found & contrast_matches(fit.contrast, self.contrast[fit.view.ids[fit.at]])
+        wanted = self.contrast[fit.view.ids[fit.at]]
+        light = change_of_light(np.where(found, fit.contrast, 0.0), wanted * found)
+        # a lamp may have changed for some faces only: what looks as before counts, too
+        same = found & (contrast_matches(fit.contrast, wanted)
+                        | contrast_matches(fit.contrast, light * wanted))
         # in clutter the edge of one is that of another: it speaks for no line
         return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
 
@@ -205,7 +211,7 @@ class EdgeSearch:
 
     def reach(self, state, view, spread) -> int:
         """Search range from the spread (m, m) of the prediction, pixels."""
-        rows = self.projection.rows(state, view.projected, view.normal) @ self.basis
+        rows = self._control.rows(state, view) @ self.basis
         sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
         options = self.options
         return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
@@ -260,7 +266,7 @@ class EdgeSearch:
         options = self.options
         at = np.flatnonzero(view.searched)
         m = self.basis.shape[1]
-        rows = self.projection.rows(state, view.projected, view.normal)[at] @ self.basis
+        rows = self._control.rows(state, view)[at] @ self.basis
         wanted = self.contrast[view.ids[at]]
         if len(at):
             profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
@@ -287,7 +293,7 @@ class EdgeSearch:
         if agree.any():
             corner_H, corner_g = self._corners.terms(state, matches, agree,
                                                      self.share)
-        back = self.basis.T @ self.projection.difference(state, predicted)
+        back = self.basis.T @ self._control.projection.difference(state, predicted)
         q = np.zeros(m)
         line = np.arange(len(at))
         sigma: np.ndarray | float
@@ -315,8 +321,13 @@ class EdgeSearch:
             g = rows.T @ (w * np.where(near, chosen, 0.0))
             information = H + corner_H + prior
             q = np.linalg.solve(information, g + corner_g - prior @ back)
-        after = self.projection.moved(state, self.basis @ q)
+        after = self._control.projection.moved(state, self.basis @ q)
         residual = np.where(near, chosen - rows @ q, np.nan)
+        free = self.basis.T @ self._control.free(after)
+        if free.size:
+            # the last step has turned what the shape leaves open
+            keep = np.eye(m) - free @ np.linalg.pinv(free)
+            H, rows = keep @ H @ keep, rows @ keep
         measured = H + corner_H
         return EdgeFit(after, H, measured, measured + prior, prior @ (back + q), view, at,
                        weights, rows, residual,

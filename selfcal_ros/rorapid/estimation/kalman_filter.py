@@ -147,6 +147,26 @@ class ConstantVelocityFilter:
         new[m:, m:] = 0.5 * (velocity + velocity.T)
         self.covariance, self.state = new, state
 
+    def hold(self, directions: np.ndarray, sigma: float) -> None:
+        """
+        Hold the state where it is in directions of which images say nothing.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (size, k)
+            Corrections.
+        sigma : float
+            How firmly, in units of each direction.
+
+        """
+        m = self.basis.shape[1]
+        along = self.basis.T @ directions
+        keep = np.eye(m) - along @ np.linalg.pinv(along)
+        self.velocity = keep @ self.velocity
+        both = np.kron(np.eye(2), keep)
+        self.covariance = both @ self.covariance @ both.T
+        self.covariance[:m, :m] += sigma**2 * along @ along.T
+
     def innovation_share(self, state: ObjectPose, noise: np.ndarray) -> float:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)

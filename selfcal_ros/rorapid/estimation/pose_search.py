@@ -32,6 +32,8 @@ _START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
 _CLOSELY, OTHER_RAD = 6, 0.2
 #: What is turned by more may look the same: a cube has six sides. The guess has to decide.
 _QUARTER_RAD = 0.9
+#: No turn that the shape leaves open.
+NOT_FREE = np.zeros((0, 6))
 
 
 class PoseSearch:
@@ -131,7 +133,8 @@ class PoseSearch:
     def turned_rival(self, image: np.ndarray, found: ObjectPose, spread: np.ndarray) -> float:
         """Share of the length seen of the best pose that is turned from what was found."""
         starts = turned(found)
-        return best_turned(self.ranked(image, starts[:len(starts) // 2], spread), found).length
+        return best_turned(self.ranked(image, starts[:len(starts) // 2], spread), found,
+                           self.control.free_turns).length
 
     def ranked(self, image: np.ndarray, starts: list[ObjectPose],
                spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
@@ -160,7 +163,8 @@ class PoseSearch:
 
         chosen: list[ObjectPose] = []
         for pose, _ in drawn(starts, _WIDE_ROUNDS):
-            if all(turned_by(pose, other) > OTHER_RAD for other in chosen):
+            if all(turned_by(pose, other, self.control.free_turns) > OTHER_RAD
+                   for other in chosen):
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
@@ -175,14 +179,21 @@ class PoseSearch:
         return state
 
 
-def best_turned(poses: list[tuple[ObjectPose, Support]], found: ObjectPose) -> Support:
+def best_turned(poses: list[tuple[ObjectPose, Support]], found: ObjectPose,
+                free: np.ndarray = NOT_FREE) -> Support:
     """Return the best support of the poses that are turned from one, but not by a quarter."""
     return max((support for pose, support in poses
-                if OTHER_RAD < turned_by(pose, found) < _QUARTER_RAD),
+                if OTHER_RAD < turned_by(pose, found, free) < _QUARTER_RAD),
                key=lambda support: support.length, default=Support())
 
 
-def turned_by(pose: ObjectPose, other: ObjectPose) -> float:
-    """Angle between two poses' rotations, radians."""
-    cosine = (np.trace(pose.rotation.T @ other.rotation) - 1) / 2
+def turned_by(pose: ObjectPose, other: ObjectPose, free: np.ndarray = NOT_FREE) -> float:
+    """Angle between two poses' rotations, radians; up to turns that the shape leaves open."""
+    if len(free) > 1:
+        return 0.0
+    between = pose.rotation.T @ other.rotation
+    if len(free):
+        cosine = free[0, :3] @ between @ free[0, :3]
+    else:
+        cosine = (np.trace(between) - 1) / 2
     return float(np.arccos(np.clip(cosine, -1, 1)))

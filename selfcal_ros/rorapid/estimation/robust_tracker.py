@@ -21,6 +21,7 @@ from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.arrival import Arrival
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
+from selfcal_ros.rorapid.estimation.free_turn import with_turn_counted
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
 from selfcal_ros.rorapid.estimation.pose_search import PoseSearch
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
@@ -291,7 +292,8 @@ class RobustTracker:
         found = np.abs(edge_px) < _FOUND_PX
         edges = self._edges.found_share(fit, found[fit.at])
         share, recognised = track_quality(self.options, edges, matches, agree)
-        determined = determines_pose(self.projection, self.basis, fit.measured)
+        determined = determines_pose(self.projection, self.basis, fit.measured,
+                                     self.control.free(fit.state))
         focal = focal_sigma(self.projection, self.basis, fit.measured, determined)
         texture_px = np.zeros((0, 2)) if matches is None else matches.pixels[agree]
         if self._distorted and len(texture_px):
@@ -320,8 +322,10 @@ class RobustTracker:
             if measured.recognised and matches is not None:
                 self.texture.judge(matches, details.agree)
             if measured.recognised or min(details.edge_share, measured.share) > EDGES_SUFFICIENT:
-                full = self.basis @ measured.covariance @ self.basis.T
-                self.texture.learn(region, measured.state, confirmed, full[:6, :6])
+                # a turn that the shape leaves open is counted from where the texture was learned
+                shown = with_turn_counted(self.basis @ measured.covariance @ self.basis.T,
+                                          self.control.free(measured.state))
+                self.texture.learn(region, measured.state, confirmed, shown[:6, :6])
         if confirmed:
             self._views.remember(region, measured.state)
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from selfcal_ros.rorapid.estimation.free_turn import without_free
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
@@ -24,6 +25,8 @@ from selfcal_ros.rorapid.tracked_frame import TrackerState
 
 #: A pose whose rotation is known worse than this is hardly one, radians.
 _OPEN_RAD = 0.1
+#: What is said where enough is found, and fits poses that are turned.
+_OPEN_TURN = 'What is seen fits poses that are turned by some degrees: a rotation stays open.'
 #: What is said while an object that was never seen is sought.
 _SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
             'comes in before a still camera, has its silhouette.')
@@ -89,10 +92,13 @@ class Standing:
         self.misses = 0.0 if accepted else self.misses + 1
         return accepted
 
-    def confirm(self, measured: PoseMeasurement, tracking: bool, doubt: str) -> str:
+    def confirm(self, measured: PoseMeasurement, tracking: bool, doubt: str,
+                options: TrackerOptions) -> str:
         """Take an accepted measurement; returns the reason, empty while all is well."""
         self.state = TrackerState.TRACKING if tracking and not doubt else TrackerState.DEGRADED
         self.good = measured.state
+        if not tracking and measured.share >= options.tracking_share:
+            return _OPEN_TURN
         return doubt if tracking else (
             f'Only {100 * measured.share:.0f} % of what should be visible is found.')
 
@@ -108,14 +114,46 @@ class Standing:
         return lost_now
 
 
-def refusal(measured: PoseMeasurement, seeking: bool) -> str:
-    """Say why a measurement is refused; the object was never seen if it is only sought."""
-    return measured.reason or (_SEEKING if seeking else (
-        f'Only {100 * measured.share:.0f} % of what should be visible is found where '
-        'the object was expected.'))
+def refusal(measured: PoseMeasurement, seeking: bool, open_turn: bool,
+            options: TrackerOptions) -> str:
+    """
+    Say why a measurement is refused.
+
+    Parameters
+    ----------
+    measured : PoseMeasurement
+    seeking : bool
+        The object was never seen, and is only sought.
+    open_turn : bool
+        The measurement leaves a rotation open.
+    options : TrackerOptions
+
+    Returns
+    -------
+    str
+        One sentence.
+
+    """
+    if measured.reason or seeking:
+        return measured.reason or _SEEKING
+    if measured.share >= options.lost_share:
+        # enough is found: something else is wrong
+        if not measured.determined:
+            return (f'Too little is seen: {int(measured.found.sum())} places on edges do not '
+                    'determine a pose.')
+        if open_turn:
+            return _OPEN_TURN
+        if measured.share >= options.tracking_share:
+            return 'What is found is too little of the object to recognise it.'
+    return (f'Only {100 * measured.share:.0f} % of what should be visible is found where '
+            'the object was expected.')
 
 
-def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement) -> bool:
-    """Whether an image leaves a rotation open: what is seen of an outline fits many poses."""
-    full = (basis @ measured.covariance @ basis.T)[:3, :3]
+def leaves_turn_open(basis: np.ndarray, measured: PoseMeasurement, free: np.ndarray) -> bool:
+    """
+    Whether an image leaves a rotation open: what is seen of an outline fits many poses.
+
+    Turns that no image of the shape could show, free (size, k), do not count.
+    """
+    full = without_free(basis @ measured.covariance @ basis.T, free)[:3, :3]
     return len(basis) == 6 and float(np.linalg.eigvalsh(full)[-1]) > _OPEN_RAD**2

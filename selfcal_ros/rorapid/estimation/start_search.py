@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
-from selfcal_ros.rorapid.estimation.pose_search import best_turned
+from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
@@ -53,6 +53,8 @@ class StartSearch:
         Covariance of the guess.
     outline : bool
         The object is a mesh, known by its outline.
+    free : ndarray, shape (k, 6)
+        Turns that the shape leaves open.
 
     Attributes
     ----------
@@ -65,8 +67,10 @@ class StartSearch:
 
     """
 
-    def __init__(self, guess: ObjectPose, spread: np.ndarray, outline: bool):
+    def __init__(self, guess: ObjectPose, spread: np.ndarray, outline: bool,
+                 free: np.ndarray = NOT_FREE):
         """Begin."""
+        self._free = free
         self.guess, self.tries, self.support = guess, 0, Support()
         self._spread, self._outline = spread, outline
         self._searches, self._held, self.sure = 0, 0, False
@@ -76,9 +80,10 @@ class StartSearch:
         self._images = 1
 
     @classmethod
-    def again(cls, guess: ObjectPose, spread: np.ndarray) -> StartSearch:
+    def again(cls, guess: ObjectPose, spread: np.ndarray,
+              free: np.ndarray = NOT_FREE) -> StartSearch:
         """Confirm an outline that was found; it must be sure in several images in a row."""
-        search = cls(guess, spread, True)
+        search = cls(guess, spread, True, free)
         search._images = _OUTLINE_IMAGES
         return search
 
@@ -120,7 +125,8 @@ class StartSearch:
                 poses.append((measured.state, support))
                 measured, self._rival = method.measure(image, state, wide), support
                 support, other = check.support(image, measured.state), True
-            self._turned = best_turned(poses, measured.state)
+            self._turned = best_turned(poses, measured.state,
+                                       self._free)
         self.tries += 1
         self.sure = not other and (check.sure(support) or check.alone(support, self._turned))
         self._held = self._held + 1 if self.sure else 0

@@ -93,8 +93,16 @@ def track_quality(options: TrackerOptions, edges: float, matches: TextureMatches
     return float(share), by_edges or by_corners
 
 
-def determines_pose(projection: Projection, basis: np.ndarray, information: np.ndarray) -> bool:
-    """Whether the information (m, m) of one image determines the pose; the focal may stay open."""
+def determines_pose(projection: Projection, basis: np.ndarray, information: np.ndarray,
+                    free: np.ndarray) -> bool:
+    """
+    Whether the information (m, m) of one image determines the pose.
+
+    The focal length may stay open, and turns that a body of revolution does not show: free,
+    (size, k).
+    """
+    along = basis.T @ free
+    information = information + (along * (np.diagonal(information) @ along**2)) @ along.T
     if projection.model == 'zoom':
         information = (basis @ information @ basis.T)[:6, :6]
     scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))

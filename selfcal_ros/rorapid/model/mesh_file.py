@@ -27,11 +27,14 @@ import re
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.polygon import cut_into_triangles
 from selfcal_ros.values.foreign_files import read_limited
 from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.polyhedron import polyhedron
 from selfcal_ros.values.wireframe import WireframeModel
 
+#: Rows of a binary file that are read together at first.
+_TOGETHER = 64
 #: Longer files are refused, bytes.
 _LARGEST = 400_000_000
 #: Objects smaller or larger than this are in another unit, metres.
@@ -65,6 +68,8 @@ def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
 
     """
     data = read_limited(path, _LARGEST)
+    if not data:
+        raise InputError(f'{path} is empty.')
     try:
         vertices, triangles = _READERS[path.suffix.lower()](data)
     except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
@@ -85,14 +90,39 @@ def read_mesh(path: Path, scale: float = 1.0) -> WireframeModel:
     return mesh if plane is None else plane
 
 
-def _fan(loop: list[int]) -> list[tuple[int, int, int]]:
-    """Cut a polygon into triangles."""
-    return [(loop[0], loop[k], loop[k + 1]) for k in range(1, len(loop) - 1)]
+def _cut(vertices: np.ndarray, loops: list[list[int]]) -> np.ndarray:
+    """Cut polygons, convex or not, into triangles (T, 3)."""
+    found = [np.zeros((0, 3), int)]
+    sizes = np.array([len(loop) for loop in loops], int)
+    for size in np.unique(sizes[sizes >= 3]):
+        polygons = np.array([loops[k] for k in np.flatnonzero(sizes == size)], int)
+        bent = np.zeros(0, int)
+        # an index of no vertex is told later on, with a sentence
+        if size > 3 and 0 <= polygons.min() and polygons.max() < len(vertices):
+            corners = vertices[polygons]
+            span = np.roll(corners, -1, axis=1) - corners
+            turn = np.cross(np.roll(span, 1, axis=1), span)
+            normal = np.cross(corners - corners[:, :1], span).sum(axis=1)
+            ahead = (turn * normal[:, None]).sum(axis=2)
+            bent = np.flatnonzero(ahead.min(axis=1) < -1e-9 * (normal**2).sum(axis=1))
+        for polygon in polygons[bent]:
+            cut = cut_into_triangles(vertices[polygon])
+            found.append(_fans(polygon[None]) if cut is None else polygon[cut])
+        found.append(_fans(np.delete(polygons, bent, axis=0)))
+    return np.concatenate(found)
+
+
+def _fans(polygons: np.ndarray) -> np.ndarray:
+    """Cut convex polygons (P, k) into triangles (T, 3)."""
+    k = np.arange(1, polygons.shape[1] - 1)
+    return np.stack([np.broadcast_to(polygons[:, :1], (len(polygons), len(k))), polygons[:, k],
+                     polygons[:, k + 1]], axis=2).reshape(-1, 3)
 
 
 def _read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    vertices, triangles = [], []
-    for line in data.decode('utf-8', errors='replace').splitlines():
+    vertices, loops = [], []
+    text = data.decode('utf-8', errors='replace')
+    for line in re.sub(r'\\\r?\n', ' ', text).splitlines():
         words = line.split()
         if not words:
             continue
@@ -101,18 +131,21 @@ def _read_obj(data: bytes) -> tuple[np.ndarray, np.ndarray]:
         elif words[0] == 'f':
             loop = [int(word.split('/')[0]) for word in words[1:]]
             # counted from 1, or backwards from the end
-            triangles += _fan([k - 1 if k > 0 else len(vertices) + k for k in loop])
-    return np.array(vertices, float).reshape(-1, 3), np.array(triangles, int).reshape(-1, 3)
+            loops.append([k - 1 if k > 0 else len(vertices) + k for k in loop])
+    places = np.array(vertices, float).reshape(-1, 3)
+    return places, _cut(places, loops)
 
 
 def _read_stl(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     count = int.from_bytes(data[80:84], 'little') if len(data) >= 84 else -1
-    if len(data) == 84 + 50 * count:
+    size = 84 + 50 * count
+    # some programs write more behind the triangles
+    if len(data) == size or 0 < count and size < len(data):
         record = np.dtype([('normal', '<f4', 3), ('corners', '<f4', (3, 3)), ('rest', '<u2')])
         corners = np.frombuffer(data, record, count, 84)['corners'].reshape(-1, 3).astype(float)
     else:
         text = data.decode('ascii', errors='replace')
-        found = re.findall(r'vertex\s+(\S+)\s+(\S+)\s+(\S+)', text)
+        found = re.findall(r'vertex\s+(\S+)\s+(\S+)\s+(\S+)', text, re.IGNORECASE)
         if not found and not text.lstrip().lower().startswith('solid'):
             raise ValueError('it does not begin with "solid", as text would, and is not as long '
                              'as its number of triangles says')
@@ -136,44 +169,90 @@ def _read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ['property']:
             elements[-1][2].append(words[1:])
-    if kind == 'ascii':
-        return _ply_text(body, elements)
-    order = _ORDERS[kind]
-    vertices, triangles, at = np.zeros((0, 3)), [], 0
+    lines = [line.split() for line in body.decode('ascii', errors='replace').splitlines()
+             ] if kind == 'ascii' else []
+    lines = [line for line in lines if line]
+    vertices, loops, at = np.zeros((0, 3)), [], 0
     for name, count, properties in elements:
-        if name != 'face' or properties[0][0] != 'list':
-            record = np.dtype([(p[-1], order + _TYPES[p[0]]) for p in properties])
-            rows = np.frombuffer(body, record, count, at)
+        names = [p[-1] for p in properties]
+        lists = [k for k, p in enumerate(properties) if p[0] == 'list']
+        if kind != 'ascii' and not lists:
+            record = _record(properties, [], _ORDERS[kind])
+            block = np.frombuffer(body, record, count, at)
             at += count * record.itemsize
             if name == 'vertex':
-                vertices = np.column_stack([rows[axis] for axis in 'xyz']).astype(float)
+                vertices = np.column_stack([block[f'v{names.index(axis)}'] for axis in 'xyz']
+                                           ).astype(float)
             continue
-        size, index = (np.dtype(order + _TYPES[word]) for word in properties[0][1:3])
-        rest = sum(np.dtype(_TYPES[p[0]]).itemsize for p in properties[1:])
-        for _ in range(count):
-            corners = int(np.frombuffer(body, size, 1, at)[0])
-            at += size.itemsize
-            loop = np.frombuffer(body, index, corners, at).tolist()
-            at += corners * index.itemsize + rest
-            triangles += _fan(loop)
-    return vertices, np.array(triangles, int).reshape(-1, 3)
-
-
-def _ply_text(body: bytes, elements) -> tuple[np.ndarray, np.ndarray]:
-    lines = [line.split() for line in body.decode('ascii', errors='replace').splitlines()]
-    lines = [line for line in lines if line]
-    vertices, triangles, at = np.zeros((0, 3)), [], 0
-    for name, count, properties in elements:
-        part = lines[at:at + count]
-        at += count
+        if kind == 'ascii':
+            rows = [_row(line, properties) for line in lines[at:at + count]]
+            at += count
+        else:
+            rows, at = _rows(body, at, count, properties, _ORDERS[kind])
         if name == 'vertex':
-            names = [p[-1] for p in properties]
-            vertices = np.array([[float(row[names.index(axis)]) for axis in 'xyz']
-                                 for row in part]).reshape(-1, 3)
+            column = [names.index(axis) for axis in 'xyz']
+            vertices = np.array([[row[k] for k in column] for row in rows], float).reshape(-1, 3)
         elif name == 'face':
-            for row in part:
-                triangles += _fan([int(word) for word in row[1:1 + int(row[0])]])
-    return vertices, np.array(triangles, int).reshape(-1, 3)
+            corners = min(lists, key=lambda k: not names[k].startswith('vertex'))
+            loops = [[int(word) for word in row[corners]] for row in rows]
+    return vertices, _cut(vertices, loops)
+
+
+def _row(words: list[str], properties: list[list[str]]) -> list:
+    """Values of one line of text: a word for each property, and a list of words for a list."""
+    row: list = []
+    at = 0
+    for kind, *_ in properties:
+        if kind == 'list':
+            count = int(words[at])
+            row.append(words[at + 1:at + 1 + count])
+            at += count
+        else:
+            row.append(words[at])
+        at += 1
+    return row
+
+
+def _rows(body: bytes, at: int, count: int, properties: list[list[str]], order: str):
+    """Values of binary rows from a place on, as `_row` has them, and the place behind."""
+    rows: list = []
+    most = _TOGETHER
+    while properties and len(rows) < count:
+        lengths, place = [], at
+        for kind, *rest in properties:
+            size = np.dtype(order + _TYPES[rest[0] if kind == 'list' else kind])
+            if kind == 'list':
+                lengths.append(int(np.frombuffer(body, size, 1, place)[0]))
+                place += lengths[-1] * np.dtype(_TYPES[rest[1]]).itemsize
+            place += size.itemsize
+        record = _record(properties, lengths, order)
+        there = min(count - len(rows), (len(body) - at) // record.itemsize)
+        if there < 1:
+            raise ValueError('it ends too early')
+        # as long as rows have lists of one length they are read together
+        block = np.frombuffer(body, record, min(there, most), at)
+        alike = np.ones(len(block), bool)
+        for k, p in enumerate(properties):
+            if p[0] == 'list':
+                alike &= block[f'n{k}'] == block[f'n{k}'][0]
+        most = most * 4 if alike.all() else _TOGETHER
+        block = block if alike.all() else block[:int(np.argmin(alike))]
+        rows += zip(*(block[f'v{k}'].tolist() for k in range(len(properties))))
+        at += len(block) * record.itemsize
+    return rows, at
+
+
+def _record(properties: list[list[str]], lengths: list[int], order: str) -> np.dtype:
+    """Layout of a binary row whose lists have these lengths: values v0, v1, ...; lengths n..."""
+    fields: list[tuple] = []
+    length = iter(lengths)
+    for k, (kind, *rest) in enumerate(properties):
+        if kind == 'list':
+            fields += [(f'n{k}', order + _TYPES[rest[0]]),
+                       (f'v{k}', order + _TYPES[rest[1]], (next(length),))]
+        else:
+            fields.append((f'v{k}', order + _TYPES[kind]))
+    return np.dtype(fields)
 
 
 _READERS: dict[str, Callable[[bytes], tuple[np.ndarray, np.ndarray]]] = {

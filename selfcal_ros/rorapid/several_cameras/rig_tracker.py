@@ -29,8 +29,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.rorapid.edges.control_points import free_at
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
+from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import (
     ConstantVelocityFilter, DAMPING, seconds_between)
 from selfcal_ros.rorapid.estimation.track_quality import RANK_TOLERANCE
@@ -250,6 +252,9 @@ class RigTracker:
                 self.eyes[k].is_apart = k in others or found is not None
             doubt, apart = self._told(seen, others, place)
             self._take(place, np.linalg.inv(known))
+            if self._kalman is not None and len(self.model.free_turns):
+                hold_free(self._kalman, self._free(place),
+                          np.sum([seen[k].information for k in group], axis=0))
             self._misses = self._unseen = 0
             good = any(seen[k].good for k in group)
             told = [(f'{self._names[k]}: {view.doubt}', self.eyes[k].doubted()) for k in group
@@ -266,6 +271,10 @@ class RigTracker:
             if view is not None:
                 eye.settle(k in group or k in others)
         return self._frame(views, group, reason, doubt, apart, stamp_ns)
+
+    def _free(self, place: ObjectPose) -> np.ndarray:
+        """Corrections (6, k) that the shape leaves open."""
+        return free_at(self.model.free_turns, place, self._projection)
 
     def _take(self, place: ObjectPose, spread: np.ndarray) -> None:
         """Take over a pose with its covariance (6, 6)."""
@@ -366,7 +375,10 @@ class RigTracker:
             return RigFrame(tracked, tuple(views), sees)
         arm = kalman.state.rotation @ self._centre
         carry = recentring(arm)
-        pose = carry @ (kalman.spread + apart) @ carry.T
+        spread = kalman.spread
+        if len(self.model.free_turns):
+            spread = with_any_turn(spread, self._free(kalman.state))
+        pose = carry @ (spread + apart) @ carry.T
         shares = [view.share_found for k, view in enumerate(views)
                   if view is not None and (k in group or not group)]
         tracked = replace(

@@ -29,7 +29,7 @@ from scipy.spatial import ConvexHull
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
-from selfcal_ros.values.mesh import borders
+from selfcal_ros.values.mesh_orientation import borders
 from selfcal_ros.values.wireframe import WireframeModel
 
 _HIDDEN, _VISIBLE, _UNSURE = 0, 1, 2
