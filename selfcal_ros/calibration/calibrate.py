@@ -90,11 +90,10 @@ NEARLY_TURNS = 10.0
 AS_LITTLE, FAR_FROM_TURNS = 2.0, 0.1
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
-#: Refusals of paths that explain the images, whatever the focal length is.
-OF_OPEN_PATH = ('parameters_undetermined', 'unlike_rotations', 'flat_turntable',
-                'circle_undetermined')
 #: Refusals of circular motion, which name the fact that is missing.
 OF_CIRCLES = ('flat_turntable', 'circle_undetermined')
+#: Refusals of paths that explain the images, whatever the focal length is.
+OF_OPEN_PATH = ('parameters_undetermined', 'unlike_rotations', *OF_CIRCLES)
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
@@ -336,9 +335,8 @@ def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFact
                     if isinstance(turning, RotationFit)
                     else turning)
     if rotating:
-        simpler = not moving or (rotating.noise_sigma_px
-                                 <= ROTATION_NOISE * moving.noise_sigma_px)
-        simpler = simpler and not _hides_path(rotating, moving)
+        simpler = not _hides_path(rotating, moving) and (
+            not moving or rotating.noise_sigma_px <= ROTATION_NOISE * moving.noise_sigma_px)
         return rotating if motion == 'auto' and simpler else moving
     if not moving and graph.parallax < PARALLAX_RATIO:
         plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)

@@ -29,7 +29,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.values.mesh_orientation import borders, edge_counts, oriented
+from selfcal_ros.values.mesh_orientation import (
+    borders, edges_of, face_normals, oriented, unit)
 from selfcal_ros.values.mesh_simplified import simplified
 from selfcal_ros.values.mesh_symmetry import free_turns
 from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
@@ -113,7 +114,7 @@ class MeshModel(WireframeModel):
         triangles, turned = oriented(vertices, triangles)
         if turned:
             remarks.append(f'{turned} faces that looked inwards were turned round.')
-        open_edges = int((edge_counts(triangles) == 1).sum())
+        open_edges = int((edges_of(triangles)[1] == 1).sum())
         if open_edges:
             remarks.append(f'The mesh is open: {open_edges} edges bound one face only.')
         if len(triangles) > MOST_FACES:
@@ -122,8 +123,7 @@ class MeshModel(WireframeModel):
             vertices, triangles, *_ = _clean(vertices, triangles, np.arange(len(vertices)))
             remarks.append(f'{before} faces were simplified to {len(triangles)}, which lie up to '
                            f'{1e3 * off:.2g} mm off.')
-        normals = _unit(np.cross(*np.moveaxis(
-            vertices[triangles[:, 1:]] - vertices[triangles[:, :1]], 1, 0)))
+        normals = unit(face_normals(vertices, triangles))
         lines, sides, smooth = _creases(vertices, triangles, normals)
         model = cls(vertices, lines, name=name, normals=normals, smooth=smooth, line_sides=sides,
                     remarks=tuple(remarks))
@@ -146,13 +146,13 @@ class MeshModel(WireframeModel):
     def smooth_normals(self) -> np.ndarray:
         """Unit normals (S, 3) of the smooth vertices, weighed by the angles of their corners."""
         corners = self.vertices[self.triangles]
-        one = _unit(np.roll(corners, -1, axis=1) - corners)
-        two = _unit(np.roll(corners, 1, axis=1) - corners)
+        one = unit(np.roll(corners, -1, axis=1) - corners)
+        two = unit(np.roll(corners, 1, axis=1) - corners)
         angle = np.arccos(np.clip((one * two).sum(axis=2), -1, 1))
         total = np.zeros((int(self.smooth.max()) + 1, 3))
         np.add.at(total, self.smooth.ravel(),
                   (angle[..., None] * self.normals[:, None]).reshape(-1, 3))
-        return _unit(total)
+        return unit(total)
 
     @cached_property
     def smooth_points(self) -> np.ndarray:
@@ -164,28 +164,21 @@ class MeshModel(WireframeModel):
     @cached_property
     def free_turns(self) -> np.ndarray:           # type: ignore[override]
         """Turns (k, 6) about the middle that do not change it: see `mesh_symmetry`."""
-        area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(
-            self.vertices[self.triangles[:, 1:]] - self.vertices[self.triangles[:, :1]], 1, 0)),
-            axis=1)
+        area = 0.5 * np.linalg.norm(face_normals(self.vertices, self.triangles), axis=1)
         share = np.bincount(self.smooth.ravel(), np.repeat(area / 3, 3))
         return free_turns(self.smooth_points - self.centre, self.smooth_normals, share)
 
     @cached_property
     def smooth_edges(self) -> np.ndarray:
         """Pairs (E, 2) of smooth vertices that a face joins."""
-        return np.unique(np.sort(borders(self.smooth), axis=1), axis=0)
-
-
-def _unit(vectors):
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+        return edges_of(self.smooth)[0]
 
 
 def _clean(vertices, triangles, same):
     """Join vertices in one place; leave out what is unused, and faces twice or without area."""
     triangles = same[triangles] if len(triangles) else triangles.reshape(0, 3)
     before = len(triangles)
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(face_normals(vertices, triangles), axis=1)
     size = max(float(np.ptp(vertices, axis=0).max(initial=0.0)), 1e-12) if len(vertices) else 1.0
     good = (area > 1e-10 * size**2) & (triangles[:, 0] != triangles[:, 1]) & (
         triangles[:, 1] != triangles[:, 2]) & (triangles[:, 2] != triangles[:, 0])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Which way the faces of a mesh look: out of the bodies that they bound."""
+"""Faces of a mesh, their edges and normals, and which way they look: out of what they bound."""
 
 from __future__ import annotations
 
@@ -30,11 +30,25 @@ def borders(triangles: np.ndarray) -> np.ndarray:
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
-def edge_counts(triangles: np.ndarray) -> np.ndarray:
-    """How many triangles (T, 3) each edge bounds, (E,) of int."""
+def edges_of(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the edges (E, 2) of triangles (T, 3), in order, and how many each bounds, (E,)."""
     low, high = np.sort(borders(triangles), axis=1).T
-    count: np.ndarray = np.unique(low * (int(high.max()) + 1) + high, return_counts=True)[1]
-    return count
+    count = int(high.max(initial=0)) + 1
+    key, size = np.unique(low * count + high, return_counts=True)
+    return np.column_stack([key // count, key % count]), size
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) of length 1; those of none stay as they are."""
+    shortened: np.ndarray = vectors / np.maximum(
+        np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return shortened
+
+
+def face_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return normals (T, 3) of faces, as long as twice their area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
 
 
 def oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
@@ -59,10 +73,9 @@ def oriented(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, i
     agreed, part = _agreed(triangles)
     corners = vertices[agreed] - vertices.mean(axis=0)
     volume = np.bincount(part, np.linalg.det(corners) / 6)
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0],
-                                         corners[:, 2] - corners[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(face_normals(vertices, agreed), axis=1)
     bounds = np.stack([_over(np.minimum, part, corners.min(axis=1)),
-                       -_over(np.minimum, part, -corners.max(axis=1))], axis=1)
+                       _over(np.maximum, part, corners.max(axis=1))], axis=1)
     # about its own middle the volume of a flat part is none
     whole = np.bincount(part, area)
     middle = np.column_stack([np.bincount(part, area * corners[:, :, k].mean(axis=1))
@@ -98,8 +111,8 @@ def _agreed(triangles):
     _, index, size = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True,
                                return_counts=True)
     order = np.argsort(index.ravel(), kind='stable')
-    first = order[np.concatenate([[0], np.cumsum(size)[:-1]])[size == 2]]
-    second = order[(np.concatenate([[0], np.cumsum(size)[:-1]]) + 1)[size == 2]]
+    begin = (np.cumsum(size) - size)[size == 2]
+    first, second = order[begin], order[begin + 1]
     # neighbours agree where they run along their edge in opposite ways
     agree = along[first] != along[second]
     one, other = face[first], face[second] + np.where(agree, 0, count)

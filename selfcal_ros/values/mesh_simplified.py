@@ -25,7 +25,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from selfcal_ros.values.mesh_orientation import borders
+from selfcal_ros.values.mesh_orientation import borders, edges_of, face_normals, unit
 
 #: Share of the edges that may shrink in one round, those that cost least.
 _CHEAPEST = 0.25
@@ -98,9 +98,9 @@ def simplified(vertices: np.ndarray, triangles: np.ndarray,
 
 def _in_cells(places, faces):
     """Join vertices of one cell that look the same way; vertices, faces, and which went where."""
-    normal = np.zeros_like(places)
+    normal, of_faces = np.zeros_like(places), face_normals(places, faces)
     for k in range(3):
-        np.add.at(normal, faces[:, k], _normals(places, faces))
+        np.add.at(normal, faces[:, k], of_faces)
     widest = np.abs(normal).argmax(axis=1)
     side = 2 * widest + (normal[np.arange(len(places)), widest] > 0)
     size = float(np.ptp(places, axis=0).max())
@@ -115,15 +115,6 @@ def _in_cells(places, faces):
     return middle / count[:, None], left[np.sort(first)], index
 
 
-def _unit(vectors):
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
-
-
-def _normals(places, faces):
-    a, b, c = (places[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
 def _flatness(places, faces, normals):
     """Twice the area of faces (F,) over the square of their longest side."""
     corners = places[faces]
@@ -133,18 +124,18 @@ def _flatness(places, faces, normals):
 
 def _quadrics(places, faces):
     """Sums of plane plane' (V, 4, 4) over the faces of each vertex, by area; borders too."""
-    normal = _normals(places, faces)
+    normal = face_normals(places, faces)
     area = np.linalg.norm(normal, axis=1) / 2
     total = np.zeros((len(places), 4, 4))
-    _add(total, faces, _unit(normal), places[faces[:, 0]], area)
+    _add(total, faces, unit(normal), places[faces[:, 0]], area)
     ends = borders(faces)
     low, high = np.sort(ends, axis=1).T
     _, index, count = np.unique(low * len(places) + high, return_inverse=True,
                                 return_counts=True)
     lone = np.flatnonzero(count[index.ravel()] != 2)
     along = places[ends[lone, 1]] - places[ends[lone, 0]]
-    across = np.cross(along, _unit(normal)[lone % len(faces)])
-    _add(total, ends[lone], _unit(across), places[ends[lone, 0]],
+    across = np.cross(along, unit(normal)[lone % len(faces)])
+    _add(total, ends[lone], unit(across), places[ends[lone, 0]],
          _BORDER * (along**2).sum(axis=1))
     return total
 
@@ -158,7 +149,7 @@ def _add(total, corners, normal, point, weight):
 
 def _shrunk(places, faces, quadrics, surplus, share, most_m):
     """Shrink some edges: for each vertex the one it goes onto; new places; new quadrics."""
-    ends, size = _edges(faces, len(places))
+    ends, size = edges_of(faces)
     a, b = ends.T
     both = quadrics[a] + quadrics[b]
     point, cost = _best(both, places[a], places[b])
@@ -184,7 +175,7 @@ def _shrunk(places, faces, quadrics, surplus, share, most_m):
         onto, moved = np.arange(len(places)), places.copy()
         onto[b[chosen]] = a[chosen]
         moved[a[chosen]] = moved[b[chosen]] = point[chosen]
-        old, new = _normals(places, faces), _normals(moved, faces)
+        old, new = face_normals(places, faces), face_normals(moved, faces)
         gone = (onto[faces] == np.roll(onto[faces], 1, axis=1)).any(axis=1)
         product = (old * new).sum(axis=1)
         size = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
@@ -226,13 +217,6 @@ def _best(quadrics, one, other):
     return middle + ways[line, pick], np.maximum(value, 0)
 
 
-def _edges(faces, count):
-    """Edges (E, 2) of faces, and how many faces each bounds."""
-    low, high = np.sort(borders(faces), axis=1).T
-    key, size = np.unique(low * count + high, return_counts=True)
-    return np.column_stack([key // count, key % count]), size
-
-
 def _keeps_surface(ends, size, chosen, count):
     """Which edges leave a surface: their ends have only corners of their faces in common."""
     rows = np.concatenate([ends[:, 0], ends[:, 1]])
@@ -250,7 +234,7 @@ def _keeps_surface(ends, size, chosen, count):
 
 def _deviation(vertices, places, faces, stands):
     """Largest distance of vertices (V, 3) from the planes of faces at those they went onto."""
-    normal = _unit(_normals(places, faces))
+    normal = unit(face_normals(places, faces))
     least = np.full(len(vertices), np.inf)
     order = np.argsort(faces.ravel(), kind='stable')
     count = np.bincount(faces.ravel(), minlength=len(places))

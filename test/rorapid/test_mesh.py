@@ -27,7 +27,7 @@ from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
 from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer, ring
 from selfcal_ros.synthetic.objects import object_poses, perturbed
 from selfcal_ros.values.mesh import MeshModel
-from selfcal_ros.values.mesh_orientation import edge_counts
+from selfcal_ros.values.mesh_orientation import edges_of
 from selfcal_ros.values.mesh_simplified import simplified
 
 CAMERA = Camera(np.array([[520, 0, 320], [0, 520, 240], [0, 0, 1.0]]), (), 640, 480)
@@ -229,7 +229,7 @@ def test_a_thin_sheet_of_many_faces_stays_as_it_is():
     corners = fewer[0][fewer[1]]
     assert np.linalg.det(corners).sum() / 6 == pytest.approx(0.1 * 0.1 * 0.0005, rel=1e-6)
     assert np.allclose(np.abs(fewer[0] / [0.1, 0.1, 0.0005] - 0.5).max(axis=1), 0.5)
-    assert not len(np.setdiff1d(edge_counts(fewer[1]), 2))
+    assert not len(np.setdiff1d(edges_of(fewer[1])[1], 2))
 
 
 def test_the_outline_of_a_ball_is_its_rim():

@@ -217,7 +217,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     if refusal is not None:
         return refusal
     state, camera, path = found.state, found.state.camera(*problem.size), optimum.path
-    course = focal_course(fit, state, graph.frames, found.covariance, found.inflation)
+    course = focal_course(fit, state, graph.frames, found.covariance, found.dependence)
     covariance, of_facts = found.stated.widened(optimum.covariance, camera.parameter_names)
     # first, for all the rest rests on them
     findings = of_facts + course_findings(course) + found.findings
@@ -226,7 +226,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
     precision = precision_of(fit)
-    shutter = readout_of(fit, float(np.sqrt(found.inflation)))
+    shutter = readout_of(fit, float(np.sqrt(found.dependence)))
     # beside the camera the model predicts as little as behind it
     residuals = np.where(lengths(found.residual)[:, None] < max(problem.size), found.residual,
                          np.nan)

@@ -60,8 +60,8 @@ class SupportedOptimum:
     residual : ndarray, shape (N, 2)
         Pixels; NaN where the point is not ahead of the camera.
     findings : tuple of Finding
-    inflation : float
-        Errors are shared so that variances of independent ones grow by this factor.
+    dependence : float
+        Variance of the estimate over that with independent errors.
     field : DistortionMisfit or None
         What the lens does beyond its model.
     stated : FactsVerdict
@@ -75,7 +75,7 @@ class SupportedOptimum:
     covariance: np.ndarray
     residual: np.ndarray
     findings: tuple[Finding, ...]
-    inflation: float
+    dependence: float
     field: DistortionMisfit | None
     stated: FactsVerdict
     behind: float = 0.0
@@ -112,20 +112,20 @@ def supported_optimum(fit: RobustFit, model: ModelDecision, problem: SelfCalibra
 
     """
     shared = robust_covariance_of(fit, problem.size)
-    inflation = shared.inflation**2
+    dependence = shared.inflation**2
     field = find_distortion_misfit(fit, problem.size, shared.ratios['track']**2,
                                    possible_decentring(fit))
-    hidden = hidden_decentring(fit, inflation,
+    hidden = hidden_decentring(fit, dependence,
                                *(() if field is None else (field.modes, field.size_px)))
     residual = np.where(fit.linearisation.ahead[:, None], fit.linearisation.residual, np.nan)
-    found = SupportedOptimum(fit.state, shared.covariance, residual, shared.findings(), inflation,
-                             field, _of_facts(fit, problem, stated, inflation, field, hidden))
+    found = SupportedOptimum(fit.state, shared.covariance, residual, shared.findings(), dependence,
+                             field, _of_facts(fit, problem, stated, dependence, field, hidden))
     if field is not None:
         # the field is what the image's regions share
         found = replace(found.moved_to(field),
                         findings=(*shared.findings('track'), *field.findings()))
     ratio, added = model.jackknife
-    found = found.widened(added + model.profile_excess * inflation, segment_findings(ratio))
+    found = found.widened(added + model.profile_excess * dependence, segment_findings(ratio))
     # what no model has is no error of the images, and comes after
     posterior = lens_posterior(fit, found.state, found.covariance, found.residual)
     if posterior is not None:
@@ -134,21 +134,21 @@ def supported_optimum(fit: RobustFit, model: ModelDecision, problem: SelfCalibra
         found = _with_points_ahead(found, fit, problem.motion.fixed_pivot)
     if hidden is not None:
         found = found.widened(hidden.covariance, hidden.findings())
-    prism = possible_prism(fit, found.covariance, inflation)
+    prism = possible_prism(fit, found.covariance, dependence)
     return found if prism is None else found.widened(prism.covariance, prism.findings())
 
 
 def _of_facts(fit: RobustFit, problem: SelfCalibrationProblem, stated: CameraFacts,
-              inflation: float, field: DistortionMisfit | None,
+              dependence: float, field: DistortionMisfit | None,
               hidden: HiddenDecentring | None) -> FactsVerdict:
     """Hold the facts against the images."""
-    verdict = examine_facts(fit, stated, problem.size, inflation, hidden)
+    verdict = examine_facts(fit, stated, problem.size, dependence, hidden)
     if field is None or problem.facts.distortion == 'none':
         return verdict
     # what the lens does beyond its model is in the sigmas, or too much for any lens; unless
     # another model does the same
     return verdict.without(LENS_MODEL).blaming(
-        contradicted_lens(fit, stated, problem.size, inflation, field))
+        contradicted_lens(fit, stated, problem.size, dependence, field))
 
 
 def _with_points_ahead(found: SupportedOptimum, fit: RobustFit, is_pivot: bool,

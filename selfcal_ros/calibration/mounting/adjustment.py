@@ -19,7 +19,6 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtri
 
 from selfcal_ros.calibration.mount import mount_angles, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
@@ -29,6 +28,7 @@ from selfcal_ros.calibration.mounting.model import (
 from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.wrong_poses import agreeing, FALSE_ALARM, LEAST_SPARE
+from selfcal_ros.geometry.chances import f_limit
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
@@ -76,7 +76,8 @@ class Adjustment:
         self._camera, self._track, self._rows = camera, track, rows
         self._stated = facts.stated
         # of what a pose in a plane does not measure there is no misfit
-        self._size = 3 if track.flat else 6
+        self._measured = np.isin(np.arange(6), (0, 1, 5)) if track.flat else np.ones(6, bool)
+        self._size = int(self._measured.sum())
         self._tail = _ODOMETRY_TAIL if track.odometry else _TAIL
         k = camera.roots.shape[2]
         free = np.ones(COUNT + k, bool)
@@ -306,7 +307,6 @@ class Adjustment:
             cost = self.descend(state, errors)[1] + float(
                 np.linalg.slogdet(errors.covariances())[1].sum())
         keep, least = self._first_verdicts(state, errors)
-        measured = np.array([not self._track.flat or k in (0, 1, 5) for k in range(6)])
         freedom = np.full(len(errors.variances), np.inf)
         for turn in range(_ROUNDS):
             state, _ = self.descend(state, errors, keep)
@@ -317,7 +317,7 @@ class Adjustment:
             errors, freedom = errors.refined(prediction.residual, spread, keep)
             if not self._track.odometry:
                 errors = errors.in_a_row(prediction.residual, keep)
-            near = agreeing(before, prediction.residual, spread, keep, measured)
+            near = agreeing(before, prediction.residual, spread, keep, self._measured)
             if near.sum() < least:
                 # no mount is made of so few
                 return Optimum(state, covariance, information, errors, errors, freedom,
@@ -339,7 +339,7 @@ class Adjustment:
         distances = self._distances(self.predict(state), errors)
         count, unknown = len(distances), int(self._free[:COUNT].sum())
         spare = max(self._size * count - unknown, 1)
-        keep = distances < self._size * float(fdtri(self._size, spare, 1 - FALSE_ALARM / count))
+        keep = distances < self._size * float(f_limit(FALSE_ALARM / count, self._size, spare))
         least = min(1 + (unknown + LEAST_SPARE) / self._size, count)
         # fewer would fit anything
         return (keep if keep.sum() >= least else np.ones(count, bool)), least

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.values.body_poses import BodyPoses, ODOMETRY
 
@@ -33,8 +34,8 @@ FLAT_M, FLAT_RAD = 1e-6, 1e-6
 _RATE_STEPS, _LONGEST_RATE_S = 2.5, 0.4
 #: Of absolute poses, noise may make this share of the rates; longer windows blur the motion.
 _NOISE_SHARE = 0.1
-#: The third difference of white noise, in its sigmas; the median size of a normal variable.
-_THIRD, _MEDIAN = 20**0.5, 0.6745
+#: The third difference of white noise, in its sigmas.
+_THIRD = 20**0.5
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,7 @@ class BodyTrack:
         turns = rotation_vector(np.swapaxes(R[:-1], 1, 2) @ R[1:])
         steps = np.concatenate([np.diff(self._poses.position, axis=0), turns], axis=1)
         third = np.diff(steps, n=2, axis=0)[run]
-        sizes: np.ndarray = np.median(np.abs(third), axis=0) / (_MEDIAN * _THIRD)
+        sizes: np.ndarray = robust_sigma(third, axis=0) / _THIRD
         return sizes
 
     def _rate_window(self) -> float:

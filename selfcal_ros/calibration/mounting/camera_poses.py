@@ -36,7 +36,7 @@ _ROUNDING = 1e-12
 #: What poses tell of the lens counts from this share of what images leave open.
 _TOLD = 1e-3
 #: A path lies in a plane where its height over its extent is less than this.
-FLAT = 0.02
+_FLAT = 0.02
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,12 @@ class CameraPoses:
     def stiff(self) -> CameraPoses:
         """Take the poses as exact."""
         return replace(self, roots=self.roots[:, :, :0], lens_root=self.lens_root[:, :0])
+
+    def gained_of_lens(self, covariance: np.ndarray) -> np.ndarray:
+        """Return what w of covariance (k, k), not unity, takes off that of the lens, (n, n)."""
+        L = self.lens_root
+        gained: np.ndarray = L @ (np.eye(len(covariance)) - covariance) @ L.T
+        return gained
 
     def moved(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rotation (V, 3, 3) and centre (V, 3) after deviations w (k,)."""
@@ -184,7 +190,7 @@ def _in_a_middle_world(roots: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """
     turned = roots[:, 3:].mean(axis=0)
     middle = centre - centre.mean(axis=0)
-    if np.ptp(middle[:, 2]) < FLAT * np.ptp(middle[:, :2], axis=0).max():
+    if np.ptp(middle[:, 2]) < _FLAT * np.ptp(middle[:, :2], axis=0).max():
         # what it takes for the heights (g x c)_z to stay
         lifted = roots[:, 2] - roots[:, 2].mean(axis=0) + (cross_matrix(middle) @ turned)[:, 2]
         turned[:2] += np.linalg.lstsq(middle[:, 1::-1] * [1.0, -1.0], lifted, rcond=None)[0]
@@ -222,8 +228,7 @@ def chance_of_pull(poses: CameraPoses, w: np.ndarray, covariance: np.ndarray) ->
         Little where poses of the body and images disagree about the lens.
 
     """
-    L = poses.lens_root
-    gained = L @ (np.eye(len(w)) - covariance) @ L.T
+    L, gained = poses.lens_root, poses.gained_of_lens(covariance)
     size = np.sqrt(np.maximum(np.diag(gained), 0))
     free = size > _TOLD * np.sqrt(np.sum(L**2, axis=1))
     if not free.any():
@@ -257,8 +262,7 @@ def with_lens(calibration: Calibration, poses: CameraPoses, w: np.ndarray,
     lens = Lens.of(camera).moved(poses.lens_root @ w)
     if not len(w) or not lens.is_possible:
         return calibration
-    L = poses.lens_root
-    gained = to_parameters(L @ (np.eye(len(w)) - covariance) @ L.T, Lens.of(camera))
+    gained = to_parameters(poses.gained_of_lens(covariance), Lens.of(camera))
     narrowed = calibration.covariance - gained
     return replace(calibration, camera=lens.camera(camera.width, camera.height),
                    covariance=(narrowed + narrowed.T) / 2)

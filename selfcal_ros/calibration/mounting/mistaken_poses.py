@@ -35,7 +35,7 @@ from selfcal_ros.geometry.estimate import NoEstimate
 #: What is meant leaves so many times less than what was given.
 TIMES = 5.0
 #: Without so many images anything may agree.
-LEAST_IMAGES = 6
+ENOUGH_IMAGES = 6
 _AXES = 'xyz'
 
 
@@ -65,7 +65,7 @@ def what_is_meant(camera: CameraPoses, track: BodyTrack, offset: float, rows: np
         return None
     found: list[tuple[float, NoEstimate]] = []
     for images, other, why in _alternatives(camera, track, body, rows):
-        if len(images) < min(LEAST_IMAGES, len(camera)):
+        if len(images) < min(ENOUGH_IMAGES, len(camera)):
             continue
         left = _best(images, other)
         turns, ways = (a > AGREES and b * TIMES < a for a, b in zip(given, left))

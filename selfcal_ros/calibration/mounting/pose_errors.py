@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.mounting.body_track import BodyTrack
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.body_poses import BodyPoses
 
 #: No pose is better than this, metres and radians: what is smaller is rounding, or what a linear
@@ -34,8 +35,6 @@ FEW = 12
 ANYWHERE_M = 1e4
 #: Even a robot that stands has a way, as noise: metres and radians.
 _STANDING = 1e-3
-#: Median of the size of a standard normal variable.
-_MEDIAN = 0.6745
 
 _Kinds = tuple[tuple[int, ...], ...]
 #: Kinds of errors of absolute poses, of those in a plane, and of odometry: components of a
@@ -166,7 +165,7 @@ class PoseErrors:
                 continue
             own = list(kind)
             spread = np.sqrt(np.diagonal(shape[keep], axis1=1, axis2=2)[:, own])
-            found[k] = (np.median(np.abs(residual[keep][:, own]) / spread) / _MEDIAN)**2
+            found[k] = robust_sigma(residual[keep][:, own] / spread)**2
         return self._with(found)
 
     def refined(self, residual: np.ndarray, spread: np.ndarray, keep: np.ndarray,

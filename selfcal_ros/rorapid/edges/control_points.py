@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
+from selfcal_ros.rorapid.projection.free_directions import apart_from, free_at
 
 #: Control points must be so far inside the image to be searched, pixels.
 _BORDER_PX = 3.0
@@ -77,32 +78,6 @@ class ControlView:
         return self.inside != 0
 
 
-def free_at(turns: np.ndarray, state: ObjectPose, projection: Projection) -> np.ndarray:
-    """
-    Corrections that leave a shape where it is.
-
-    Parameters
-    ----------
-    turns : ndarray, shape (k, 6)
-        `free_turns` of the model, object frame, about its middle.
-    state : ObjectPose
-        Of the middle.
-    projection : Projection
-
-    Returns
-    -------
-    ndarray, shape (size, k)
-        No columns for the affine camera.
-
-    """
-    size = projection.size
-    turns = turns if size < 8 else turns[:0]
-    out = np.zeros((size, len(turns)))
-    out[:3] = state.rotation @ turns[:, :3].T
-    out[3:6] = state.rotation @ turns[:, 3:].T
-    return out
-
-
 class ControlModel:
     """
     The primitives of a model, seen by one camera.
@@ -156,8 +131,7 @@ class ControlModel:
         What the shape leaves open moves nothing: its facets would pretend that it did.
         """
         rows = self.projection.rows(state, view.projected, view.normal)
-        free = self.free(state)
-        return rows - (rows @ free) @ np.linalg.pinv(free) if free.size else rows
+        return rows @ apart_from(self.free(state)) if len(self.free_turns) else rows
 
     def again(self, view: ControlView, state: ObjectPose) -> ControlView:
         """Return the same control points in a state nearby."""

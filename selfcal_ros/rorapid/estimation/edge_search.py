@@ -29,6 +29,7 @@ from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_n
 from selfcal_ros.rorapid.edges.limb import limb_shift
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
+from selfcal_ros.rorapid.projection.free_directions import apart_from
 from selfcal_ros.rorapid.region.outline_greys import OutlineGreys
 from selfcal_ros.rorapid.texture.corner_fit import CornerFit
 
@@ -326,7 +327,7 @@ class EdgeSearch:
         free = self.basis.T @ self._control.free(after)
         if free.size:
             # the last step has turned what the shape leaves open
-            keep = np.eye(m) - free @ np.linalg.pinv(free)
+            keep = apart_from(free)
             H, rows = keep @ H @ keep, rows @ keep
         measured = H + corner_H
         return EdgeFit(after, H, measured, measured + prior, prior @ (back + q), view, at,

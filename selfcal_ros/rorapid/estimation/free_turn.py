@@ -24,6 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
+from selfcal_ros.rorapid.projection.free_directions import apart_from
 
 #: A turn is held if the images tell it worse than this, radians; how firmly from image to image;
 #: and the sigma that is told of one that may be any.
@@ -67,6 +68,6 @@ def without_free(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def _apart(covariance, free, sigma):
-    keep = np.eye(len(covariance)) - free @ np.linalg.pinv(free)
+    keep = apart_from(free)
     result: np.ndarray = keep @ covariance @ keep.T + sigma**2 * free @ free.T
     return result

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.free_directions import apart_from
 
 #: Share of the velocity that is lost with each image in which nothing is seen.
 DAMPING = 0.3
@@ -161,7 +162,7 @@ class ConstantVelocityFilter:
         """
         m = self.basis.shape[1]
         along = self.basis.T @ directions
-        keep = np.eye(m) - along @ np.linalg.pinv(along)
+        keep = apart_from(along)
         self.velocity = keep @ self.velocity
         both = np.kron(np.eye(2), keep)
         self.covariance = both @ self.covariance @ both.T

@@ -125,8 +125,7 @@ class StartSearch:
                 poses.append((measured.state, support))
                 measured, self._rival = method.measure(image, state, wide), support
                 support, other = check.support(image, measured.state), True
-            self._turned = best_turned(poses, measured.state,
-                                       self._free)
+            self._turned = best_turned(poses, measured.state, self._free)
         self.tries += 1
         self.sure = not other and (check.sure(support) or check.alone(support, self._turned))
         self._held = self._held + 1 if self.sure else 0

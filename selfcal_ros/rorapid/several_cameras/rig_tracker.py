@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.rorapid.edges.control_points import free_at
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
@@ -38,6 +37,7 @@ from selfcal_ros.rorapid.estimation.kalman_filter import (
 from selfcal_ros.rorapid.estimation.track_quality import RANK_TOLERANCE
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
+from selfcal_ros.rorapid.projection.free_directions import free_at
 from selfcal_ros.rorapid.projection.motion_models import recentring
 from selfcal_ros.rorapid.several_cameras.agreement import Agreement, CONFLICT
 from selfcal_ros.rorapid.several_cameras.eye import Eye, Glimpse
