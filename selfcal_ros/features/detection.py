@@ -79,6 +79,13 @@ class Features:
                         np.concatenate([main[kept], further[rows]]), place[self.second[rows]],
                         (place[a[both]], place[b[both]], alike[both]))
 
+    @classmethod
+    def at_places(cls, xy: np.ndarray, size_px: np.ndarray) -> Features:
+        """Return places alone, without what they look like, which takes most of the memory."""
+        none = np.empty(0, int)
+        return cls(xy, size_px, np.empty((0, 128), np.uint8), none,
+                   (none, none, np.empty(0, np.float32)))
+
     def coarsest(self, most: int) -> Features:
         """Return the features of the largest blobs: a summary of the image."""
         return self.select(np.arange(len(self.xy)) < most)
@@ -153,9 +160,7 @@ def detect(grey: np.ndarray, most: int = 3000, cells: int = 12,
         rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
         keep = keep[order[np.argsort(rank, kind='stable')[:most]]]
     if not len(keep):
-        none = np.empty(0, int)
-        return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8), none,
-                        (none, none, np.empty(0, np.float32)))
+        return Features.at_places(np.empty((0, 2)), np.empty(0))
     # the largest first, and all orientations of a place together
     xy, size = at[keep] - _sift_offset_px(), size[keep] / 2
     tenths = np.round(10 * xy).astype(np.int64) @ [1 << 20, 1]

@@ -228,6 +228,7 @@ def _wide(album: _Album, report, max_keyframes, seed, findings: list[Finding], m
         features = [one.select(~rests) for one, rests in zip(features, resting)]
     matches, bend, static = match_pairs(features, propose_pairs(features), size, seed,
                                         lambda share: report('matching', share))
+    features = [Features.at_places(one.xy, one.size_px) for one in features]
     image, place, track, contradictory = link(features, matches)
     if not bend.straight:
         findings.append(Finding('division_model', distortion=float(bend.coefficients[0])))
