@@ -25,7 +25,7 @@ from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, CORNERS, grid_camera,
                                                grid_neighbours, grid_sequence, random_rotations)
 

@@ -34,8 +34,8 @@ from selfcal_ros.calibration.monitoring.camera_change import CHANGES
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import (adjusted, shared_within_tracks,
                                                              WindowScore, without_camera)
-from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.robust_loss import huber_weights
 
 #: Noise with which the linearised windows are set up, pixels: none to speak of.
 _FAINT_PX = 1e-3

@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 RUNS, PERIOD_S = 100, 1.0
 #: Keyframes before a change, within which it is to be noticed, and that a slow drift takes.

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from bench.tables import Report
 from bench.tracking_runs import cube_sequence, CubeSequence, follow, project_all
 import numpy as np
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.object_modelling import model_of_images, ModelledObject, ModelRequest
 from selfcal_ros.rorapid.acquisition.picked_vertices import PickedVertices, read_picked
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel

@@ -29,7 +29,7 @@ from selfcal_ros.findings.mounting import MOUNTING
 from selfcal_ros.findings.phrase import MOTIONS, put_in_words
 from selfcal_ros.findings.refusals import REFUSALS
 from selfcal_ros.findings.remarks import REMARKS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'selfcal_ros'

@@ -47,7 +47,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels

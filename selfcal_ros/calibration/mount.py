@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, sigmas_of_angles
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import roll_pitch_yaw, rotation_matrix
 
 #: The optical frame (x right, y down, z forward) of a level camera that looks straight ahead, in

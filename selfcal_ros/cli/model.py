@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the model; returns the exit status."""
-    from selfcal_ros.geometry.estimate import NoEstimate
+    from selfcal_ros.geometry.no_estimate import NoEstimate
     from selfcal_ros.pipeline.object_modelling import model_recording, ModelRequest
     from selfcal_ros.pipeline.sources import open_source
     from selfcal_ros.report.camera_files.known_camera import read_known_camera

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.resection import resect_linear
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.known_object import KnownObject

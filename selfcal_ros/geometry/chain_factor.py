@@ -42,7 +42,7 @@ class ChainFactor:
     ----------
     matrix : ChainMatrix, shape (n, n)
     selection : csr_array, shape (n, k)
-        Of `unknowns_of`.
+        Of `selection_matrix`.
     root : ndarray, shape (k,)
         What rows and columns are divided by.
     damping : float

@@ -181,7 +181,7 @@ class ChainMatrix:
         return diagonal
 
     def folded_diagonal(self, selection: csr_array) -> np.ndarray:
-        """Return the diagonal of Eᵀ A E, shape (k,), by E of `unknowns_of`."""
+        """Return the diagonal of Eᵀ A E, shape (k,), by E of `selection_matrix`."""
         if selection.nnz == selection.shape[1]:
             alone: np.ndarray = selection.T @ self.diagonal()
             return alone

@@ -28,7 +28,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix,
                                              normalising_transform, small_rotation)
 from selfcal_ros.geometry.propagation import pair_influence, residual_slopes

@@ -20,8 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ def homography(xy_a: ArrayLike, xy_b: ArrayLike, iterations: int = 8,
     for _ in range(iterations + 1):
         residual, J, noise = _transfer(h, x, uv)
         distance = np.linalg.norm(residual / noise, axis=1)
-        sigma = max(np.median(distance) / 1.1774 / np.sqrt(spare), 1e-12)
-        weight = np.minimum(1.0, huber_sigmas * sigma / np.maximum(distance, 1e-300))
+        sigma = max(robust_sigma_of_lengths(distance) / np.sqrt(spare), 1e-12)
+        weight = huber_weights(distance, huber_sigmas * sigma)
         root = np.sqrt(weight)[:, None] / noise / sigma
         basis = np.linalg.svd(h[None])[2][1:].T
         A = (J * root[..., None]).reshape(-1, 9) @ basis

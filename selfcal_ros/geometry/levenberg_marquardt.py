@@ -95,7 +95,7 @@ def places_of(unknowns: csr_array) -> np.ndarray | None:
     Parameters
     ----------
     unknowns : csr_array, shape (n, k)
-        Of `unknowns_of`.
+        Of `selection_matrix`.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def places_of(unknowns: csr_array) -> np.ndarray | None:
 
 
 def restricted(matrix: np.ndarray, unknowns: csr_array) -> np.ndarray:
-    """Return the normal matrix (k, k) of the independent unknowns, of `unknowns_of` (n, k)."""
+    """Return the normal matrix (k, k) of the independent unknowns of a selection (n, k)."""
     places = places_of(unknowns)
     if places is not None:
         of_places: np.ndarray = matrix[np.ix_(places, places)]
@@ -131,7 +131,7 @@ class DampedFactor:
     damping : float
         Levenberg-Marquardt factor.
     unknowns : csr_array, shape (n, k)
-        Of `unknowns_of`.
+        Of `selection_matrix`.
 
     Attributes
     ----------

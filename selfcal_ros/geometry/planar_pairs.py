@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (describe, eight_point, FundamentalEstimate,
                                               pair_residuals, PairMatches, refine_general,
                                               refine_pairs)
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import (completed_frame, cross_matrix, line_pair,
                                              small_rotation, unit)
 from selfcal_ros.geometry.propagation import pair_influence, residual_slopes

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.epipolar_distance import epipolar_residuals
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform
 
 #: Hypotheses that are scored at a time.

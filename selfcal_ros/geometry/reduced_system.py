@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 
 if TYPE_CHECKING:
-    from selfcal_ros.geometry.optimise import PointBlocks
+    from selfcal_ros.geometry.schur_complement import PointBlocks
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ class ReducedSystem:
         Parameters
         ----------
         selection : csr_array, shape (n, k)
-            Of `unknowns_of`.
+            Of `selection_matrix`.
 
         Returns
         -------

@@ -20,8 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous, normalising_transform, rq
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
 
 #: A camera matrix has eleven degrees of freedom; six points give twelve equations.
 MIN_POINTS = 6
@@ -211,8 +213,8 @@ def resect(points: ArrayLike, xy: ArrayLike, start: ArrayLike | None = None,
     for _ in range(iterations):
         if np.isfinite(huber_sigmas):
             distance = np.linalg.norm(r, axis=1)
-            limit = huber_sigmas * max(np.median(distance) / 1.1774, 1e-12)
-            weight = np.minimum(1.0, limit / np.maximum(distance, 1e-300))
+            limit = huber_sigmas * max(robust_sigma_of_lengths(distance), 1e-12)
+            weight = huber_weights(distance, limit)
         cost = float(np.sum(weight[:, None] * r**2))
         if not np.isfinite(cost):
             return NoEstimate('point_at_infinity')

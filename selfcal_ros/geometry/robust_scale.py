@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike
 
 #: Standard deviation of normal noise over the median of its absolute values.
 MAD_TO_SIGMA = 1.4826
+#: Median length of two-dimensional unit noise, sqrt(2 ln 2): that of Rayleigh's distribution.
+RAYLEIGH_MEDIAN = 1.1774
 
 
 @overload
@@ -68,8 +70,6 @@ def fast_robust_sigma(residual: np.ndarray, least: float) -> float:
     return max(MAD_TO_SIGMA * float(middle), least)
 
 
-def tukey_weight(residual: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
-    """Tukey's biweight, 1 at zero and 0 from the limit on."""
-    ratio = np.minimum(np.abs(residual) / limit, 1.0)
-    weight: np.ndarray = (1 - ratio * ratio)**2
-    return weight
+def robust_sigma_of_lengths(lengths: np.ndarray) -> float:
+    """Standard deviation of a coordinate of planar noise, by the median of its lengths (N,)."""
+    return float(np.median(lengths)) / RAYLEIGH_MEDIAN

@@ -24,8 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.resection import resect_linear
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Three points leave four poses; one more tells them apart.
@@ -107,8 +109,8 @@ def _descend(points: np.ndarray, rays: np.ndarray, start: np.ndarray) -> RayPose
     residual, directions, reach = _angles(X @ R.T + w * t, rays)
     for _ in range(ITERATIONS):
         size = np.linalg.norm(residual, axis=1)
-        sigma = max(float(np.median(size)) / 1.1774, 1e-12)
-        weight = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(size, 1e-300))
+        sigma = max(robust_sigma_of_lengths(size), 1e-12)
+        weight = huber_weights(size, HUBER_SIGMAS * sigma)
         across = (np.eye(3) - directions[:, :, None] * directions[:, None, :]) / reach[:, :, None]
         turned = X @ R.T
         slopes = np.concatenate([np.cross(turned[:, None], across),

@@ -30,13 +30,13 @@ from msg_adapters.tracks import tracks_from_message
 from rclpy.node import Node
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import InputError, SelfcalError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.calibration_file import CalibrationFile
 from selfcal_ros.nodes.calibration_status import calibration_status, NOTHING_NEW, UNDER_WAY
 from selfcal_ros.nodes.change_watch import ChangeWatch
+from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.estimation_job import Job, JobKind, JobResult
 from selfcal_ros.nodes.estimation_worker import EstimationWorker
-from selfcal_ros.nodes.diagnostic_name import diagnostic_name
 from selfcal_ros.nodes.input_watchdog import InputWatchdog
 from selfcal_ros.nodes.loss_count import LossCount
 from selfcal_ros.nodes.mount_publisher import mount_values, MountPublisher

@@ -23,7 +23,7 @@ import traceback
 from typing import Any, Generic, Protocol, TypeVar
 
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 
 class JobKind(Enum):

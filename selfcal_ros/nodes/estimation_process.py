@@ -22,7 +22,7 @@ import os
 import signal
 
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.estimation_job import Job, JobResult, load_estimator
 
 #: The child yields to whoever has an image to follow.

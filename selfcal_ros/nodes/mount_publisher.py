@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.calibration.mount import Floor, Mount, PLACE, TURN
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.quality_of_service import LATCHED
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.report.mounts.record import shown_sigma

@@ -38,7 +38,7 @@ from selfcal_ros.features.extraction import extract_tracks, Extraction
 from selfcal_ros.features.glance import Glance, glance, LEAST
 from selfcal_ros.features.segments import choose_segments, Segment, stood
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.feature_session import ExtractedTracks, generator
 from selfcal_ros.pipeline.file_sources import NOMINAL_RATE_HZ
 from selfcal_ros.pipeline.long_policy import LongRecordings

@@ -31,8 +31,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
 from selfcal_ros.features.selection import drop_static
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.chances import chi2_limit
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_isf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.calibration_session import Keyframe
 from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.values.tracks import Tracks
@@ -41,7 +41,7 @@ from selfcal_ros.values.tracks import Tracks
 MAX_WAITING = 40
 #: A window says nothing of the mount while that of the lens has less than this chance: a zoom
 #: would pass for a knock.
-LENS_IN_DOUBT = float(chi2_limit(1e-3, 3))
+LENS_IN_DOUBT = float(chi2_isf(1e-3, 3))
 
 #: What tells the poses of the robot so far, if anything does.
 AskRobot = Callable[[], RobotSnapshot | None]

@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
 from selfcal_ros.rorapid.acquisition.line_matching import match_vertices, MatchedVertices

@@ -30,7 +30,7 @@ from scipy.special import gammaln
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.chances import chi2_chance, normal_limit
+from selfcal_ros.geometry.distributions import chi2_sf, normal_isf
 from selfcal_ros.report.projection_uncertainty import parameter_effect
 
 #: Points a side of the grid on which two cameras are compared.
@@ -168,7 +168,7 @@ def in_sigmas(statistic: float, p_value: float, freedom: int) -> float:
     """Say a statistic in sigmas: as improbable as so many of one normal number."""
     if p_value > 1e-200:
         # a chance of one is no sigma, neither above nor below
-        return max(0.0, float(normal_limit(p_value / 2)))
+        return max(0.0, float(normal_isf(p_value / 2)))
     # beyond what a number holds: the first terms for large arguments, of chi2 (DLMF 8.11.2)
     # and of the normal distribution (DLMF 7.12.1)
     half = freedom / 2
@@ -265,6 +265,6 @@ def _tested(found: Comparison, known: list[tuple[Camera, np.ndarray]], rank: flo
     sigmas[good] = np.divide(length[:, 0], spread, out=np.zeros(len(d)), where=spread > 0)
     return Comparison(found.pixels, found.difference_px, found.rotation_rad, statistic,
                       # without a free parameter there is nothing that chance could explain
-                      float(chi2_chance(statistic, free.sum())) if free.any() else 1.0,
+                      float(chi2_sf(statistic, free.sum())) if free.any() else 1.0,
                       int(free.sum()), sigmas,
                       float(np.linalg.norm(rest, axis=1).max(initial=0.0)), found.one_model)

@@ -26,9 +26,9 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.rotation import align_z
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.scenes import sequence_si
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts, Tracks
 from selfcal_ros.calibration.bundle.centres import points_from_centres
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 VIEWS = 8
 MIDDLE = np.array([320.0, 240.0])

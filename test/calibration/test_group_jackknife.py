@@ -27,7 +27,7 @@ from selfcal_ros.calibration.initialisation.multi_start import best_start
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
 from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
-from selfcal_ros.geometry.optimise import unknowns_of
+from selfcal_ros.geometry.selection_matrix import selection_matrix
 from selfcal_ros.synthetic.hard_scenes import HARD_SCENES
 
 
@@ -77,7 +77,7 @@ def test_one_step_does_what_the_iterations_do(name):
 def test_what_nothing_measures_comes_out_very_large():
     information = np.diag([4.0, 25.0, 25.0, 1.0])
     information[1, 2] = information[2, 1] = 25       # the sum of two unknowns is all that is seen
-    unknowns = unknowns_of(np.array([True, True, True, False]))
+    unknowns = selection_matrix(np.array([True, True, True, False]))
 
     covariance = inverse_information(information, unknowns)
 

@@ -22,12 +22,12 @@ import pytest
 
 from selfcal_ros import calibrate, Camera, CameraFacts
 from selfcal_ros.calibration.bundle.depths import inverse_depths, seen_ahead, share_behind
+from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.motion import PIVOT
 from selfcal_ros.calibration.bundle.path import AxisPath, path_unknowns
 from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_near
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
-from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.calibrate import NEARLY_TURNS
 from selfcal_ros.calibration.estimators import pivot
@@ -37,9 +37,9 @@ from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivo
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, lever_direction
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph
-from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
 from selfcal_ros.synthetic.special_scenes import drive
 

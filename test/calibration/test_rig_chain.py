@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from selfcal_ros import calibrate_rig, Camera, CameraFacts
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.rig_scenes import hand_path
 from selfcal_ros.synthetic.scenes import observe

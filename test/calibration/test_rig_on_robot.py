@@ -24,7 +24,7 @@ from selfcal_ros.calibration.mount import mount_rotation, NAMES
 from selfcal_ros.calibration.mounting.mounting import mount_camera
 from selfcal_ros.calibration.rigs.on_robot import on_robot
 from selfcal_ros.cli.main import main
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.synthetic.rig_scenes import driven_path, hand_path, rig_scene
 from selfcal_ros.values.body_poses import BodyPoses

@@ -19,7 +19,7 @@ import numpy as np
 from selfcal_ros import Camera, CameraFacts
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.rig_scenes import driven_path, hand_path
 from selfcal_ros.synthetic.scenes import observe

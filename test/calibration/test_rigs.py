@@ -31,9 +31,9 @@ from selfcal_ros.calibration.rigs.rig_calibration import calibrate_rig
 from selfcal_ros.calibration.rigs.start import place_by_points
 from selfcal_ros.calibration.uncertainty.distortion_misfit import displacement_modes
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import tangential
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.synthetic.rig_scenes import driven_path, hand_path, RIG_CAMERAS, rig_scene
 

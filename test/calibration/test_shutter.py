@@ -30,8 +30,8 @@ from selfcal_ros.calibration.estimators.shutter_choice import clock_of
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, hand, record
 from selfcal_ros.values.neighbours import Film, SeenPoints
 from selfcal_ros.values.tracks import Tracks

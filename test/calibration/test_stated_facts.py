@@ -34,7 +34,7 @@ from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.synthetic.few_view_scenes import general_views
 from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
 

@@ -19,11 +19,12 @@ from scipy.sparse import csr_array
 
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.information import inverse_information, RANK_TOLERANCE
-from selfcal_ros.geometry import optimise
+from selfcal_ros.geometry import schur_complement
 from selfcal_ros.geometry.chain_inverse import carried_blocks, ChainInverse
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
-from selfcal_ros.geometry.optimise import PointBlocks, unknowns_of
+from selfcal_ros.geometry.schur_complement import PointBlocks
+from selfcal_ros.geometry.selection_matrix import selection_matrix
 from selfcal_ros.geometry.view_chain import chain_of_views
 from selfcal_ros.synthetic.special_scenes import drive
 
@@ -51,7 +52,7 @@ def systems(monkeypatch, closed, seed=0):
     residual = rng.standard_normal((len(point), 2))
     chained = PointBlocks(point, view).reduce(*columns, residual)
     with monkeypatch.context() as patch:
-        patch.setattr(optimise, 'chain_of_views', lambda *_: None)
+        patch.setattr(schur_complement, 'chain_of_views', lambda *_: None)
         dense = PointBlocks(point, view).reduce(*columns, residual)
     assert isinstance(chained.matrix, ChainMatrix) and isinstance(dense.matrix, np.ndarray)
     return chained, dense
@@ -65,7 +66,8 @@ def held(seed=0):
     tied[SHARED + OF_VIEW * 40 + 3] = SHARED + OF_VIEW * 41 + 3
     tied[SHARED + OF_VIEW * 70 + 2] = SHARED + OF_VIEW * 110 + 2
     balanced = tuple((SHARED + OF_VIEW * np.arange(1, VIEWS) + 5).tolist())
-    return [unknowns_of(free), unknowns_of(free, tied), unknowns_of(free, tied, balanced)]
+    return [selection_matrix(free), selection_matrix(free, tied),
+            selection_matrix(free, tied, balanced)]
 
 
 @pytest.mark.parametrize('closed', [False, True])
@@ -228,7 +230,7 @@ def test_a_direction_without_information_comes_out_very_large(monkeypatch):
             block[np.isin(matrix.rows[k + (blocks is matrix.below)], [row])] = 0
             if blocks is not matrix.border:
                 block[:, np.isin(matrix.rows[k], [row])] = 0
-    selection = unknowns_of(np.ones(len(matrix), bool))
+    selection = selection_matrix(np.ones(len(matrix), bool))
 
     variance = inverse_information(matrix, selection, chained.diagonal).diagonal()
 
@@ -244,7 +246,7 @@ def test_a_drive_is_calibrated_the_same(monkeypatch):
     _, view = np.unique(scene.tracks.frame, return_inverse=True)
     assert chain_of_views(scene.tracks.track, view, 80) is not None
     chained = calibrate(scene.tracks, facts=facts)
-    monkeypatch.setattr(optimise, 'chain_of_views', lambda *_: None)
+    monkeypatch.setattr(schur_complement, 'chain_of_views', lambda *_: None)
 
     dense = calibrate(scene.tracks, facts=facts)
 

@@ -16,7 +16,7 @@
 import numpy as np
 import pytest
 from selfcal_ros.geometry import projective
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.resection import (decompose, projection_jacobian, resect,
                                             resect_linear)

@@ -16,7 +16,7 @@
 import numpy as np
 import pytest
 from selfcal_ros.geometry import projective, tensor_cameras, trifocal
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.synthetic import scenes, special_scenes
 
 

@@ -15,7 +15,7 @@
 
 from msg_adapters.diagnostics import OK, WARN
 from selfcal_ros.calibration.result import HINT, NotCalibrated
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.nodes.calibration_status import calibration_status
 from selfcal_ros.pipeline.calibration_session import SessionSnapshot
 

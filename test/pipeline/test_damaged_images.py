@@ -22,7 +22,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.errors import DamagedImage, InputError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.calibrate_input import calibrate_input, CalibrationSettings
 from selfcal_ros.pipeline.sources import open_source
 

@@ -21,7 +21,7 @@ import sys
 from selfcal_ros.calibration.card import MOST_FINDINGS, VERDICTS
 from selfcal_ros.calibration.result import HINT, NotCalibrated
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 HOSTILE = '<script>alert(1)</script>"\'><img src=x onerror=alert(2)>'
 

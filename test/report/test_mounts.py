@@ -25,7 +25,7 @@ from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.calibration.structure.camera_path import camera_path
 from selfcal_ros.calibration.structure.metric_structure import metric_structure
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report import figures
 from selfcal_ros.report.figures import draw_tables
 from selfcal_ros.report.mounts.comparison import compare_mounts, PlacedCamera

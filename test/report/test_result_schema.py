@@ -23,7 +23,7 @@ import pytest
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.result import FocalCourse, HINT, MOTIONS, NotCalibrated
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report.result_json import result_from_dict, result_to_dict, SCHEMA
 from selfcal_ros.synthetic.scenes import sequence_si
 from selfcal_ros.synthetic.special_scenes import pure_rotation, pure_translation

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.object_modelling import model_recording, ModelRequest
 from selfcal_ros.pipeline.sources import open_source
 from selfcal_ros.rorapid.acquisition.picked_vertices import read_picked

@@ -15,7 +15,8 @@
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_scale import fast_robust_sigma, robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_loss import tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma, robust_sigma
 from selfcal_ros.rorapid.estimation.primitive_detection import (case_deletion, ransac_conics,
                                                                 ransac_lines, stability)
 

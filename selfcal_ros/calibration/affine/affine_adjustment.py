@@ -20,9 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.geometry.levenberg_marquardt import curved_step, DampedFactor
-from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks, unknowns_of
 from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
+from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
+from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
+from selfcal_ros.geometry.schur_complement import PointBlocks
+from selfcal_ros.geometry.selection_matrix import selection_matrix
 
 #: Residuals beyond so many sigmas weigh less.
 _HUBER_SIGMAS = 2.5
@@ -148,7 +151,7 @@ class _Adjustment:
         """Robust estimate of the noise of a coordinate."""
         distance = np.linalg.norm(residual, axis=1)
         share = max(self.freedom, 1) / (2 * len(distance))
-        return max(float(np.median(distance)) / 1.1774 / np.sqrt(share), 1e-12)
+        return max(robust_sigma_of_lengths(distance) / np.sqrt(share), 1e-12)
 
     def system(self, cameras, points, sigma, damping):
         view, point = self.views.view, self.views.point
@@ -172,7 +175,7 @@ class _Adjustment:
         residual = self.residuals(cameras, points)
         sigma = self.sigma(residual)
         damping = 1e-4
-        unknowns = unknowns_of(self.free)
+        unknowns = selection_matrix(self.free)
         for _ in range(iterations):
             sigma = self.sigma(residual)
             cost = self._cost(residual, sigma)

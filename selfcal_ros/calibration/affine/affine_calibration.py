@@ -31,11 +31,12 @@ from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_deter
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
     camera_from_homographies, ConicCalibration)
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous
 from selfcal_ros.geometry.resection import resect
-from selfcal_ros.geometry.robust_scale import robust_sigma
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.robust_scale import robust_sigma, robust_sigma_of_lengths
 from selfcal_ros.geometry.triangulation import (correct_to_epipolar_line, metric_points,
                                                 translated_points, triangulate)
 from selfcal_ros.values.tracks import Tracks
@@ -273,8 +274,8 @@ def _translated_camera(points, xy) -> np.ndarray | None:
         image = ahead + points[:, 3:] * e
         depth = np.where(np.abs(image[:, 2:]) > 1e-9, image[:, 2:], 1e-9)
         distance = np.linalg.norm(image[:, :2] / depth - xy, axis=1)
-        limit = _HUBER_SIGMAS * max(np.median(distance) / 1.1774, 1e-9)
-        weight = np.minimum(1.0, limit / np.maximum(distance, 1e-300))
+        limit = _HUBER_SIGMAS * max(robust_sigma_of_lengths(distance), 1e-9)
+        weight = huber_weights(distance, limit)
     return np.column_stack([np.eye(3), e]) if np.isfinite(e).all() else None
 
 

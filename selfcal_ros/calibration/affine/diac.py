@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import calibration_from_iac
 
 #: The second smallest singular value of the stacked constraints counts as zero, and the

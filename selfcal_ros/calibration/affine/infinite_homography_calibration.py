@@ -29,8 +29,8 @@ from selfcal_ros.calibration.affine.diac import (camera_from_dual_conic, Infinit
                                                  linear_conic, ROUNDING)
 from selfcal_ros.calibration.observability import FOCAL_FRACTION, parameter_status
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.chances import chi2_limit
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_isf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: Rotations that leave this axis by less (degrees) are called rotations about it.
@@ -279,7 +279,7 @@ def _is_identity(H, covariance) -> bool:
     offset = (H - np.eye(3)).reshape(len(covariance), -1)
     statistic = _square(offset, np.linalg.pinv(covariance, rcond=1e-9, hermitian=True))
     # eight degrees of freedom each; the noise level itself is known to some 10 percent only
-    return bool(statistic < _IDENTITY_SLACK * chi2_limit(0.001, 8 * len(H)))
+    return bool(statistic < _IDENTITY_SLACK * chi2_isf(0.001, 8 * len(H)))
 
 
 def _nothing(facts, kind) -> NoEstimate:

@@ -31,9 +31,9 @@ from selfcal_ros.calibration.affine.pair_distortion import (COST_TOLERANCE, esti
                                                             MIN_RESIDUAL_PX, pairs_with_matches,
                                                             sampled_matches, undo_radial)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.chances import f_limit
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import f_isf
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
 #: So many matches of a pair, evenly chosen, take part.
@@ -163,7 +163,7 @@ def classify_translations(tracks: Tracks, size: tuple[int, int], pairs=None, rad
     # each of the two distances of a match has variance 2 sigma^2
     noise = np.maximum(np.sqrt(cost / (4 * np.maximum(count - 7, 1))), MIN_RESIDUAL_PX)
     statistic = np.maximum(translation_cost - cost, 0) / 5 / (4 * noise**2)
-    limit = f_limit(SIGNIFICANCE, 5, np.maximum(count - 7, 1))
+    limit = f_isf(SIGNIFICANCE, 5, np.maximum(count - 7, 1))
     tolerated = np.maximum(TOLERATED_DIAGONALS * np.hypot(*size) / noise, TOLERATED_SIGMAS)
     limit = limit + tolerated**2 * count / 5
     F = data.pixels_F(F)

@@ -33,12 +33,13 @@ from selfcal_ros.calibration.bundle.model import Linearisation, Model, Predictio
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
+from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.levenberg_marquardt import (curved_step, DampedFactor, minimise,
                                                       straight_step)
-from selfcal_ros.geometry.chain_inverse import ChainInverse
-from selfcal_ros.geometry.optimise import huber_loss, huber_weights, PointBlocks
 from selfcal_ros.geometry.projective import lengths
 from selfcal_ros.geometry.reduced_system import ReducedSystem
+from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Misfit of an observation of a point behind the camera, where the model predicts nothing.
 BEHIND_SIGMAS = 100.0

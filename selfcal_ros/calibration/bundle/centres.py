@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Rays that meet at less than this angle (radians) say nothing of depth.
 MINIMUM_PARALLAX = 2e-4

@@ -26,8 +26,8 @@ from selfcal_ros.geometry.chain_factor import ChainFactor, largest_eigenvalue, N
 from selfcal_ros.geometry.chain_inverse import ChainInverse
 from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.levenberg_marquardt import places_of, restricted
-from selfcal_ros.geometry.optimise import huber_weights
 from selfcal_ros.geometry.reduced_system import ReducedSystem
+from selfcal_ros.geometry.robust_loss import huber_weights
 
 #: Residuals beyond so many sigmas weigh less (95 % efficiency for Gaussian noise).
 HUBER_SIGMAS = 2.0

@@ -29,7 +29,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Depth below which a point counts as behind the camera, relative to its distance.
 MINIMUM_DEPTH = 1e-6

@@ -31,10 +31,11 @@ from selfcal_ros.calibration.bundle.clock import Clock
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import projection
-from selfcal_ros.geometry.optimise import huber_weights, PointBlocks
 from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.robust_loss import huber_weights
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Views with fewer points that were followed tell nothing of their motion.
 LEAST_FOLLOWED = 15

@@ -32,7 +32,7 @@ from selfcal_ros.calibration.bundle.object_bend import Bend, BEND_NAMES
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses, VIEW_NAMES
 from selfcal_ros.calibration.bundle.state import ObjectState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: An edgel may slide along its edge by so much of the depth; beyond it the first order of the
 #: projection means nothing.

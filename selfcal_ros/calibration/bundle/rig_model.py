@@ -27,8 +27,8 @@ from selfcal_ros.calibration.bundle.rig import Rig
 from selfcal_ros.calibration.bundle.scene_model import SceneModel
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import Unknowns
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import lengths
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 
 @dataclass(frozen=True)

@@ -30,15 +30,15 @@ from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.motion import MotionModel
 from selfcal_ros.calibration.bundle.neighbour_motion import followed, LEAST_FOLLOWED
+from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.bundle.rig_model import RigModel
-from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.scene_model import rescaled, SceneModel
 from selfcal_ros.calibration.bundle.shutter import row_shifts, RowShifts
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.chain_inverse import ChainInverse
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import lengths
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.values.tracks import of_longest, Tracks
 
 #: Residuals beyond so many sigmas (in either coordinate's scale) are outliers: one in 3000 of

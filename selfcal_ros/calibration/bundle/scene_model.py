@@ -31,8 +31,8 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.calibration.bundle.zoom import (couplings, differentiate, projection, RATE_NAME,
                                                  VIEW_NAME, walk_count, with_walk, with_zoom, Zoom)
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import lengths
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 
 @dataclass(frozen=True)

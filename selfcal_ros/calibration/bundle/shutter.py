@@ -36,8 +36,8 @@ from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.unknowns import PriorTerms, Unknowns
 from selfcal_ros.calibration.bundle.zoom import projection
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import left_jacobian, rotation_matrix, rotation_vector
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Name of the unknown.
 LINE_DELAY = 'line_delay'

@@ -25,8 +25,8 @@ from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.zoom import Zoom
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 
 @dataclass(frozen=True)

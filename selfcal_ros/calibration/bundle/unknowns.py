@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from selfcal_ros.geometry.optimise import unknowns_of
+from selfcal_ros.geometry.selection_matrix import selection_matrix
 
 #: Cost of what is supposed, and its gradient (n,) and diagonal (n,) by the unknowns.
 PriorTerms = tuple[float, np.ndarray, np.ndarray]
@@ -140,7 +140,7 @@ class Unknowns:
     @cached_property
     def selection(self) -> csr_array:
         """Relate all to the independent ones: steps (n,) = selection · steps (k,)."""
-        return unknowns_of(self.free, self.moves_with, self.balanced)
+        return selection_matrix(self.free, self.moves_with, self.balanced)
 
     @property
     def count(self) -> int:

@@ -46,7 +46,7 @@ from selfcal_ros.calibration.uncertainty.focal_course import course_findings, fo
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import lengths, rms_length
 
 #: A start, or an optimum, explains the images when it leaves less than so many times the noise

@@ -33,7 +33,7 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: Refusal of a focal length that varies.
 NOT_CONSTANT = 'focal_not_constant'

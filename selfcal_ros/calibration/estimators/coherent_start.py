@@ -25,7 +25,7 @@ from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, lik
                                                                   supposed_camera)
 from selfcal_ros.calibration.moving.coherent_tracks import coherent_half
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Scale at which starts from pairs of views begin, in units of the noise.
 COARSE = 10.0

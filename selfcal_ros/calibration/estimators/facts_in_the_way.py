@@ -32,8 +32,8 @@ from selfcal_ros.calibration.estimators.stated_facts import (ABOUT, CONTRADICTED
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.chances import chi2_chance
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_sf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 
 def without_facts(facts: CameraFacts) -> CameraFacts | None:
@@ -77,7 +77,7 @@ def fact_in_the_way(facts: CameraFacts, free: Calibration) -> NoEstimate | None:
         covariance += np.diag([priors[name].sigma**2 for name in names])
         total = float(distance @ np.linalg.solve(covariance, distance))
         # what is known worse than facts are wrong may have any other cause
-        if chi2_chance(total, len(names)) < CONTRADICTED and all(
+        if chi2_sf(total, len(names)) < CONTRADICTED and all(
                 one < PLAUSIBLE[name] * (1.0 if name == 'aspect' else fx)
                 for name, one in zip(names, sigma)):
             sigmas = float(np.sqrt(total))

@@ -27,7 +27,7 @@ from selfcal_ros.calibration.estimators.motion_calibration import calibrate_from
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera, CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
 #: Frames among which the views are chosen: evenly spread over a longer recording.

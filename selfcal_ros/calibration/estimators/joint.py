@@ -37,7 +37,7 @@ from selfcal_ros.calibration.observability import parameter_status
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 
 #: A p-value below this is no accident.
 SURE = 0.001
@@ -166,7 +166,7 @@ def combine(calibrations: list[Calibration]) -> JointCalibration:
     found = _calibration([one for one, use in zip(calibrations, used) if use],
                          lens.camera(first.camera.width, first.camera.height),
                          to_parameters(inner, lens))
-    p_value = float(chi2_chance(total, freedom)) if freedom else 1.0
+    p_value = float(chi2_sf(total, freedom)) if freedom else 1.0
     return JointCalibration(found, used, deviation, total, freedom, p_value)
 
 
@@ -225,7 +225,7 @@ def _against_others(shares, used, P, value):
              - np.linalg.pinv(rest, hermitian=True) @ right)
         total, freedom = float(d @ np.linalg.solve(spread, d)), max(share.rank, 1)
         deviation[k] = np.sqrt(total / freedom)
-        doubt[k] = chi2_chance(total, freedom)
+        doubt[k] = chi2_sf(total, freedom)
     return deviation, doubt
 
 

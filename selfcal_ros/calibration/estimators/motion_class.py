@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 
 #: With less rotation than this in all it is tested whether there is any (radians): without, a

@@ -30,8 +30,8 @@ from selfcal_ros.calibration.bundle.centres import all_rays
 from selfcal_ros.calibration.bundle.depths import cost_of_all_ahead
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT, ROTATION
 from selfcal_ros.calibration.bundle.path import AxisPath
-from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.point_of_rest import resting_near
+from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
                                                        Observations, refit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
@@ -49,9 +49,9 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import unit
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: So many starts are followed to the end.
 RIVALS = 4

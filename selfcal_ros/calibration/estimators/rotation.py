@@ -56,8 +56,8 @@ from selfcal_ros.calibration.uncertainty.focal_course import course_findings, fo
 from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
 from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.geometry.rotation import swing_twist
 from selfcal_ros.values.tracks import Tracks

@@ -35,8 +35,8 @@ from selfcal_ros.calibration.uncertainty.suppositions import (joint_information,
                                                               Tested)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.chances import chi2_chance, f_chance
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_sf, f_sf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: A fact is contradicted where what the images say would be an accident so rarely; what is an
 #: accident less often than the second is allowed for in the sigmas.
@@ -318,8 +318,8 @@ def _released(fit: RobustFit, tested: Tested, size: tuple[int, int],
     covariance += np.diag([priors[name].sigma**2 for name in tested.unknowns])
     total = float(distance @ np.linalg.solve(covariance, distance))
     # a variance that a few stretches of views tell is known to as few degrees of freedom
-    p_value = float(f_chance(total / len(places), len(places), SEGMENTS - 1)
-                    if ratio > 1 else chi2_chance(total, len(places)))
+    p_value = float(f_sf(total / len(places), len(places), SEGMENTS - 1)
+                    if ratio > 1 else chi2_sf(total, len(places)))
     preferred = [{'name': name, 'value': float(value), 'sigma': float(spread),
                   'stated': priors[name].value}
                  for name, value, spread in zip(tested.unknowns, state.lens.values[places], sigma)]

@@ -28,7 +28,7 @@ from selfcal_ros.calibration.estimators.rotation import fit_rotations, RotationF
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras
 from selfcal_ros.geometry.camera import CameraFacts
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: Rotations explain images where they leave less than so many times the noise of their pairs.
 EXPLAINED = 1.5

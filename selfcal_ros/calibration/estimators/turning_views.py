@@ -29,7 +29,7 @@ from selfcal_ros.calibration.estimators.turning_stretch import (stretches_of,
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 
 #: Steps on the spot, as a share of the longest one, and of the usual depth.

@@ -32,9 +32,9 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Matches of a pair that vote on which of the four decompositions lies ahead of both cameras.
 VOTERS = 48

@@ -30,9 +30,9 @@ from selfcal_ros.calibration.initialisation.supposed_lens import (is_strong, lik
                                                                   supposed_camera)
 from selfcal_ros.calibration.planar.fixed_points import calibrate_estimate, fixed_points
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.values.tracks import Tracks
 
 #: Focal lengths that are tried, in units of the longer image side: from a wide lens (90°) to a

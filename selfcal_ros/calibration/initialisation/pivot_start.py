@@ -38,8 +38,8 @@ from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all
 from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import nearest_rotation, swing_twist
+from selfcal_ros.geometry.schur_complement import PointBlocks
 
 #: Rounds of re-weighting.
 _ROUNDS = 5

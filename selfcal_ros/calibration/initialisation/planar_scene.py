@@ -32,8 +32,8 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.optimise import PointBlocks
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.values.tracks import Tracks
 
 

@@ -28,7 +28,7 @@ from selfcal_ros.calibration.initialisation.initial_structure import PairGeometr
 from selfcal_ros.calibration.initialisation.pair_lens import (choose_lens, homography_lens,
                                                               PairLens, Sample)
 from selfcal_ros.geometry.division import DivisionModel
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.tracks import Tracks
 

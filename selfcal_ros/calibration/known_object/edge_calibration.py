@@ -41,7 +41,7 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
                                                                     segment_findings)
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__
 

@@ -26,7 +26,7 @@ from selfcal_ros.calibration.bundle.object_model import KnownPoints
 from selfcal_ros.calibration.bundle.priors import Priors
 from selfcal_ros.calibration.known_object.object_start import linear_view, LinearView
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 

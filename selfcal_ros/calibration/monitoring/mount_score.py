@@ -38,8 +38,8 @@ from selfcal_ros.calibration.mounting.camera_poses import CameraPoses, poses_of_
 from selfcal_ros.calibration.mounting.model import OFFSET, State, T, TURN
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.chances import chi2_limit
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_isf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import nearest_rotation, rotation_vector
 from selfcal_ros.values.body_poses import BodyPoses
 
@@ -169,7 +169,7 @@ def _nearby(mount: Mount, start: State, facts: MountFacts) -> MountFacts:
 def _score(frames: np.ndarray, mount: Mount, start: State, state: State,
            adjustment: Adjustment, errors: PoseErrors) -> MountScore | NoEstimate:
     """Tell what the poses say at an optimum, all but `PARAMETERS` eliminated."""
-    keep = adjustment.distances(state, errors) < chi2_limit(WRONG, 6)
+    keep = adjustment.distances(state, errors) < chi2_isf(WRONG, 6)
     if np.mean(~keep) > MOST_WRONG:
         return NoEstimate('window_body_otherwise', share=float(np.mean(~keep)))
     H, g, square = adjustment.of_poses(state, errors, keep)

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.geometry.chances import chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf
 
 #: What remains of the statistic without its strongest window must be as improbable, too: one
 #: window alone, with a moving object in it, proves nothing.
@@ -119,7 +119,7 @@ class SequentialTest:
 
     def _limit(self, moments: int) -> float:
         """Bound the rate: the tests of all moments together (Bonferroni), window by window."""
-        return float(chi2_limit(self._chance / moments, len(self._changes)))
+        return float(chi2_isf(self._chance / moments, len(self._changes)))
 
     def add(self, information: np.ndarray, shift: np.ndarray, frames: tuple, score: Any,
             stands: bool) -> Departure | None:
@@ -252,7 +252,7 @@ class SequentialTest:
         statistic, *_ = self._ratios(np.repeat(before[None], len(single), axis=0),
                                      np.repeat(before_shift[None], len(single), axis=0),
                                      others, other_shifts)
-        return bool(statistic.min() > chi2_limit(WITHOUT_STRONGEST, len(self._changes)))
+        return bool(statistic.min() > chi2_isf(WITHOUT_STRONGEST, len(self._changes)))
 
 
 def _less_probable(together: np.ndarray, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
-from selfcal_ros.geometry.chances import chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf
 
 #: Windows whose dependence and scatter are remembered, and that it takes to judge the scatter.
 REMEMBERED, MIN_FOR_SCATTER = 60, 3
@@ -118,12 +118,12 @@ class WindowScatter:
 
         # the median of so few may exceed its expectation by chance
         middle, mean = scatter(1.0)
-        if middle < share * chi2_limit(0.5 - 0.82 / np.sqrt(count), 3):
+        if middle < share * chi2_isf(0.5 - 0.82 / np.sqrt(count), 3):
             return self._least, mean
         low, high = 0.0, np.log(MAX_TOLERANCE)
         for _ in range(20):
             factor = (low + high) / 2
-            if scatter(np.exp(factor))[0] > share * chi2_limit(0.5, 3):
+            if scatter(np.exp(factor))[0] > share * chi2_isf(0.5, 3):
                 low = factor
             else:
                 high = factor

@@ -37,7 +37,7 @@ from selfcal_ros.calibration.initialisation.view_graph import (build_view_graph,
 from selfcal_ros.calibration.monitoring.view_shapes import shape_of_views
 from selfcal_ros.calibration.monitoring.window_fit import fit_window, WindowFit
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.tracks import Tracks
 

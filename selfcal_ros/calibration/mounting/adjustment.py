@@ -28,7 +28,7 @@ from selfcal_ros.calibration.mounting.model import (
 from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.wrong_poses import agreeing, FALSE_ALARM, LEAST_SPARE
-from selfcal_ros.geometry.chances import f_limit
+from selfcal_ros.geometry.distributions import f_isf
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
@@ -339,7 +339,7 @@ class Adjustment:
         distances = self._distances(self.predict(state), errors)
         count, unknown = len(distances), int(self._free[:COUNT].sum())
         spare = max(self._size * count - unknown, 1)
-        keep = distances < self._size * float(f_limit(FALSE_ALARM / count, self._size, spare))
+        keep = distances < self._size * float(f_isf(FALSE_ALARM / count, self._size, spare))
         least = min(1 + (unknown + LEAST_SPARE) / self._size, count)
         # fewer would fit anything
         return (keep if keep.sum() >= least else np.ones(count, bool)), least

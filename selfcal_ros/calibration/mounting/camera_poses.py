@@ -27,7 +27,7 @@ from selfcal_ros.calibration.structure.camera_path import (
     camera_path, OF_AN_OBJECT, TURNING, with_shared_errors)
 from selfcal_ros.calibration.structure.metric_structure import world_and_scale
 from selfcal_ros.calibration.structure.path_precision import pose_precision
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix
 
@@ -236,7 +236,7 @@ def chance_of_pull(poses: CameraPoses, w: np.ndarray, covariance: np.ndarray) ->
     pull = (L @ w)[free] / size[free]
     values, vectors = np.linalg.eigh(gained[np.ix_(free, free)] / np.outer(size[free], size[free]))
     known = values > _TOLD
-    return float(chi2_chance(np.sum((pull @ vectors[:, known])**2 / values[known]), known.sum()))
+    return float(chi2_sf(np.sum((pull @ vectors[:, known])**2 / values[known]), known.sum()))
 
 
 def with_lens(calibration: Calibration, poses: CameraPoses, w: np.ndarray,

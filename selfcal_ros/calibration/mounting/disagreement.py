@@ -21,7 +21,7 @@ from selfcal_ros.calibration.mount import Mount, MountFacts, PLACE, TURN
 from selfcal_ros.calibration.mounting.body_track import BodyAt
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.starts import closed_forms, pairs_of
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 #: Poses that leave less than this share of what moved agree.

@@ -38,7 +38,7 @@ from selfcal_ros.calibration.mounting.camera_poses import camera_poses, CameraPo
 from selfcal_ros.calibration.mounting.integrated_rates import RateSteps
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import (left_jacobian, nearest_rotation, rotation_matrix,
                                            rotation_vector)
 from selfcal_ros.values.angular_rates import AngularRates

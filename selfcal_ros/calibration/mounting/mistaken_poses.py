@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from selfcal_ros.calibration.mounting.body_track import BodyAt, BodyTrack
 from selfcal_ros.calibration.mounting.camera_poses import CameraPoses
 from selfcal_ros.calibration.mounting.disagreement import AGREES, misfits
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: What is meant leaves so many times less than what was given.
 TIMES = 5.0

@@ -43,7 +43,7 @@ from selfcal_ros.calibration.mounting.turning_sense import (alike_in_a_row, HEAD
                                                             open_sense)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.body_poses import BodyPoses
 
 _LOGGER = logging.getLogger(__name__)

@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
-from selfcal_ros.geometry.chances import chi2_chance, f_chance
+from selfcal_ros.geometry.distributions import chi2_sf, f_sf
 
 #: One wrong verdict on a pose in so many calibrations.
 FALSE_ALARM = 0.02
@@ -74,12 +74,12 @@ def agreeing(errors: PoseErrors, residual: np.ndarray, spread: np.ndarray, keep:
         misfit = (along**2 / np.maximum(values, _LEAST_FREE)).sum(axis=1)
         own = [k for k, kind in enumerate(errors.axes) if not kind or list(kind) == block]
         if errors.stated[own].all():
-            agree &= chi2_chance(misfit, len(block)) > level
+            agree &= chi2_sf(misfit, len(block)) > level
             continue
         spare = np.maximum(values[keep].sum() - len(block) * keep, 1e-3)
         left = np.maximum((along[keep]**2).sum() - misfit * keep, 1e-9) / spare
         if (errors.variances[own] < _AT_FLOOR * errors.floors[own]).all():
             left = np.maximum(left, 1.0)
-        chance = f_chance(misfit / len(block) / left, len(block), spare)
+        chance = f_sf(misfit / len(block) / left, len(block), spare)
         agree &= (chance > level) | (spare < LEAST_SPARE)
     return agree

@@ -34,7 +34,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        OUTLIER_SIGMAS, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.moving.track_judgement import freedom_of, judge_tracks
-from selfcal_ros.geometry.chances import chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf
 
 #: Steps at most, and the share of the tracks that changes where they end.
 STEPS, SETTLED = 24, 0.01
@@ -120,5 +120,5 @@ def _left(observations: Observations, state: SceneState, bundle: Bundle) -> np.n
     if test is None or not test.tested.any():
         return None
     square = test.square + OUTLIER_SIGMAS**2 * test.lost
-    usual = chi2_limit(0.5, np.maximum(freedom_of(test.length), 1))
+    usual = chi2_isf(0.5, np.maximum(freedom_of(test.length), 1))
     return np.where(test.tested, square / usual, np.inf)

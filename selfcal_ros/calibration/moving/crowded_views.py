@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import Observations
 from selfcal_ros.calibration.moving.sorting import UNEXPLAINED_SHARE
 from selfcal_ros.calibration.moving.track_judgement import freedom_of, TrackTest
-from selfcal_ros.geometry.chances import chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf
 
 #: A view is calm where the upper quartile of its tracks leaves no more than so many times that of
 #: noise; a quarter of the views has to be. Things that cross leave up to 1.22 there, recorded and
@@ -56,7 +56,7 @@ def crowd_in_few_views(test: TrackTest, observations: Observations) -> bool:
     seen = np.zeros((int(observations.view.max()) + 1, len(test.length)), bool)
     seen[observations.view, observations.point] = True
     left = test.length - test.lost
-    ratio = test.square / chi2_limit(0.25, np.maximum(freedom_of(left), 1))
+    ratio = test.square / chi2_isf(0.25, np.maximum(freedom_of(left), 1))
     quartiles = [np.percentile(ratio[some], 75)
                  for some in seen & (test.tested & (left >= VERIFYING_VIEWS))
                  if some.sum() >= LEAST_TRACKS]

@@ -35,7 +35,7 @@ from selfcal_ros.calibration.moving.rigid_bodies import find_bodies, RigidBody
 from selfcal_ros.calibration.moving.track_judgement import (CHANCE, freedom_of, instants,
                                                             judge_tracks, TrackTest)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.values.track_labels import (JUMPED, MOVING, STATIC, TrackLabels, UNCLEAR,
                                              UNEXPLAINED)
 from selfcal_ros.values.tracks import Tracks
@@ -373,7 +373,7 @@ def _jumps(fit: RobustFit, observations: Observations, places: np.ndarray, least
     square, lost = (np.add.reduceat(values, np.arange(0, 2 * len(owner), 2))
                     for values in (test.square, test.lost))
     freedom = freedom_of(test.length - test.lost).reshape(-1, 2).sum(axis=1)
-    sound = (chi2_chance(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
+    sound = (chi2_sf(square, np.maximum(freedom, 1)) > CHANCE) & (freedom >= 3) & (
         lost <= np.add.reduceat(test.length, np.arange(0, 2 * len(owner), 2)) / 4)
     cost = np.where(sound, square + 16 * lost, np.inf)
     found = {}

@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.inliers import VERIFYING_VIEWS
 from selfcal_ros.calibration.bundle.robust_fit import (Observations, OUTLIER_SIGMAS,
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.chances import chi2_chance, chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf, chi2_sf
 
 #: A track that is as it should be fails by chance in less than this share.
 CHANCE = 1e-4
@@ -154,7 +154,7 @@ def judged(point: np.ndarray, distance: np.ndarray, spread: float = 1.0, copies:
     lost = length - left
     square = np.bincount(point, np.where(agrees, distance**2, 0.0), count)
     freedom = freedom_of(left)
-    quiet = chi2_chance(square / spread, np.maximum(freedom, 1)) > CHANCE
+    quiet = chi2_sf(square / spread, np.maximum(freedom, 1)) > CHANCE
     tested = length >= VERIFYING_VIEWS
     explained = tested & quiet & (left >= VERIFYING_VIEWS)
     for _ in range(3):
@@ -179,4 +179,4 @@ def _scale(point: np.ndarray, distance: np.ndarray, count: int) -> float:
     if good.sum() < LEAST_FOR_SCALE:
         return 1.0
     square = np.bincount(point, distance**2, count)[good]
-    return float(min(1.0, np.sqrt(np.median(square / chi2_limit(0.5, freedom_of(length[good]))))))
+    return float(min(1.0, np.sqrt(np.median(square / chi2_isf(0.5, freedom_of(length[good]))))))

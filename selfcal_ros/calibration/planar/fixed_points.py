@@ -35,9 +35,9 @@ from selfcal_ros.calibration.planar.triplets import choose_triplets, dense_track
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry import planar_batch, planar_pairs
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import (eight_point, pair_residuals, PairMatches,
                                               refine_general)
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.planar_pairs import PlanarPairs
 from selfcal_ros.geometry.projective import canonical_transform, unit, unit_slope
 from selfcal_ros.geometry.propagation import add_up, spread

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import canonical_slopes, homogeneous
 from selfcal_ros.geometry.propagation import add_up
 from selfcal_ros.geometry.trifocal import circular_points

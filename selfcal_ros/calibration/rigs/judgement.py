@@ -24,8 +24,8 @@ from selfcal_ros.calibration.bundle.lens import to_parameters_slopes
 from selfcal_ros.calibration.bundle.rig import name_in_rig, POSE_NAMES, Rig
 from selfcal_ros.calibration.bundle.rig_model import RigState
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.known_directions import PlaceAlong, places_along
 from selfcal_ros.calibration.estimators.acceptance import MAX_OUTLIERS
+from selfcal_ros.calibration.known_directions import PlaceAlong, places_along
 from selfcal_ros.calibration.observability import held_facts, parameter_status, without_held
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
@@ -49,7 +49,7 @@ from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, L
 from selfcal_ros.calibration.uncertainty.prism import possible_prism
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__
 

@@ -33,10 +33,10 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.rigs.alignment import align
 from selfcal_ros.geometry.camera import Camera, CameraFacts
-from selfcal_ros.geometry.optimise import PointBlocks
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.resection import decompose, resect
+from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.geometry.space_resection import pose_of_rays
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.values.tracks import of_longest, Tracks
 
 #: Tracks per instant and camera that the estimate uses, and that starts are compared on.

@@ -36,8 +36,8 @@ from selfcal_ros.calibration.rigs.start import RigObservations
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
                                                               Supposition, Tested)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.chances import chi2_chance
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.distributions import chi2_sf
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: Offsets over the usual time between instants: each is as likely beforehand.
 OFFSETS = np.geomspace(1e-4, 1e-1, 13)
@@ -159,7 +159,7 @@ def steadiness(fit: RobustFit, seen: RigObservations, known: float,
                                     int(seen.frames[view]))
     variance = np.diag(offset.covariance)
     certain = [np.isfinite(square) and square > 0
-               and chi2_chance(value**2 / square, 1) < ACCIDENT
+               and chi2_sf(value**2 / square, 1) < ACCIDENT
                for value, square in zip(offset.value, variance)]
     if not any(certain):
         return covariance, None

@@ -30,7 +30,8 @@ from selfcal_ros.calibration.mount import Floor, Mount
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE, metric_structure
 from selfcal_ros.calibration.structure.structure_measurement import by_camera_and_path
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.values.tracks import Tracks
 
 #: Points of a plane are within this share of its depth of one another, and two sigmas.
@@ -162,7 +163,7 @@ def _robust(design: np.ndarray, depth: np.ndarray, sigma: np.ndarray) -> np.ndar
         root = np.sqrt(weight) / sigma
         fit = np.linalg.lstsq(design * root[:, None], depth * root, rcond=None)[0]
         off = (depth - design @ fit) / sigma
-        scale = max(1.4826 * float(np.median(np.abs(off))), 1e-9)
+        scale = max(robust_sigma(off), 1e-9)
         weight = 1 / (1 + (off / (2.4 * scale))**2)
     return np.asarray(fit)
 

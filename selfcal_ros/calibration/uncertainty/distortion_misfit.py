@@ -39,7 +39,8 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (images_alike
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
-from selfcal_ros.geometry.optimise import huber_weights, placed
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.selection_matrix import embedded_selection
 
 #: Degrees of the polynomials: the highest have waves of a quarter of the image.
 MIN_DEGREE, MAX_DEGREE = 2, 8
@@ -248,7 +249,7 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
         system.add_gauge(float(np.mean(system.diagonal[place])), wide)
 
     factor = DampedFactor(system.matrix, system.diagonal, 0.0,
-                          placed(unknowns.selection, place, len(system.matrix)))
+                          embedded_selection(unknowns.selection, place, len(system.matrix)))
     if not factor.usable:
         return None
     extra = np.r_[field, besides]

@@ -37,7 +37,7 @@ from selfcal_ros.calibration.uncertainty.random_effects import most_probable_siz
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
-from selfcal_ros.geometry.optimise import huber_loss
+from selfcal_ros.geometry.robust_loss import huber_loss
 
 #: Least gain of log probability: half the square of four sigmas.
 SURE = 8.0

@@ -32,7 +32,7 @@ from selfcal_ros.calibration.uncertainty.distortion_misfit import Supposed
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
                                                               Supposition)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.lenses.plumb_bob import tangential
 
 #: Sizes of decentring, p1 and p2, that lenses may have: each is as likely beforehand.
@@ -134,7 +134,7 @@ def _is_certain(value: np.ndarray, covariance: np.ndarray) -> bool:
     """Tell whether p1 and p2 of a lens, shape (2,), are no accident."""
     if not np.isfinite(np.diag(covariance)).all():
         return False
-    return bool(chi2_chance(value @ np.linalg.pinv(covariance, hermitian=True) @ value, 2)
+    return bool(chi2_sf(value @ np.linalg.pinv(covariance, hermitian=True) @ value, 2)
                 < ACCIDENT)
 
 

@@ -38,7 +38,7 @@ from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, likely_size,
                                                               Supposition)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.optimise import huber_weights
+from selfcal_ros.geometry.robust_loss import huber_weights
 
 #: Levers over the usual depth of points: each is as likely beforehand.
 LEVERS = np.geomspace(3e-4, 3e-2, 13)

@@ -33,7 +33,7 @@ from selfcal_ros.calibration.bundle.priors import ORDINARY_DECENTRING
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import joint_information, Supposition
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 
 #: Decentring counts where without it the estimate would be an accident so rarely.
 ACCIDENT = 1e-6
@@ -107,7 +107,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
 def _beyond_ordinary(p: np.ndarray, own: np.ndarray) -> float:
     """Return the variance of decentring beyond that of most lenses, zero where none is sure."""
     size = float(np.sum(p**2) - np.trace(own) - 2 * ORDINARY_DECENTRING**2) / 2
-    sure = size > 0 and chi2_chance(p @ np.linalg.solve(own, p), 2) <= ACCIDENT
+    sure = size > 0 and chi2_sf(p @ np.linalg.solve(own, p), 2) <= ACCIDENT
     return size if sure else 0.0
 
 

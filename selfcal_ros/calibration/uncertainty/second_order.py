@@ -28,7 +28,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.observability import observability_limits, UNOBSERVABLE_FACTOR
-from selfcal_ros.geometry.chances import chi2_limit
+from selfcal_ros.geometry.distributions import chi2_isf
 
 #: The offset is followed along what is determined worst: the directions whose sigma exceeds this
 #: fraction of what makes a parameter unobservable. It grows with the square of the way.
@@ -112,4 +112,4 @@ def second_order_covariance(fit: RobustFit, size: tuple[int, int], scale: float 
     excess[np.ix_(free, free)] = root @ mean_square_offset(slopes) @ root.T
     p = len(free)
     # of |u|⁴ at the surface to its mean
-    return excess * chi2_limit(1 - SURFACE, p)**2 / (p * (p + 2))
+    return excess * chi2_isf(1 - SURFACE, p)**2 / (p * (p + 2))

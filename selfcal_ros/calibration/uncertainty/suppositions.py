@@ -35,8 +35,9 @@ from scipy.sparse import block_diag, csr_array, eye_array
 
 from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS, inverse_information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.geometry.chances import chi2_chance, normal_limit
-from selfcal_ros.geometry.optimise import huber_weights, placed
+from selfcal_ros.geometry.distributions import chi2_sf, normal_isf
+from selfcal_ros.geometry.robust_loss import huber_weights
+from selfcal_ros.geometry.selection_matrix import embedded_selection
 
 #: Directions of which the elimination leaves less than this share are what the estimate has
 #: already, and cannot be tested.
@@ -114,14 +115,14 @@ class Tested:
     @property
     def p_value(self) -> float:
         """Probability of such a chi-square where the supposition holds."""
-        return float(chi2_chance(self.chi2, self.freedom)) if self.freedom else 1.0
+        return float(chi2_sf(self.chi2, self.freedom)) if self.freedom else 1.0
 
     @property
     def sigmas(self) -> float:
         """The same as the sigmas of a Gaussian that are exceeded as rarely."""
         p = self.p_value
         # far out the root of the chi-square is as good, and still has digits
-        return (float(normal_limit(p / 2)) if p > _TINY
+        return (float(normal_isf(p / 2)) if p > _TINY
                 else float(np.sqrt(max(self.chi2 - self.freedom, 0))))
 
     @property
@@ -322,8 +323,8 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
 
     rest = np.r_[place, aside]
     selection = csr_array(block_diag([unknowns.selection, eye_array(len(aside))]))
-    inverse = inverse_information(system.matrix, placed(selection, rest, len(system.matrix)),
-                                  system.diagonal)
+    selection = embedded_selection(selection, rest, len(system.matrix))
+    inverse = inverse_information(system.matrix, selection, system.diagonal)
     coupling = system.columns(further)
     follows = -(inverse @ coupling)
     information = coupling[further] + coupling.T @ follows

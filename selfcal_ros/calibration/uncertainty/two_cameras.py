@@ -28,7 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, JointInformation,
                                                               Supposition)
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 
 #: Views differ where that they do not would be an accident so rarely.
 ACCIDENT = 1e-8
@@ -69,7 +69,7 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
                                                 f * shared[:, :, places], True)], known)
     views = len(joint.places[_CAMERA])
     every = joint.test_along(np.eye(len(joint.score)), _CAMERA, ('f',) * len(joint.score))
-    if views < 6 or chi2_chance(every.chi2, every.freedom) > ACCIDENT:
+    if views < 6 or chi2_sf(every.chi2, every.freedom) > ACCIDENT:
         return None
     starts = (np.arange(views) % 2 == 1, np.arange(views) >= views // 2, *_halves(joint))
     found = [_improved(joint, start) for start in starts]

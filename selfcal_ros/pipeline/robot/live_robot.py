@@ -30,7 +30,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.errors import InputError, SelfcalError
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.pipeline.robot.pose_buffer import PoseBuffer
 from selfcal_ros.pipeline.robot.robot_source import RobotSource
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
@@ -113,8 +113,8 @@ class RobotSnapshot:
 
     def mounted(self, result: Calibration, tracks: Tracks) -> Calibration:
         """Return the calibration with the mount, or with why there is none."""
-        from selfcal_ros.calibration.structure.floor import with_floor
         from selfcal_ros.calibration.mounting.mounting import mount_camera
+        from selfcal_ros.calibration.structure.floor import with_floor
         try:
             return with_floor(mount_camera(result, self.poses(), tracks.stamps_ns, self.facts),
                               tracks)

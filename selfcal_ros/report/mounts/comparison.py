@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from selfcal_ros.calibration.mount import Mount, PLACE, TURN
-from selfcal_ros.geometry.chances import chi2_chance
+from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.report.comparison import in_sigmas
 from selfcal_ros.report.mounts.record import known_matrix, mount_from_dict, POSE
 from selfcal_ros.report.mounts.transform_files import StoredTransform
@@ -169,7 +169,7 @@ def compare_mounts(a: PlacedCamera, b: PlacedCamera) -> MountComparison:
         if free.any():
             d = values[shared][free]
             statistic = float(d @ np.linalg.solve(C[np.ix_(free, free)], d))
-            chance = float(chi2_chance(statistic, free.sum()))
+            chance = float(chi2_sf(statistic, free.sum()))
             joint = in_sigmas(statistic, chance, int(free.sum()))
         if (held > _SAME).any():
             # what both hold and contradict each other in is beyond any

@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong
 from selfcal_ros.calibration.mount import Floor, Mount, NAMES, PLACE, TURN
 from selfcal_ros.findings.finding import KINDS
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: The degrees of freedom of the pose.
 POSE = (*PLACE, *TURN)

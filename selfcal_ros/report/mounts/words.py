@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.mount import Floor, Mount, NAMES, PLACE, TURN
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report.mounts.record import shown_sigma
 
 #: What each degree of freedom is, for a person.

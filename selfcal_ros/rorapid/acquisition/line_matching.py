@@ -29,7 +29,7 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.rorapid.acquisition.image_lines import detect_lines, find_corners, refine_lines
 from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
 from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, AcquiredModel

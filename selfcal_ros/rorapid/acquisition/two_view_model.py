@@ -28,8 +28,8 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.geometry.estimate import NoEstimate
 from selfcal_ros.geometry.fundamental import fundamental
+from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.polygon import newell_normal
 from selfcal_ros.geometry.triangulation import metric_points, translated_points
 from selfcal_ros.rorapid.acquisition.point_covariance import (blocks, point_jacobian,

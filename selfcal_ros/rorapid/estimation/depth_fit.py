@@ -31,7 +31,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_scale import tukey_weight
+from selfcal_ros.geometry.robust_loss import tukey_weight
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.values.wireframe import across_axes, WireframeModel
@@ -131,8 +132,7 @@ class DepthFit:
             near = np.abs(left) < limit
             if near.sum() < max(_LEAST, _LEAST_SHARE * len(left)):
                 return None
-            sigma = max(1.4826 * float(np.median(np.abs(left[near]))),
-                        _NOISE * float(np.median(place[:, 2])))
+            sigma = max(robust_sigma(left[near]), _NOISE * float(np.median(place[:, 2])))
             weight = tukey_weight(left, _TUKEY * sigma) / sigma**2
             rows = np.column_stack([np.concatenate([np.cross(turned, normal), normal], axis=1)
                                     @ basis, along])

@@ -32,7 +32,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_loss import tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals

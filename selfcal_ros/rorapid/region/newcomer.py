@@ -23,6 +23,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from selfcal_ros.geometry.robust_scale import robust_sigma
+
 #: Images of the scene before anything can be new; weight of a new image in the memory.
 _IMAGES, _WEIGHT = 3, 0.05
 #: A pixel differs by so many robust sigmas, and grey levels at the least. A noise of so many grey
@@ -64,7 +66,7 @@ class Newcomer:
             self._scene, self._images = image.astype(np.float32), 1
             return []
         change = cv2.absdiff(image, cv2.convertScaleAbs(self._scene))
-        noise = 1.4826 * float(np.median(change[::2, ::2]))
+        noise = robust_sigma(change[::2, ::2])
         if noise > _MOVING:
             self._scene, self._images = image.astype(np.float32), 1
             return []

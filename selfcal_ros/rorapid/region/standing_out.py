@@ -24,6 +24,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from selfcal_ros.geometry.robust_scale import robust_sigma
 from selfcal_ros.rorapid.region.newcomer import closed, pieces_of
 
 #: Width of the border, share of the smaller side; rounds of the fit, and what is left out of it.
@@ -61,7 +62,7 @@ def what_stands_out(image: np.ndarray) -> list[np.ndarray]:
     for _ in range(_ROUNDS):
         surface = np.linalg.lstsq(terms[border] * weight[:, None], grey * weight, rcond=None)[0]
         left = np.abs(grey - terms[border] @ surface)
-        scatter = 1.4826 * float(np.median(left))
+        scatter = robust_sigma(left)
         weight = (left <= _LEAVE_OUT * max(scatter, 1.0)).astype(float)
     if scatter > _PLAIN:
         return []

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.geometry.robust_scale import fast_robust_sigma, tukey_weight
+from selfcal_ros.geometry.robust_loss import tukey_weight
+from selfcal_ros.geometry.robust_scale import fast_robust_sigma
 from selfcal_ros.rorapid.projection.camera_models import ProjectedPoints, Projection
 
 #: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Least squares over many points: Schur complement, robust loss, what is held.
+Least squares over many points, which are eliminated from the equations (Schur complement).
 
 The unknowns are a few that every observation shares (g: calibration, axis), a few for each
 view (v), and a few for each point (p). Points are eliminated first; the system that remains has
@@ -322,71 +322,3 @@ def _subtract(matrix: np.ndarray, gram: np.ndarray, g: int, own: slice | np.ndar
     # numbers of a flat array take half the time of rows and columns
     rows = np.r_[:g, own]
     matrix.reshape(-1)[rows[:, None] * len(matrix) + rows] -= gram
-
-
-def huber_weights(distance: np.ndarray, threshold: float) -> np.ndarray:
-    """Weights ψ(d) / d of Huber's loss for distances in units of sigma."""
-    weights: np.ndarray = np.minimum(1.0, threshold / np.maximum(distance, 1e-300))
-    return weights
-
-
-def huber_loss(distance: np.ndarray, threshold: float) -> np.ndarray:
-    """Huber's loss, d² / 2 near zero, of distances in units of sigma."""
-    return np.where(distance <= threshold, 0.5 * distance**2,
-                    threshold * (distance - 0.5 * threshold))
-
-
-def unknowns_of(free: np.ndarray, shared: np.ndarray | None = None,
-                balanced: tuple[int, ...] = ()) -> csr_array:
-    """
-    Relate all parameters to the independent unknowns among them.
-
-    Parameters
-    ----------
-    free : ndarray of bool, shape (n,)
-        False for parameters that are held.
-    shared : ndarray of int, shape (n,), optional
-        The parameter that each moves with; itself by default.
-    balanced : tuple of int
-        Free parameters whose steps are zero in sum: the last is less the sum of the others.
-
-    Returns
-    -------
-    csr_array, shape (n, k)
-        E of step = E y: a row with a single 1, or none for a held parameter.
-
-    """
-    column = np.arange(len(free)) if shared is None else shared
-    rows = np.flatnonzero(free[column])
-    if balanced:
-        rows = rows[rows != balanced[-1]]
-    kept, column = np.unique(column[rows], return_inverse=True)
-    value = np.ones(len(rows))
-    if balanced:
-        others = np.searchsorted(kept, balanced[:-1])
-        rows = np.r_[rows, np.full(len(others), balanced[-1])]
-        column, value = np.r_[column, others], np.r_[value, np.full(len(others), -1.0)]
-    return csr_array((value, (rows, column)), (len(free), len(kept)))
-
-
-def placed(selection: csr_array, places: np.ndarray, count: int) -> csr_array:
-    """
-    Relate more parameters to the independent unknowns of some of them; the others are held.
-
-    Parameters
-    ----------
-    selection : csr_array, shape (n, k)
-        Of `unknowns_of`.
-    places : ndarray of int, shape (n,)
-        Where its parameters stand among all.
-    count : int
-        m, how many there are.
-
-    Returns
-    -------
-    csr_array, shape (m, k)
-
-    """
-    of_row = csr_array((np.ones(len(places)), (places, np.arange(len(places)))),
-                       (count, len(places)))
-    return csr_array(of_row @ selection)

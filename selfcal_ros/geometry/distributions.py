@@ -26,27 +26,27 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtrc, chdtri, fdtrc, fdtri, ndtri
 
 
-def chi2_chance(square: ArrayLike, freedom: ArrayLike) -> Any:
+def chi2_sf(square: ArrayLike, freedom: ArrayLike) -> Any:
     """Return the chance that a sum of squares of so many unit Gaussians is larger."""
     # rounding leaves squares below zero
     return chdtrc(freedom, np.maximum(square, 0))
 
 
-def chi2_limit(chance: ArrayLike, freedom: ArrayLike) -> Any:
+def chi2_isf(chance: ArrayLike, freedom: ArrayLike) -> Any:
     """Return what a sum of squares of so many unit Gaussians exceeds with this chance."""
     return chdtri(freedom, chance)
 
 
-def f_chance(ratio: ArrayLike, above: ArrayLike, below: ArrayLike) -> Any:
+def f_sf(ratio: ArrayLike, above: ArrayLike, below: ArrayLike) -> Any:
     """Return the chance that a ratio of mean squares, with these freedoms, is larger."""
     return fdtrc(above, below, ratio)
 
 
-def f_limit(chance: float, above: ArrayLike, below: ArrayLike) -> Any:
+def f_isf(chance: float, above: ArrayLike, below: ArrayLike) -> Any:
     """Return what a ratio of mean squares, with these freedoms, exceeds with this chance."""
     return fdtri(above, below, 1 - chance)
 
 
-def normal_limit(chance: ArrayLike) -> Any:
+def normal_isf(chance: ArrayLike) -> Any:
     """Return what a unit Gaussian exceeds with this chance."""
     return -ndtri(chance)
