@@ -25,75 +25,29 @@ import numpy as np
 from selfcal_ros.calibration.affine.modulus import MIN_VIEWS
 from selfcal_ros.calibration.blas_threads import on_one_thread
 from selfcal_ros.calibration.estimators.acceptance import only_a_hint
-from selfcal_ros.calibration.estimators.all_views import finish, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.few_views import calibrate_few_views, spread_views
-from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
-                                                                   MOTION_MODELS, problem_of,
-                                                                   UNEXPLAINED)
-from selfcal_ros.calibration.estimators.pivot import decide_pivot, left_by_turns
+from selfcal_ros.calibration.estimators.motion_calibration import MOTION_MODELS
+from selfcal_ros.calibration.estimators.moving_camera import calibrate_moving, MovingCamera
 from selfcal_ros.calibration.estimators.repeated import (calibrate_repeated_objects,
                                                          refused_for_objects)
-from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
-                                                         judge_rotations, RotationFit)
-from selfcal_ros.calibration.estimators.sliding_images import LONG
+from selfcal_ros.calibration.estimators.rotation import calibrate_rotating
 from selfcal_ros.calibration.estimators.translation import calibrate_translated
-from selfcal_ros.calibration.estimators.turning_cameras import of_two_turning
 from selfcal_ros.calibration.estimators.turning_views import better_without, frames_in_motion
 from selfcal_ros.calibration.initialisation.mirrored import mirrored_views
-from selfcal_ros.calibration.initialisation.one_plane import on_one_plane
-from selfcal_ros.calibration.initialisation.supposed_lens import is_strong
 from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, ViewGraph
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
 _LOGGER = logging.getLogger(__name__)
-#: With fewer views a small translation hides in the noise, yet moves the calibration by several
-#: sigmas: that the camera only rotates must then be said.
-ROTATION_MIN_VIEWS = 5
-#: Below this ratio of homographies' misfit to that of epipolar geometry (which lens distortion
-#: raises, too) it is tried whether rotation alone explains the images.
-DOUBTFUL_PARALLAX = 10.0
-#: Rotation alone is taken where it leaves no more than so many times the noise: depths that
-#: rest on so little would lead the calibration astray.
-ROTATION_NOISE = 1.2
-#: So many times where that takes a long lens: over a plane that is nearly parallel to the image a
-#: path leaves the focal length open, and a turn behind such a lens looks much the same.
-LONG_LENS_NOISE = 1.02
-#: So is whether it turns about a point where the pair in the middle has less. A lens that bends
-#: lines leaves up to 20 where large turns show it: a head was taken for a free hand at 12.
-USUAL_PARALLAX = 25.0
-#: That is tried where rotation alone leaves less than so many times the noise, and the search for
-#: a rotation ends where its first start leaves more than so many times.
-PIVOT_RATIO, HOPELESS = 16.0, 20.0
-#: The same of a turn about a fixed point, to be taken; and where it contradicts the facts, or
-#: leaves so many times what pairs do, a free motion that leaves less than this share of its noise.
-PIVOT_NOISE, WORSE_THAN_PAIRS, CLEARER = 1.5, 1.04, 0.97
-#: So many times where no pair shows parallax: the noise of pairs is known to some 3 %, and a drive
-#: with the smallest of steps is no turn.
-HIDDEN_NOISE = 1.1
-#: A path is short when its extent is less than this share of the points' depth. A longer one
-#: shows in the images, and needs no model of its own.
-SHORT_WAY = 0.3
-#: A free path is weak where rotations alone, with the same lens, leave less than so many times the
-#: noise in the middle. Heads with a lever of 8 cm leave 1 to 8, drives and hands 24 and more.
-NEARLY_TURNS = 10.0
-#: Where rotations leave less than so many times the noise, what moved was too little to change the
-#: focal length by more than this share: those of heads with a lever were up to 4 % off.
-AS_LITTLE, FAR_FROM_TURNS = 2.0, 0.1
 #: Of two cameras, that of the first image is calibrated unless the other has so much more to show.
 CLEARLY_MORE = 1.3
-#: Refusals of circular motion, which name the fact that is missing.
-OF_CIRCLES = ('flat_turntable', 'circle_undetermined')
-#: Refusals of paths that explain the images, whatever the focal length is.
-OF_OPEN_PATH = ('parameters_undetermined', 'unlike_rotations', *OF_CIRCLES)
 METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 
 
@@ -221,7 +175,8 @@ def _of_graph(graph: ViewGraph, tracks: Tracks, motion: str, facts: CameraFacts,
     elif views is not None:
         result = calibrate_few_views(graph, size, facts, [start] if start else [])
     else:
-        result = _calibrate_moving(graph, size, facts, motion, [start] if start else [])
+        result = calibrate_moving(MovingCamera(graph, size, facts, motion,
+                                               [start] if start else []))
     if isinstance(result, NoEstimate):
         if result.kind == 'two_cameras' and result.values['all_views']:
             of_one = _of_one_camera(tracks, result, motion=motion, facts=facts, rng=rng,
@@ -277,151 +232,6 @@ def _of_one_camera(tracks: Tracks, mixed: NoEstimate, **how: Any) -> Calibration
         return result
     left_out = Finding('other_camera_left_out', used=groups[0], left_out=groups[1])
     return replace(result, findings=(left_out, *result.findings))
-
-
-def _calibrate_moving(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
-                      proposals: list[Camera]) -> Calibration | NoEstimate:
-    """Calibrate from planar or general motion, or what looks like it with little parallax."""
-    enough = len(graph.frames) >= ROTATION_MIN_VIEWS
-    little = enough and graph.parallax < DOUBTFUL_PARALLAX
-    doubtful = little or (enough and graph.usual_parallax < USUAL_PARALLAX)
-    turning: RotationFit | NoEstimate | None = None
-    turned: Calibration | NoEstimate | None = None
-    is_weak, turned_px = False, 0.0
-    if doubtful and facts.focal != 'varying':
-        # what a strong lens leaves of a rotation says nothing before the lens is fitted
-        tried = graph.parallax < PARALLAX_RATIO or is_strong(graph.bend)
-        turning = fit_rotations(graph.tracks, size, facts,
-                                np.inf if little and tried else HOPELESS * graph.noise_px)
-        if isinstance(turning, RotationFit):
-            mixed = of_two_turning(turning, graph, size, facts)
-            if mixed is not None:
-                return mixed
-            is_weak = turning.left_px < PIVOT_RATIO * max(turning.noise_px, graph.noise_px)
-    if is_weak and isinstance(turning, RotationFit):
-        turned, turned_px = _about_a_point(graph, size, facts, motion, turning)
-        if turned is not None and not _may_be_another_path(turned, turned_px, graph):
-            return turned
-    elif doubtful:
-        in_plane = on_one_plane(graph)
-        if in_plane is not None:
-            plane = calibrate_from_motion(in_plane, size, facts, [], MOTION_MODELS[motion],
-                                          flat=True)
-            if plane or plane.kind in OF_CIRCLES:
-                return plane
-    moving = _as_turns_say(calibrate_from_motion(
-        graph, size, facts, proposals, MOTION_MODELS[motion], is_weak=is_weak), turning, graph)
-    if (moving and enough and turning is None and facts.focal != 'varying'
-            and left_by_turns(graph, moving.camera) < NEARLY_TURNS):
-        # what pairs show beside a homography was no parallax
-        nearly = fit_rotations(graph.tracks, size, facts, HOPELESS * graph.noise_px)
-        if isinstance(nearly, RotationFit):
-            turned, turned_px = _about_a_point(graph, size, facts, motion, nearly)
-            if turned and not _may_be_another_path(turned, turned_px, graph):
-                return turned
-        moving = _as_turns_say(calibrate_from_motion(
-            graph, size, facts, proposals, MOTION_MODELS[motion], is_weak=True), nearly, graph)
-    if turned is not None:
-        # a path that only looks like a turn contradicts the facts, too
-        left_px = turned.noise_sigma_px if turned else turned_px
-        clearer = moving and moving.noise_sigma_px < CLEARER * left_px
-        return moving if clearer or (moving and _is_open(turned)) else turned
-    if not little or (moving and turning is not None):
-        return moving
-    if turning is None:
-        rotating = calibrate_rotating(graph.tracks, size, facts, not moving, may_miss=True)
-    else:
-        rotating = (judge_rotations(turning, size, facts, may_miss=True)
-                    if isinstance(turning, RotationFit)
-                    else turning)
-    if rotating:
-        simpler = not _hides_path(rotating, moving) and (
-            not moving or rotating.noise_sigma_px <= ROTATION_NOISE * moving.noise_sigma_px)
-        return rotating if motion == 'auto' and simpler else moving
-    if not moving and graph.parallax < PARALLAX_RATIO:
-        plane = calibrate_from_motion(graph, size, facts, [], MOTION_MODELS[motion], flat=True)
-        # a plane that turns in itself is not for want of parallax
-        return plane if plane or plane.kind in OF_CIRCLES else moving
-    return moving
-
-
-def _as_turns_say(result: Calibration | NoEstimate, turning: RotationFit | NoEstimate | None,
-                  graph: ViewGraph) -> Calibration | NoEstimate:
-    """Refuse a path beside which rotations alone leave as little, with quite another camera."""
-    if (not isinstance(turning, RotationFit) or isinstance(result, NoEstimate)
-            or turning.left_px > AS_LITTLE * graph.noise_px):
-        return result
-    turned_px, focal_px = turning.lens.fit.state.lens['f'], float(result.camera.K[0, 0])
-    if abs(np.log(focal_px / turned_px)) < FAR_FROM_TURNS:
-        return result
-    return NoEstimate('unlike_rotations', focal_px=focal_px, turned_px=float(turned_px),
-                      left_px=result.noise_sigma_px, motion=result.motion, facts=result.facts,
-                      status=result.status)
-
-
-def _hides_path(rotating: Calibration, moving: Calibration | NoEstimate) -> bool:
-    """Tell whether a path explains what a turn behind a long lens only seems to."""
-    if moving:
-        left_px = moving.noise_sigma_px
-    elif moving.kind in OF_OPEN_PATH:
-        left_px = moving.values.get('left_px', np.inf)
-    else:
-        return False
-    camera = rotating.camera
-    is_long = camera.K[0, 0] > LONG * max(camera.width, camera.height)
-    return bool(is_long and rotating.noise_sigma_px > LONG_LENS_NOISE * left_px)
-
-
-def _may_be_another_path(turned: Calibration | NoEstimate, left_px: float, graph: ViewGraph,
-                         ) -> bool:
-    """Tell whether a turn contradicts facts or lens, or leaves more than pairs of images do."""
-    if turned:
-        return left_px > WORSE_THAN_PAIRS * graph.noise_px
-    return turned.kind in ('fact_contradicted', 'smooth_misfit') or _is_open(turned)
-
-
-def _is_open(turned: Calibration | NoEstimate) -> bool:
-    """Tell whether a turn leaves parameters of the camera open, as a path may not."""
-    return isinstance(turned, NoEstimate) and turned.kind == 'parameters_undetermined'
-
-
-def _about_a_point(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, motion: str,
-                   turning: RotationFit) -> tuple[Calibration | NoEstimate | None, float]:
-    """
-    Try whether the camera only turns, about its centre or a point beside it.
-
-    Returns
-    -------
-    Calibration or NoEstimate or None
-        None if it does not.
-    float
-        Noise that a turn leaves, pixels.
-
-    """
-    hidden = graph.parallax < PARALLAX_RATIO
-    if hidden and turning.left_px < ROTATION_NOISE * graph.noise_px:
-        return None, 0.0
-    problem = problem_of(graph, size, facts, turns=True)
-    if isinstance(problem, NoEstimate):
-        return None, 0.0
-    decided = decide_pivot(problem, graph, turning)
-    if isinstance(decided, NoEstimate):
-        return None, 0.0
-    problem, decision = decided
-    noise_px = decision.model.fit.bundle.sigma_px
-    if decision.is_rotation and motion == 'auto':
-        rotating = judge_rotations(turning, size, facts, may_zoom=False, may_miss=True)
-        if rotating:
-            return rotating, noise_px
-    # a lever that no pair shows has to explain all that rotations leave
-    explained = noise_px < (HIDDEN_NOISE if hidden else PIVOT_NOISE) * problem.noise_px
-    if decision.holds and explained and decision.moved_share < SHORT_WAY:
-        result = _as_turns_say(finish(settled(problem, decision.model), decision.model, graph,
-                                      facts), turning, graph)
-        # a focal length that varies is for the free motions
-        if result or result.kind not in (NOT_CONSTANT, *UNEXPLAINED):
-            return result, noise_px
-    return None, noise_px
 
 
 def _size_from(tracks: Tracks) -> tuple[int, int]:

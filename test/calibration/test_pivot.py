@@ -29,9 +29,10 @@ from selfcal_ros.calibration.bundle.point_of_rest import axis_of_all, resting_ne
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.calibration.calibrate import NEARLY_TURNS
-from selfcal_ros.calibration.estimators import pivot
+from selfcal_ros.calibration.estimators import moving_camera, pivot
 from selfcal_ros.calibration.estimators.motion_calibration import problem_of
+from selfcal_ros.calibration.estimators.moving_camera import (
+    MAX_NOISE_OF_WEAK_PATH, MovingCamera, Turn)
 from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,
                                                       PivotDecision)
 from selfcal_ros.calibration.estimators.rotation import fit_rotations
@@ -120,7 +121,7 @@ def test_rotations_alone_leave_little_of_a_head_and_much_of_a_free_hand():
             for one in (head(3, lever=(0, -0.024, -0.08), turn_deg=20, camera=camera),
                         scene(rng, free, count=160, depth_m=(1.0, 6.0), camera=camera))]
 
-    assert left[0] < NEARLY_TURNS < 2 * NEARLY_TURNS < left[1]
+    assert left[0] < MAX_NOISE_OF_WEAK_PATH < 2 * MAX_NOISE_OF_WEAK_PATH < left[1]
 
 
 def test_without_a_lever_it_is_a_rotation():
@@ -275,15 +276,14 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
     wrong = Camera(drive.camera.K * [[0.87], [0.87], [1.0]], width=640, height=480)
     turn = replace(drive, motion='pivot', camera=wrong,
                    noise_sigma_px=1.05 * drive.noise_sigma_px)
-    module = importlib.import_module('selfcal_ros.calibration.calibrate')
     # as if the parallax were little, and rotations nearly explained the images
     rotations = SimpleNamespace(left_px=3.0, noise_px=0.5)
-    monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
-    monkeypatch.setattr(module, 'of_two_turning', lambda *_: None)
-    monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
-    monkeypatch.setattr(module, 'fit_rotations', lambda *_: rotations)
+    monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(moving_camera, 'of_two_turning', lambda *_: None)
+    monkeypatch.setattr(moving_camera, 'MAX_PARALLAX_OF_BEST', 1e6)
+    monkeypatch.setattr(moving_camera, 'fit_rotations', lambda *_: rotations)
     left_px = 1.1 * drive.noise_sigma_px
-    monkeypatch.setattr(module, '_about_a_point', lambda *_: (turn, left_px))
+    monkeypatch.setattr(MovingCamera, 'about_a_point', lambda *_: Turn(turn, left_px))
     result = calibrate(sequence.tracks, motion='planar', facts=STRAIGHT)
 
     assert result.motion != 'pivot'
@@ -293,7 +293,6 @@ def test_a_turn_that_leaves_more_than_a_drive_is_not_taken(monkeypatch):
 def test_a_camera_that_rotations_contradict_is_no_calibration_where_they_leave_as_little():
     # a lever of 3 cm before points at 2 to 6 m: one inside out once was 46 sigma off in silence
     sequence = head(1, lever=(0, -0.009, -0.03), turn_deg=20)
-    module = importlib.import_module('selfcal_ros.calibration.calibrate')
     graph = build_view_graph(sequence.tracks, np.random.default_rng(0))
     turning = fit_rotations(graph.tracks, (640, 480), STRAIGHT)
     found = calibrate(sequence.tracks, facts=STRAIGHT)
@@ -301,25 +300,25 @@ def test_a_camera_that_rotations_contradict_is_no_calibration_where_they_leave_a
     far = replace(found, camera=Camera(K, found.camera.distortion, 640, 480))
 
     assert found.motion == 'pivot'
-    noisy = replace(graph, noise_px=turning.left_px)
-    assert module._as_turns_say(found, turning, noisy) is found
-    refused = module._as_turns_say(far, turning, noisy)
+    noisy = MovingCamera(replace(graph, noise_px=turning.left_px), (640, 480), STRAIGHT, 'auto',
+                         [])
+    assert noisy.unless_like_turns(found, turning) is found
+    refused = noisy.unless_like_turns(far, turning)
     assert not refused and refused.kind == 'unlike_rotations' and refused.values['focal_px'] > 600
     # rotations that leave much say nothing
-    clear = replace(graph, noise_px=0.1 * turning.left_px)
-    assert module._as_turns_say(far, turning, clear) is far
+    clear = replace(noisy, graph=replace(graph, noise_px=0.1 * turning.left_px))
+    assert clear.unless_like_turns(far, turning) is far
 
 
 def test_a_turn_that_leaves_the_camera_open_is_not_the_last_word(monkeypatch):
     sequence = vehicle(np.random.default_rng([3, 5]), s_curve(6), count=60, noise_px=0.5)
-    module = importlib.import_module('selfcal_ros.calibration.calibrate')
-    monkeypatch.setattr(module, 'RotationFit', SimpleNamespace)
-    monkeypatch.setattr(module, 'of_two_turning', lambda *_: None)
-    monkeypatch.setattr(module, 'DOUBTFUL_PARALLAX', 1e6)
-    monkeypatch.setattr(module, 'fit_rotations',
+    monkeypatch.setattr(moving_camera, 'RotationFit', SimpleNamespace)
+    monkeypatch.setattr(moving_camera, 'of_two_turning', lambda *_: None)
+    monkeypatch.setattr(moving_camera, 'MAX_PARALLAX_OF_BEST', 1e6)
+    monkeypatch.setattr(moving_camera, 'fit_rotations',
                         lambda *_: SimpleNamespace(left_px=3.0, noise_px=0.5))
-    monkeypatch.setattr(module, '_about_a_point',
-                        lambda *_: (NoEstimate('parameters_undetermined', missing=('fx',)), 0.5))
+    open_turn = Turn(NoEstimate('parameters_undetermined', missing=('fx',)), 0.5)
+    monkeypatch.setattr(MovingCamera, 'about_a_point', lambda *_: open_turn)
     result = calibrate(sequence.tracks, facts=STRAIGHT)
 
     assert result.motion == 'planar'

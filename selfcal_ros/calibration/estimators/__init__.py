@@ -14,5 +14,6 @@
 """
 From tracks to a result, one file a kind of motion, and the tests that a result must pass.
 
-Read `motion_calibration` for the whole chain, `acceptance` for the reasons of a refusal.
+Read `moving_camera` for the choice of the motion, `motion_calibration` for the whole chain of one
+motion, `acceptance` for the reasons of a refusal.
 """
