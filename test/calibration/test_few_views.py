@@ -55,7 +55,7 @@ def test_the_modulus_constraint_finds_a_principal_point_that_the_sweep_does_not(
     tracks = general_views(np.random.default_rng(7), OUTSIDE).tracks
     # half of the tracks may find it, too
     with mock.patch.object(multi_start, 'MODULUS_MAX_VIEWS', 0), \
-            mock.patch.object(motion_calibration, '_of_coherent_tracks', return_value=None):
+            mock.patch.object(motion_calibration, 'calibrate_coherent_tracks', return_value=None):
         # a focal length that is asked whether it varies is searched for once more
         assert not calibrate(tracks, motion='general', facts=replace(NO_FACT, focal='constant'))
     assert_near(calibrate(tracks, motion='general', facts=NO_FACT), OUTSIDE)

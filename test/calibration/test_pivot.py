@@ -30,7 +30,7 @@ from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators import moving_camera, pivot
-from selfcal_ros.calibration.estimators.motion_calibration import problem_of
+from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.moving_camera import (
     MAX_NOISE_OF_WEAK_PATH, MovingCamera, Turn)
 from selfcal_ros.calibration.estimators.pivot import (_moved_shares, decide_pivot, left_by_turns,

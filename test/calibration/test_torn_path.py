@@ -21,7 +21,7 @@ from selfcal_ros import CameraFacts
 from selfcal_ros.calibration.bundle.motion import NEARLY_PLANAR
 from selfcal_ros.calibration.bundle.robust_fit import with_all_points
 from selfcal_ros.calibration.estimators.model_selection import first_fit
-from selfcal_ros.calibration.estimators.motion_calibration import problem_of
+from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.torn_path import (is_torn, mended, passing_shares,
                                                           torn_findings)
 from selfcal_ros.calibration.initialisation.multi_start import starts

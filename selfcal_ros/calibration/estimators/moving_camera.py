@@ -27,8 +27,8 @@ import numpy as np
 
 from selfcal_ros.calibration.estimators.all_views import finish, NOT_CONSTANT, settled
 from selfcal_ros.calibration.estimators.motion_calibration import (calibrate_from_motion,
-                                                                   MOTION_MODELS, problem_of,
-                                                                   UNEXPLAINED)
+                                                                   MOTION_MODELS, UNEXPLAINED)
+from selfcal_ros.calibration.estimators.motion_problem import problem_of
 from selfcal_ros.calibration.estimators.pivot import decide_pivot, left_by_turns
 from selfcal_ros.calibration.estimators.rotation import (calibrate_rotating, fit_rotations,
                                                          judge_rotations, RotationFit)

@@ -39,8 +39,8 @@ from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
                                                                 ModelDecision,
                                                                 robust_covariance_of)
-from selfcal_ros.calibration.estimators.motion_calibration import (MODEL_TRACKS_PER_VIEW,
-                                                                   of_two_cameras)
+from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
+                                                               of_two_cameras)
 from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
