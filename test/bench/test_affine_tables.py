@@ -13,8 +13,8 @@
 # limitations under the License.
 """The bench of tables 4.1 and 4.2 measures what it says; its full runs take longer."""
 
-from bench import affine_tables
-from bench.affine_tables import degenerate_run, METHODS, one_run, row_of, structure_measures
+from bench.thesis import affine_tables
+from bench.thesis.affine_tables import degenerate_run, METHODS, one_run, row_of, structure_measures
 import numpy as np
 import pytest
 from selfcal_ros.synthetic.grid_scenes import grid_camera, grid_points

@@ -15,11 +15,11 @@
 
 from types import SimpleNamespace
 
-from bench import dinosaur, few_views, si_degenerate, si_horizon, si_triplet
 from bench.__main__ import BENCHES, main
 from bench.fisher import cramer_rao_bound
-from bench.live import RATE_HZ, there_and_back
+from bench.live.live import RATE_HZ, there_and_back
 from bench.tables import Report
+from bench.thesis import dinosaur, few_views, si_degenerate, si_horizon, si_triplet
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts
@@ -125,7 +125,8 @@ def test_a_missed_requirement_ends_with_status_1(capsys, monkeypatch):
     assert report.verdict('error', -0.5, 1.0, '%')
     assert not report.verdict('error', -1.5, 1.0, '%')
     assert len(report.failures) == 1
-    monkeypatch.setattr('bench.si_horizon.run', lambda report, _: report.judge(False, 'missed'))
+    monkeypatch.setattr('bench.thesis.si_horizon.run',
+                        lambda report, _: report.judge(False, 'missed'))
     assert main(['si_horizon']) == 1
     assert 'MISSED' in capsys.readouterr().out
 

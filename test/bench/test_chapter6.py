@@ -13,7 +13,8 @@
 # limitations under the License.
 """The tables of chapter 6, with few seeds: what is stated holds the truth as often as it says."""
 
-from bench import chapter6, coverage
+from bench.calibration import coverage
+from bench.thesis import chapter6
 import numpy as np
 import pytest
 from scipy.stats import chi2

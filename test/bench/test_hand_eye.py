@@ -13,7 +13,7 @@
 # limitations under the License.
 """Streams of poses without images, whose errors nobody states."""
 
-from bench.hand_eye import calibration_of
+from bench.mounts.hand_eye import calibration_of
 import numpy as np
 from selfcal_ros.calibration.mounting import mounting
 from selfcal_ros.geometry.rotation import rotation_matrix

@@ -13,8 +13,8 @@
 # limitations under the License.
 """A short look at bad inputs, in this process; the bench runs thousands of them."""
 
-from bench import hostile_calls
-from bench.hostile_cases import damaged, draw, READERS
+from bench.hostile import hostile_calls
+from bench.hostile.hostile_cases import damaged, draw, READERS
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, Camera, Tracks

@@ -15,8 +15,8 @@
 
 from types import SimpleNamespace
 
-from bench import lens_runs, lenses
-from bench.lens_population import profile_path
+from bench.lenses import lens_runs, lenses
+from bench.lenses.lens_population import profile_path
 import numpy as np
 import pytest
 from selfcal_ros import Camera

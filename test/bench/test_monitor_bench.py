@@ -15,10 +15,10 @@
 
 from itertools import islice
 
-from bench.linear_windows import EndlessDrive, linear_hours, LinearWindow
-from bench.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed,
-                           rate_bound)
-from bench.monitored_drive import keyframes, MeasuredDrive, window_of
+from bench.live.linear_windows import EndlessDrive, linear_hours, LinearWindow
+from bench.live.monitor import (changed_camera, drawn_chances, DRIFT, episodes, KINDS, noticed,
+                                rate_bound)
+from bench.live.monitored_drive import keyframes, MeasuredDrive, window_of
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts

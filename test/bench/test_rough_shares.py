@@ -13,9 +13,9 @@
 # limitations under the License.
 """The bench of shares counts what it is given, and its worlds give what it counts."""
 
-from bench import rough_shares
-from bench.lens_population import profile_path
-from bench.suppositions import WORLDS
+from bench.calibration import rough_shares
+from bench.calibration.suppositions import WORLDS
+from bench.lenses.lens_population import profile_path
 from bench.tables import Report
 import numpy as np
 import pytest

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Short clips turn as far as they say, drift as patches do, and are never beyond four sigmas."""
 
-from bench import short_clips
-from bench.short_clips import clip, EVERY, MAX_SIGMAS, one_run
+from bench.calibration import short_clips
+from bench.calibration.short_clips import clip, EVERY, MAX_SIGMAS, one_run
 import numpy as np
 
 

@@ -15,7 +15,7 @@
 
 import os
 
-from bench.soak import allocated_mb, growth
+from bench.live.soak import allocated_mb, growth
 import numpy as np
 
 

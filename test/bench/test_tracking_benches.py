@@ -13,14 +13,14 @@
 # limitations under the License.
 """The parts of the tracker's benches: what gets in the way, how it is judged, peers."""
 
-from bench import tracking_poses, tracking_starts, visp_peer
-from bench.hindrances import CLEAN_IMAGES, HIDDEN_FROM, HINDRANCES
 from bench.inputs import data_folder
 from bench.tables import Report
-from bench.tracking_objects import NEW_OBJECTS
-from bench.tracking_occlusion import judge, longest_run
-from bench.tracking_poses import coverage, start_of, tracked
-from bench.tracking_runs import cube_sequence
+from bench.tracking import tracking_poses, tracking_starts, visp_peer
+from bench.tracking.hindrances import CLEAN_IMAGES, HIDDEN_FROM, HINDRANCES
+from bench.tracking.tracking_objects import NEW_OBJECTS
+from bench.tracking.tracking_occlusion import judge, longest_run
+from bench.tracking.tracking_poses import coverage, start_of, tracked
+from bench.tracking.tracking_runs import cube_sequence
 import numpy as np
 import pytest
 from selfcal_ros.rorapid.tracker import TrackerState

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Lenses with bumps, and a few images of a drive that are no turn about a far point."""
 
-from bench.uneven_lenses import bumps, one_run, walks
+from bench.lenses.uneven_lenses import bumps, one_run, walks
 import numpy as np
 import pytest
 from selfcal_ros import Tracks

@@ -15,8 +15,8 @@
 
 from __future__ import annotations
 
-from bench.held_lens import distance_after_similarity, observations_of, under_lens
-from bench.lens_distance import angles_deg, pixel_grid, projection_distance, rms
+from bench.lenses.held_lens import distance_after_similarity, observations_of, under_lens
+from bench.lenses.lens_distance import angles_deg, pixel_grid, projection_distance, rms
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

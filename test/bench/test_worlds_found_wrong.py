@@ -13,7 +13,7 @@
 # limitations under the License.
 """Independent worlds that were wrong in silence, or refused without need, are right and told."""
 
-from bench.suppositions import load_worlds, MAX_SIGMAS, WORLDS
+from bench.calibration.suppositions import load_worlds, MAX_SIGMAS, WORLDS
 import numpy as np
 import pytest
 from selfcal_ros import calibrate, CameraFacts, Tracks

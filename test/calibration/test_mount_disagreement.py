@@ -15,7 +15,7 @@
 
 from dataclasses import replace
 
-from bench import mount_worlds as worlds
+from bench.mounts import mount_worlds as worlds
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

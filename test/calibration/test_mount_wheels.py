@@ -15,8 +15,8 @@
 
 from dataclasses import replace
 
-from bench import mount_worlds as worlds
-from bench.mounts import simulated
+from bench.mounts import mount_worlds as worlds
+from bench.mounts.mounts import simulated
 import numpy as np
 import pytest
 from selfcal_ros.calibration.mount import NAMES

@@ -16,7 +16,7 @@
 from functools import cache, cached_property
 import json
 
-from bench.mount_worlds import odometry
+from bench.mounts.mount_worlds import odometry
 import numpy as np
 import pytest
 from selfcal_ros import calibrate_rig, CameraFacts

@@ -14,7 +14,7 @@
 """The prior over real lenses holds published lenses, and lenses that it was made from."""
 
 from bench.inputs import data_folder
-from bench.lens_population import equidistant_lenses, read_profiles
+from bench.lenses.lens_population import equidistant_lenses, read_profiles
 import numpy as np
 import pytest
 from scipy.stats import chi2

@@ -15,7 +15,7 @@
 
 import json
 
-from bench.mount_worlds import odometry
+from bench.mounts.mount_worlds import odometry
 from diagnostic_msgs.msg import DiagnosticArray
 from msg_adapters.message_types import rclpy_types
 from msg_adapters.poses import pose_message

@@ -16,7 +16,7 @@
 from importlib.util import find_spec
 import json
 
-from bench.mount_worlds import odometry
+from bench.mounts.mount_worlds import odometry
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from msg_adapters.message_types import rclpy_types

@@ -15,7 +15,7 @@
 
 from dataclasses import dataclass, replace
 
-from bench.mount_worlds import odometry
+from bench.mounts.mount_worlds import odometry
 import numpy as np
 import pytest
 from selfcal_ros import calibrate

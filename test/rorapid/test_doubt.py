@@ -16,8 +16,8 @@
 from dataclasses import replace
 from functools import lru_cache
 
-from bench.tracking_objects import slab
-from bench.tracking_starts import longer_edge
+from bench.tracking.tracking_objects import slab
+from bench.tracking.tracking_starts import longer_edge
 import numpy as np
 import pytest
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 import json
 from pathlib import Path
 
-from bench.object_models import MOVED, onto, PICKED_CUBE, translated, wholly_visible
+from bench.tracking.object_models import MOVED, onto, PICKED_CUBE, translated, wholly_visible
 import cv2
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import tracking_recorded
+from bench.tracking import tracking_recorded
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.rorapid.estimation.initial_pose import pose_from_clicks, read_init, read_pose_file

@@ -14,9 +14,9 @@
 """
 A prior over real lenses: which coefficients lenses that somebody built have.
 
-Made from measured lenses of the gyroflow project (CC0) by `bench/lens_population.py`. Each row was
-refitted over its own image with each member, the focal length free. The natural unit is what a
-coefficient moves the image's corner, over the corner's distance, so ki is scaled by
+Made from measured lenses of the gyroflow project (CC0) by `bench/lenses/lens_population.py`. Each
+row was refitted over its own image with each member, the focal length free. The natural unit is
+what a coefficient moves the image's corner, over the corner's distance, so ki is scaled by
 corner^(2i). Mean and covariance of these depend on the corner.
 
 The prior is weak on purpose. Lenses have long tails, so the covariance is broadened until 99 % of

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Constants of the prior over real lenses; made by `python -m bench.lens_population --write`.
+Constants of the prior over real lenses; made by `python -m bench.lenses.lens_population --write`.
 
 6775 of 9810 measured lenses of the gyroflow project (CC0).
 """
