@@ -35,8 +35,10 @@ REFUSALS: dict[str, Phrase] = {
         'Track points all over the images.'),
     'equations_singular': Phrase(
         'The equations of these points have no solution.',
-        'Points coincide, lie far off the image, or are the same in image after image.',
-        'Track points all over the images, and leave out what lies off them.'),
+        'A system of equations turned out singular. Often points coincide, lie far off the image, '
+        'or are the same in image after image.',
+        'Track points all over the images, and leave out what lies off them. If nothing of that '
+        'holds, report it with the tracks.'),
     'no_epipolar_geometry': Phrase(
         'No two images share enough points with a consistent epipolar geometry (at least {least} '
         'are needed, and {least_doubtful} where some disagree).',
