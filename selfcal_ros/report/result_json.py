@@ -202,9 +202,9 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
     Turn what `result_to_dict` gives back into a result.
 
     A file holds less than a result. Of a calibration, `reconstruction`, `residuals` and
-    `population` are None, and `focal.is_steady` is False. Of a hint, the file has the camera and
-    its covariance; its counts are 0 and its `reprojection_rms_px` is NaN. Sequences in the values
-    of findings come back as lists, and numbers that were not finite as NaN.
+    `population` are None, and `is_steady` of `focal` is False. Of a hint, the file has the camera
+    and its covariance; its counts are 0 and its `reprojection_rms_px` is NaN. Sequences in the
+    values of findings come back as lists, and numbers that were not finite as NaN.
 
     Files of the first version, which have no 'schema', are read, too: their notes are findings
     of the kind 'note'.

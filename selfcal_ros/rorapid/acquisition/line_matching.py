@@ -70,7 +70,7 @@ def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
     faces : bool
         Make closed plane loops of lines opaque faces.
     **facts
-        `baseline_m` and `sigma_px` as for `acquisition.points_from_translation`.
+        `baseline_m` and `sigma_px` as for `two_view_model.points_from_translation`.
 
     Returns
     -------
