@@ -21,10 +21,10 @@ from selfcal_ros.calibration.estimators.rotation import calibrate_rotating, fit_
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera, CameraFacts
 from selfcal_ros.geometry.homography import homography
-from selfcal_ros.geometry.projective import transform_points
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import observe
 from selfcal_ros.synthetic.special_scenes import drive
+from test_support.image_maps import transform_points
 
 SIZE = (1280, 720)
 STRAIGHT = CameraFacts(distortion='none')

@@ -132,13 +132,6 @@ def mu_from_aspect(C, ll, aspect_ratio: float) -> list[float]:
     return roots[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))].real.tolist()
 
 
-def mu_from_aspect_without_skew(C, ll, aspect_ratio: float) -> list[float]:
-    """Member with the aspect ratio, the skew neglected, as the thesis has it (5.8)."""
-    z2 = aspect_ratio ** 2
-    below = ll[0, 0] - z2 * ll[1, 1]
-    return [(z2 * C[1, 1] - C[0, 0]) / below] if below else []
-
-
 def mu_from_principal_point(C, ll, point) -> list[float]:
     """Member with the principal point: two linear equations, least squares (5.9)."""
     x = np.array([*point, 1.0])
