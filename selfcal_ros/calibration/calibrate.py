@@ -46,7 +46,8 @@ from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents

@@ -28,7 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.freed_memory import return_freed_memory

@@ -29,7 +29,8 @@ from selfcal_ros.calibration.result import (Calibration, FixedPoints, FocalCours
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.board_shape import board_shape

@@ -18,7 +18,7 @@ import pytest
 from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
                                                                translated_pair)
 from selfcal_ros.calibration.affine.diac import constraint_rows, linear_conic, unit_determinant
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, grid_camera, grid_neighbours,

@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.known_object.edge_calibration import calibrate_from_edges, EdgeViews
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 
 CAMERA = Camera([[520, 0, 328], [0, 520, 235], [0, 0, 1]], (), 640, 480)

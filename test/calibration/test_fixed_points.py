@@ -21,7 +21,7 @@ from selfcal_ros.calibration.planar.fixed_points import (calibrate_estimate,
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.calibration.structure import upgrade
 from selfcal_ros.geometry import projective, tensor_cameras, trifocal
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes
 from test_support.image_maps import transform_points
 

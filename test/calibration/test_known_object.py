@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.wide_recordings import wide_camera
 from selfcal_ros.values.known_object import KnownObject

@@ -19,7 +19,8 @@ from selfcal_ros.calibration.affine.kruppa import calibrate_kruppa, kruppa_resid
 from selfcal_ros.calibration.affine.repeated_structure import (calibrate_repeated,
                                                                tracks_from_objects)
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.grid_scenes import grid_points, grid_sequence, random_rotations

@@ -19,7 +19,8 @@ from selfcal_ros import calibrate, Tracks
 from selfcal_ros.calibration.estimators import acceptance, rotation
 from selfcal_ros.calibration.estimators.rotation import calibrate_rotating, fit_rotations
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.homography import homography
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.scenes import observe

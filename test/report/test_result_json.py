@@ -23,7 +23,8 @@ from selfcal_ros.calibration.result import (Calibration, FixedPoints, FocalCours
                                             Identifiability, NotCalibrated)
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report.result_json import (result_from_dict, result_to_dict, SCHEMA,
                                             write_result_json)

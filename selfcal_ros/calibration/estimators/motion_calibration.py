@@ -63,7 +63,8 @@ from selfcal_ros.calibration.observability import held_facts, LEAST_NOISE_PX
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.track_labels import MOVING

@@ -42,7 +42,8 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject

@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.calibration.planar.conic_covariance import calibration_covariance, EXACT_SIGMAS
 from selfcal_ros.calibration.result import FixedPoints
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import calibration_from_iac, iac_from_calibration
 
