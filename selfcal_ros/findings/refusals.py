@@ -218,7 +218,7 @@ REFUSALS: dict[str, Phrase] = {
         'reason given.',
         'Give three or more equal objects with depth, turned against each other by 20 degrees or '
         'more, each large in the image. State which of them stand parallel, if some do '
-        '(--translation-frames).'),
+        '(--parallel-objects).'),
     # the lens
     'start_distortion_not_invertible': Phrase(
         'The distortion of the best start cannot be undone over the whole image.',
