@@ -116,7 +116,8 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     facts : CameraFacts, optional
         What is known of the camera; nothing by default.
     rng : numpy.random.Generator, optional
-        For RANSAC; a fixed seed by default, so that the same tracks give the same result.
+        For RANSAC between images; a fixed seed by default, so that the same tracks give the same
+        result. What sorts things that move by themselves always draws from a fixed seed.
     start : Camera, optional
         A calibration to try first, for example that of a while ago. The result does not depend
         on it, the time does.
