@@ -123,7 +123,7 @@ def calibrate(figure) -> None:
     left, right, wide, high = 2.3, 6.9, 3.9, 0.92
     d.box('tracks', left, 6.3, wide, high, 'Tracks', 'frame, track, x, y\nvalues/tracks.py', GREY)
     d.box('facts', right, 6.3, wide, high, 'CameraFacts', 'what is known, each with a sigma\n'
-          'geometry/camera.py', GREY)
+          'geometry/camera_facts.py', GREY)
     d.box('graph', left, 5.05, wide, high, 'View graph', 'which views share points; F of pairs\n'
           'initialisation/view_graph.py')
     d.box('closed', left, 3.8, wide, high, 'Closed forms', 'fixed points, pencil of conics; '

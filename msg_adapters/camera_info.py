@@ -29,7 +29,8 @@ from msg_adapters.stamps import copy_header
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera, ROS_COEFFICIENTS, ros_distortion
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.values.ros_lenses import ROS_COEFFICIENTS, ros_distortion
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from selfcal_ros.calibration.structure.angular_measurement import ray_angles
     from selfcal_ros.calibration.structure.structure_measurement import (length_ratio,
                                                                          structure_angle)
-    from selfcal_ros.geometry.camera import Camera, CameraFacts
+    from selfcal_ros.geometry.camera import Camera
+    from selfcal_ros.geometry.camera_facts import CameraFacts
     from selfcal_ros.values.known_object import KnownObject
     from selfcal_ros.values.tracks import Tracks
 
@@ -41,7 +42,7 @@ __all__ = ['Calibration', 'Camera', 'CameraFacts', 'KnownObject', 'Measured', 'N
 _HOMES = {
     'Calibration': 'calibration.result',
     'Camera': 'geometry.camera',
-    'CameraFacts': 'geometry.camera',
+    'CameraFacts': 'geometry.camera_facts',
     'KnownObject': 'values.known_object',
     'Measured': 'calibration.reconstruction',
     'NotCalibrated': 'calibration.result',

@@ -43,6 +43,7 @@ RORAPID_FLOOR = {
 FLOORS = {'calibration': CALIBRATION_FLOOR, 'rorapid': RORAPID_FLOOR}
 #: The value types of the top storey that message adapters may name.
 VALUE_TYPES = {'selfcal_ros.errors', 'selfcal_ros.geometry.camera',
+               'selfcal_ros.values.ros_lenses',
                'selfcal_ros.values.image_headers', 'selfcal_ros.values.tracks',
                'selfcal_ros.calibration.result'}
 ROS_PACKAGES = {'rclpy', 'sensor_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'cv_bridge',

@@ -25,7 +25,8 @@ import numpy as np
 from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
 from selfcal_ros.features.targets import Chessboard
 from selfcal_ros.features.tsai_grid import TsaiGrid
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.resection import decompose, resect, resect_linear
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid

@@ -259,14 +259,14 @@ def _damage_table(path: Path, rng: np.random.Generator) -> None:
 OPTIONS = {
     'calibrate tracks.csv --image-size 640 480 --lens none': (
         '--aspect-ratio', '--aspect-ratio-sigma', '--skew', '--skew-sigma', '--max-keyframes',
-        '--views', '--translation-frames', '--motion', '--lens', '--focal', '--shutter',
-        '--line-delay', '--mode', '--object', '--mask', '--output', '--json', '--report', '--ply',
-        '--camera-name', '--topic', '--jobs', '--output-dir', '--principal-point-sigma',
-        '--model', '--init', '--camera', '--clicks', '--trust-facts', '--engine', '--start',
-        '--duration', '--every', '--seed', '--flatness', '--poses', '--poses-format', '--colmap',
-        '--transforms', '--robot', '--robot-kind', '--robot-sigma', '--robot-unit',
-        '--robot-frame', '--mount-fact', '--mount-output', '--camera-frame', '--cameras',
-        '--baseline'),
+        '--views', '--translation-frames', '--parallel-objects', '--motion', '--lens', '--focal',
+        '--shutter', '--line-delay', '--mode', '--object', '--mask', '--output', '--json',
+        '--report', '--ply', '--camera-name', '--topic', '--jobs', '--output-dir',
+        '--principal-point-sigma', '--model', '--init', '--camera', '--clicks', '--trust-facts',
+        '--engine', '--start', '--duration', '--every', '--seed', '--flatness', '--poses',
+        '--poses-format', '--colmap', '--transforms', '--robot', '--robot-kind', '--robot-sigma',
+        '--robot-unit', '--robot-frame', '--mount-fact', '--mount-output', '--camera-frame',
+        '--cameras', '--baseline'),
     'calibrate tracks.csv --image-size 640 480 --lens none --motion planar --robot robot.csv': (
         '--robot', '--robot-kind', '--robot-sigma', '--robot-unit', '--robot-frame',
         '--mount-fact', '--mount-output', '--camera-frame'),

@@ -24,7 +24,8 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.priors import all_fixed, priors_from_facts, with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations, with_all_points
 from selfcal_ros.calibration.bundle.state import SceneState
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.values.tracks import Tracks
 
 #: Observations further off than so many sigmas are left out, once, by the result's own lens.

@@ -30,7 +30,8 @@ from selfcal_ros.calibration.mount import mount_rotation
 from selfcal_ros.calibration.reconstruction import PosePrecision, Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import in_the_world
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.values.body_poses import ABSOLUTE, BodyPoses, ODOMETRY
 

@@ -24,10 +24,12 @@ import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
+from selfcal_ros.calibration.structure.metric_structure import (distance_error, pattern_error,
+                                                                plane_angle)
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, CORNERS, grid_camera,
-                                               grid_neighbours, grid_sequence, random_rotations)
+                                               grid_sequence, random_rotations)
 
 NAMES = ('αu', 'αv', 'ζ', 'u0', 'v0', 's')
 #: Rows of table 4.1: rotated views, their rotations, is zero skew stated, thesis mean and
@@ -80,26 +82,9 @@ def structure_measures(points) -> np.ndarray:
         planes (degrees).
 
     """
-    lengths = np.linalg.norm(np.diff(points[grid_neighbours()], axis=1)[:, 0], axis=1)
-    cells = points.reshape(2, CORNERS, CORNERS, 3)
-    a, b, c, d = cells[:, :-1, :-1], cells[:, 1:, :-1], cells[:, 1:, 1:], cells[:, :-1, 1:]
-    angles = [_angle(p - q, r - q) for p, q, r in ((b, a, d), (c, b, a), (d, c, b), (a, d, c))]
-    normals = [np.linalg.svd(plane - plane.mean(axis=0))[2][2]
-               for plane in points.reshape(2, -1, 3)]
-    # the angle is that of the two planes as seen from inside, which no sign may change
-    between = _angle(*_oriented(normals, points.reshape(2, -1, 3)))
-    return np.array([100 * lengths.std() / lengths.mean(), np.std(angles), between])
-
-
-def _oriented(normals, planes):
-    centre = np.mean(planes, axis=(0, 1))
-    first, second = (np.sign(n @ (centre - p.mean(axis=0))) * n for n, p in zip(normals, planes))
-    return first, -second
-
-
-def _angle(a, b):
-    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    grids = np.reshape(points, (2, CORNERS, CORNERS, 3))
+    return np.array([100 * distance_error(grids), np.degrees(pattern_error(grids)),
+                     np.degrees(plane_angle(*grids))])
 
 
 def scene_of(seed: int, count: int, rotations):

@@ -121,7 +121,7 @@ def repeated_run(seed: int, name: str) -> dict:
         '--motion repeated': lambda: calibrate(tracks, motion='repeated', facts=SQUARE)}
     if 'parallel' in name:
         methods['parallel stated'] = lambda: calibrate(
-            tracks, motion='repeated', facts=SQUARE, translation_frames=(0, 1))
+            tracks, motion='repeated', facts=SQUARE, parallel_objects=(0, 1))
         methods['affine chain'] = lambda: calibrate_repeated(
             objects_from_tracks(tracks), (camera.width, camera.height), SQUARE, (0, 1))
     return {method: _timed(compute, camera.K[0, 0]) for method, compute in methods.items()}

@@ -20,7 +20,7 @@ import tempfile
 
 from bench.tables import Report
 import numpy as np
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.tracked_calibration import calibrate_tracked_object
 from selfcal_ros.synthetic.objects import tracked_object

@@ -38,7 +38,8 @@ from selfcal_ros.calibration.initialisation.view_graph import build_view_graph, 
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.still_tracks import find_still_tracks, StillTracks, TrackExtents
 from selfcal_ros.values.track_labels import STATIC, TrackLabels
@@ -55,7 +56,7 @@ METHODS = (*MOTION_MODELS, 'translation', 'rotation', 'repeated')
 def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None = None,
               rng: np.random.Generator | None = None, start: Camera | None = None,
               translation_frames: Sequence[int] | None = None, views: int | None = None,
-              ) -> Calibration | NotCalibrated:
+              parallel_objects: Sequence[int] | None = None) -> Calibration | NotCalibrated:
     """
     Calibrate a camera from tracks of scene points.
 
@@ -69,16 +70,19 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     facts : CameraFacts, optional
         What is known of the camera; nothing by default.
     rng : numpy.random.Generator, optional
-        For RANSAC; a fixed seed by default, so that the same tracks give the same result.
+        For RANSAC between images; a fixed seed by default, so that the same tracks give the same
+        result. What sorts things that move by themselves always draws from a fixed seed.
     start : Camera, optional
         A calibration to try first, for example that of a while ago. The result does not depend
         on it, the time does.
     translation_frames : sequence of int, optional
         With motion 'translation', the frames that are related by pure translation; found from
-        the images by default. With motion 'repeated', the objects that stand parallel.
+        the images by default. With motion 'repeated', an older name of `parallel_objects`.
     views : int, optional
         With motion 'general', use so few views, four or more: those that share many points and
         differ much. The modulus constraint proposes the start.
+    parallel_objects : sequence of int, optional
+        With motion 'repeated', the objects that stand parallel; the images tell by default.
 
     Returns
     -------
@@ -87,7 +91,7 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     Raises
     ------
     ArgumentError
-        If `motion` is unknown, or `views` does not suit it.
+        If `motion` is unknown, or `views` or `parallel_objects` does not suit it.
 
     References
     ----------
@@ -114,6 +118,11 @@ def calibrate(tracks: Tracks, *, motion: str = 'auto', facts: CameraFacts | None
     if views is not None and (motion != 'general' or views < MIN_VIEWS):
         raise ArgumentError(f'A number of views is for motion general, and must be at least '
                             f'{MIN_VIEWS}; got {views} for motion {motion}.')
+    if parallel_objects is not None:
+        if motion != 'repeated' or translation_frames is not None:
+            raise ArgumentError('Parallel objects are for motion repeated, and are stated once: '
+                                'leave translation frames out.')
+        translation_frames = parallel_objects
     facts = CameraFacts() if facts is None else facts
     rng = np.random.default_rng(0) if rng is None else rng
     try:

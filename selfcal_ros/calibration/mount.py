@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.known_directions import AxisInCamera, PlaceAlong, sigmas_of_angles
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import is_sigma, LEAST_SIGMA
+from selfcal_ros.geometry.camera_facts import is_sigma, LEAST_SIGMA
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import roll_pitch_yaw, rotation_matrix
 

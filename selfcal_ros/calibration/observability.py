@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 
 #: A parameter counts as unobservable when its sigma exceeds these. Focal lengths, as a share of

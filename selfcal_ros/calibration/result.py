@@ -33,7 +33,8 @@ from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, Str
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding, sentences
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.population import Population
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.measured_digits import with_sigma

@@ -53,8 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='with --motion general: use so few views, four or more')
     parser.add_argument('--translation-frames', type=int, nargs='+', metavar='FRAME',
                         help='with --motion translation: the images that are related by pure '
-                             'translation, counted from 0 (default: found out); with --motion '
-                             'repeated: the objects that stand parallel')
+                             'translation, counted from 0 (default: found out)')
+    parser.add_argument('--parallel-objects', type=int, nargs='+', metavar='OBJECT',
+                        help='with --motion repeated: the objects that stand parallel, by their '
+                             'numbers in the table (default: found out)')
     parser.add_argument('--mode', choices=('auto', 'video', 'wide'), default='auto',
                         help='follow points from image to image, or match far-apart photographs '
                              '(default: found out)')
@@ -128,6 +130,7 @@ def run(args: argparse.Namespace) -> int:
         # edges of a small object do not
         facts=facts_from(args, FREE if args.object else 1.0), motion=args.motion,
         translation_frames=args.translation_frames and tuple(args.translation_frames),
+        parallel_objects=args.parallel_objects and tuple(args.parallel_objects),
         views=args.views,
         known_object=args.object, flatness=args.flatness, mode=args.mode, topic=args.topic,
         max_keyframes=args.max_keyframes,
@@ -170,6 +173,9 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.views is not None and args.motion != 'general':
         raise ArgumentError('--views needs --motion general; or limit the images with '
                             '--max-keyframes.')
+    if args.parallel_objects and (args.motion != 'repeated' or args.translation_frames):
+        raise ArgumentError('--parallel-objects needs --motion repeated, and no '
+                            '--translation-frames.')
     if args.focal == 'varying' and (known or args.motion == 'repeated'):
         raise ArgumentError('--focal varying is for an unknown scene in several images; leave it '
                             'out.')

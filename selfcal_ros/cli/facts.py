@@ -19,7 +19,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from selfcal_ros.geometry.camera import CameraFacts
+    from selfcal_ros.geometry.camera_facts import CameraFacts
 
 FREE = 'free'
 #: Lens models that can be stated: those of `LENS_CHOICES`, which take NumPy to be imported.

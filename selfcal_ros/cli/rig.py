@@ -28,7 +28,8 @@ from selfcal_ros.cli.status import EXIT_DONE, LeftOut, status_of
 
 #: Options of one camera that a rig does not take.
 OF_ONE_CAMERA = ('object', 'track', 'view', 'topic', 'views', 'translation_frames',
-                 'poses', 'poses_format', 'ply', 'transforms', 'output_dir', 'jobs', 'scheduler')
+                 'parallel_objects', 'poses', 'poses_format', 'ply', 'transforms', 'output_dir',
+                 'jobs', 'scheduler')
 #: Motions of a rig.
 MOTIONS = ('auto', 'planar', 'general')
 

@@ -107,6 +107,10 @@ MOUNTING: dict[str, Phrase] = {
         'No mount has the stated {facts:and} and explains the poses of the body.',
         'What is stated without a sigma is held, wherever the images and the poses lead.',
         'Leave the facts out and look where they come out, or state them with a sigma.'),
+    'mount_singular': Phrase(
+        'The equations of the mount have no solution with these {count} poses of the body.',
+        'A system of equations turned out singular, and which part is to blame is not known.',
+        'Check the poses and what is stated of the mount. Record larger and more varied turns.'),
     'mount_fact_contradicted': Phrase(
         'Images and poses contradict the stated {fact} of the mount by {sigmas:.0f} sigmas: '
         'they prefer {preferred:preferred} {unit}.',

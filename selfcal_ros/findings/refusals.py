@@ -35,8 +35,10 @@ REFUSALS: dict[str, Phrase] = {
         'Track points all over the images.'),
     'equations_singular': Phrase(
         'The equations of these points have no solution.',
-        'Points coincide, lie far off the image, or are the same in image after image.',
-        'Track points all over the images, and leave out what lies off them.'),
+        'A system of equations turned out singular. Often points coincide, lie far off the image, '
+        'or are the same in image after image.',
+        'Track points all over the images, and leave out what lies off them. If nothing of that '
+        'holds, report it with the tracks.'),
     'no_epipolar_geometry': Phrase(
         'No two images share enough points with a consistent epipolar geometry (at least {least} '
         'are needed, and {least_doubtful} where some disagree).',
@@ -216,7 +218,7 @@ REFUSALS: dict[str, Phrase] = {
         'reason given.',
         'Give three or more equal objects with depth, turned against each other by 20 degrees or '
         'more, each large in the image. State which of them stand parallel, if some do '
-        '(--translation-frames).'),
+        '(--parallel-objects).'),
     # the lens
     'start_distortion_not_invertible': Phrase(
         'The distortion of the best start cannot be undone over the whole image.',

@@ -42,11 +42,6 @@ def unit(x: ArrayLike) -> np.ndarray:
     return scaled
 
 
-def transform_points(H: ArrayLike, xy: ArrayLike) -> np.ndarray:
-    """Map points (..., 2) by a homography (3, 3)."""
-    return euclidean(homogeneous(xy) @ np.asarray(H).T)
-
-
 def cross_matrix(a: ArrayLike) -> np.ndarray:
     """Matrix [a]x of the cross product, (..., 3) to (..., 3, 3)."""
     a = np.asarray(a)
@@ -175,11 +170,6 @@ def line_pair(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     a, b = np.asarray(a), np.asarray(b)
     conic: np.ndarray = a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]
     return conic
-
-
-def pole(conic: ArrayLike, line: ArrayLike) -> np.ndarray:
-    """Pole of a line (3,) with respect to a regular point conic (3, 3)."""
-    return np.linalg.solve(np.asarray(conic), np.asarray(line))
 
 
 def canonical_transform(line: ArrayLike, point: ArrayLike) -> np.ndarray:

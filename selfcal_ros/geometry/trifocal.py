@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.no_estimate import NoEstimate
-from selfcal_ros.geometry.projective import (homogeneous, normalising_transform, unit,
+from selfcal_ros.geometry.projective import (homogeneous, normalising_transform,
                                              unit_covariance)
 from selfcal_ros.geometry.propagation import null_influence
 
@@ -88,14 +88,6 @@ class ReducedTensor:
     influence: np.ndarray
     noise: float
     covariance: np.ndarray
-
-
-def tensor_from_cameras(second: ArrayLike, third: ArrayLike) -> np.ndarray:
-    """Tensor (3, 3, 3) of [I | 0] and two more cameras (3, 4) (5.19)."""
-    a, b = np.asarray(second, float), np.asarray(third, float)
-    T: np.ndarray = (np.einsum('ji,k->ijk', a[:, :3], b[:, 3])
-                     - np.einsum('j,ki->ijk', a[:, 3], b[:, :3]))
-    return T
 
 
 def transform_tensor(T: np.ndarray, H: np.ndarray) -> np.ndarray:
@@ -179,30 +171,15 @@ def _propagated(rows: np.ndarray, values: np.ndarray, T: np.ndarray, views: Sequ
     return influence, float(noise), covariance
 
 
-def linear_tensor(first: ArrayLike, second: ArrayLike, third: ArrayLike,
-                  ) -> np.ndarray | NoEstimate:
+def linear_tensor_estimate(first: ArrayLike, second: ArrayLike, third: ArrayLike,
+                           ) -> tuple[np.ndarray, np.ndarray, float] | NoEstimate:
     """
-    General tensor of a point triplet by linear least squares.
+    General tensor of point triplets, by linear least squares, and its covariance (5.17).
 
     Parameters
     ----------
     first, second, third : array_like, shape (m, 2)
         Pixels, m at least 7.
-
-    Returns
-    -------
-    ndarray, shape (3, 3, 3), or NoEstimate
-        In pixels, unit norm.
-
-    """
-    found = linear_tensor_estimate(first, second, third)
-    return found if isinstance(found, NoEstimate) else found[0]
-
-
-def linear_tensor_estimate(first: ArrayLike, second: ArrayLike, third: ArrayLike,
-                           ) -> tuple[np.ndarray, np.ndarray, float] | NoEstimate:
-    """
-    General tensor and its covariance; arguments as of `linear_tensor`.
 
     Returns
     -------
@@ -231,35 +208,6 @@ def linear_tensor_estimate(first: ArrayLike, second: ArrayLike, third: ArrayLike
     carry = np.einsum('jl,km,ni->ijknlm', back, back, H).reshape(27, 27)
     T, covariance = unit_covariance(carry @ Vt[-1], carry @ covariance @ carry.T)
     return T.reshape(3, 3, 3), covariance, noise / H[0, 0]
-
-
-def transfer_point(T: ArrayLike, first: ArrayLike, second: ArrayLike) -> np.ndarray:
-    """
-    Predict points of the third image from the first two.
-
-    Parameters
-    ----------
-    T : array_like, shape (3, 3, 3)
-    first, second : array_like, shape (m, 2)
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        The line through each second point is the one across its epipolar line.
-
-    """
-    T = np.asarray(T, float)
-    x, y = homogeneous(np.asarray(first, float)), homogeneous(np.asarray(second, float))
-    # x^i T_i^{jk} = (point j) (epipole k) - (epipole j) (point k): its columns span, in the
-    # second image, the epipolar line
-    slices = np.einsum('mi,ijk->mjk', x, T)
-    U = np.linalg.svd(slices)[0]
-    epipolar = U[:, :, 2]
-    across = np.stack([epipolar[:, 1], -epipolar[:, 0],
-                       y[:, 1] * epipolar[:, 0] - y[:, 0] * epipolar[:, 1]], axis=-1)
-    z = np.einsum('mj,mjk->mk', across, slices)
-    xy: np.ndarray = z[:, :2] / z[:, 2:]
-    return xy
 
 
 def circular_cubic(T: np.ndarray) -> np.ndarray:
@@ -373,8 +321,3 @@ def circular_points(first: ArrayLike, second: ArrayLike, third: ArrayLike,
                             float((fourth + shift[0]) / scale[0]),
                             transform_tensor(reduced.T, np.linalg.inv(scaling)), influence,
                             reduced.noise)
-
-
-def circular_image(kappa: complex, H: ArrayLike) -> np.ndarray:
-    """Circular point i = H^-1 (-kappa, 0, 1) in pixels, complex, shape (3,), unit norm."""
-    return unit(np.linalg.solve(np.asarray(H, complex), np.array([-kappa, 0, 1])))

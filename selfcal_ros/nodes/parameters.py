@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from selfcal_ros.geometry.camera import FOCAL_CHOICES, SHUTTERS
+from selfcal_ros.geometry.camera_facts import FOCAL_CHOICES, SHUTTERS
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.rorapid.options import CAMERA_MODELS, METHODS, MOTIONS
 

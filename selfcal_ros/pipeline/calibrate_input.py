@@ -28,7 +28,7 @@ import numpy as np
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.excerpt import Excerpt
 from selfcal_ros.pipeline.feature_session import ExtractedTracks
 from selfcal_ros.pipeline.freed_memory import return_freed_memory
@@ -48,7 +48,7 @@ class CalibrationSettings:
     facts : CameraFacts
     motion : str
         See `selfcal_ros.calibrate`.
-    translation_frames : tuple of int, optional
+    translation_frames, parallel_objects : tuple of int, optional
     views : int, optional
     known_object : str, optional
         See `selfcal_ros.features.targets.parse_target`; the motion does not matter then.
@@ -91,6 +91,7 @@ class CalibrationSettings:
     long: LongRecordings | None = field(default_factory=LongRecordings)
     robot: RobotSource | None = None
     mount_facts: MountFacts = field(default_factory=MountFacts)
+    parallel_objects: tuple[int, ...] | None = None
 
 
 def calibrate_input(path, settings: CalibrationSettings, progress: Callable | None = None,
@@ -172,6 +173,7 @@ def _calibrated(path, settings: CalibrationSettings, progress: Callable | None,
     return _timed(lambda: calibrate(
         reading.tracks, motion=settings.motion, facts=settings.facts,
         translation_frames=settings.translation_frames, views=settings.views,
+        parallel_objects=settings.parallel_objects,
         rng=generator(settings.seed)), reading), reading
 
 

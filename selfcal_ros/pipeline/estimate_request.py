@@ -24,7 +24,7 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.features.selection import drop_static, verify
 from selfcal_ros.features.still_features import without_still
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.robot.live_robot import RobotSnapshot
 from selfcal_ros.values.neighbours import Filmed
 from selfcal_ros.values.tracks import Tracks

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import csv
 import itertools
 import os
 import re
@@ -239,8 +240,7 @@ class TracksSource(FrameSource):
         except (ValueError, OverflowError) as error:
             # a NUL byte, an endless field, a number beyond 64 bits
             raise InputError(f'{self.path} is no table of tracks ({error}).') from None
-        except Exception as error:
-            # csv.Error derives from Exception directly
+        except csv.Error as error:
             raise InputError(f'{self.path} is no CSV file ({error}).') from None
         self.count = len(self._tracks.frames)
         self.description = (f'tracks {self.path.name}, {len(self._tracks)} observations in '

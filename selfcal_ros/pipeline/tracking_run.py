@@ -200,37 +200,6 @@ class Target:
     distance_sigma_m: float | None = None
 
 
-def track_sequence(source: FrameSource, model: WireframeModel, camera: Camera, start,
-                   options: TrackerOptions | None = None, *, seed: int = 0,
-                   distance_sigma_m: float | None = None,
-                   progress: Callable | None = None,
-                   listeners: Iterable[Callable[[Frame, TrackedFrame], object]] = (),
-                   ) -> TrackingRun:
-    """
-    Follow an object through a recording: `track_objects` for one.
-
-    Parameters
-    ----------
-    source, camera, options, seed, progress
-        See there.
-    model, start, distance_sigma_m
-        See `Target`.
-    listeners : iterable of callable
-        Each is called as listener(frame, tracked) after every image that was tracked.
-
-    Returns
-    -------
-    TrackingRun
-
-    """
-    def of_one(listener):
-        return lambda frame, tracked: listener(frame, tracked[0])
-
-    run, = track_objects(source, [Target(model, start, distance_sigma_m)], camera, options,
-                         seed=seed, progress=progress, listeners=map(of_one, listeners))
-    return run
-
-
 def track_objects(source: FrameSource, targets: Sequence[Target], camera: Camera,
                   options: TrackerOptions | None = None, *, seed: int = 0,
                   progress: Callable | None = None,

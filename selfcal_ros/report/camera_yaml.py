@@ -27,10 +27,11 @@ import re
 
 import numpy as np
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera, ROS_COEFFICIENTS, ros_distortion
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.report.yaml_text import (decoded, load_yaml, matrix, number_text,
                                           positive_integer, read_bytes)
 from selfcal_ros.values.output_files import atomic_write
+from selfcal_ros.values.ros_lenses import ROS_COEFFICIENTS, ros_distortion
 import yaml
 
 #: Lens models that image_geometry knows.

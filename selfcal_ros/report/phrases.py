@@ -22,7 +22,7 @@ import numpy as np
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import fields_of_view
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.values.measured_digits import with_sigma
 
 #: What each parameter of the calibration matrix is.

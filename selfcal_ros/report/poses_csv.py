@@ -47,7 +47,7 @@ class PosesTable:
 
     def add(self, frame: Frame, tracked: TrackedFrame) -> None:
         """
-        Append the pose of one image; a listener of `track_sequence`.
+        Append the pose of one image.
 
         Parameters
         ----------

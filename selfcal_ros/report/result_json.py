@@ -23,17 +23,20 @@ from typing import Any
 
 import numpy as np
 
-from selfcal_ros.calibration.reconstruction import StructureSample
-from selfcal_ros.calibration.result import Calibration, FocalCourse, NotCalibrated
+from selfcal_ros.calibration.reconstruction import Measured, StructureSample
+from selfcal_ros.calibration.result import (Calibration, FixedPoints, FocalCourse, Identifiability,
+                                            NotCalibrated)
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import lens_model
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.report.board_shape import board_shape
 from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
 from selfcal_ros.values.output_files import atomic_write
+from selfcal_ros.values.track_labels import NAMES, STILL_IN_IMAGE, TrackLabels
 
 #: Version of what is written; the first had none.
 SCHEMA = 2
@@ -197,7 +200,12 @@ def result_to_json(result: Calibration | NotCalibrated, seed: int | None = None)
 
 def result_from_dict(content: dict) -> Calibration | NotCalibrated:
     """
-    Turn what `result_to_dict` gives back into a result, without its reconstruction.
+    Turn what `result_to_dict` gives back into a result.
+
+    A file holds less than a result. Of a calibration, `reconstruction`, `residuals` and
+    `population` are None, and `is_steady` of `focal` is False. Of a hint, the file has the camera
+    and its covariance; its counts are 0 and its `reprojection_rms_px` is NaN. Sequences in the
+    values of findings come back as lists, and numbers that were not finite as NaN.
 
     Files of the first version, which have no 'schema', are read, too: their notes are findings
     of the kind 'note'.
@@ -208,40 +216,119 @@ def result_from_dict(content: dict) -> Calibration | NotCalibrated:
         If the content is of another kind.
 
     """
+    if content['status'] != 'calibrated':
+        return _refusal(content)
+    camera = _stored_camera(content['camera'])
+    return Calibration(
+        camera=camera, covariance=_stored_covariance(content, camera),
+        status=content['parameters'], held_by=content['held_by'], motion=content['motion'],
+        facts=_facts(content), frames=tuple(content['frames']['used']),
+        reprojection_rms_px=_number(content['reprojection_rms_px']),
+        noise_sigma_px=_number(content['noise_sigma_px']),
+        observation_count=content['observations'], outlier_count=content['outliers'],
+        reconstruction=None, software=content.get('software', ''),
+        findings=_findings(content.get('findings', ()), content['notes']),
+        fixed_points=_fixed_points(content.get('fixed_points')),
+        identifiability=_stored_identifiability(content.get('identifiability')),
+        measured=_structure_sample(content.get('measurement')),
+        focal=_focal(content.get('focal')),
+        shutter=RowReadout(**content['shutter']) if 'shutter' in content else None,
+        labels=_labels(content.get('labels')), mount=mount_from_dict(content.get('mount')))
+
+
+def _refusal(content: dict) -> NotCalibrated:
+    """Read why there is no calibration, and what the images suggest where they do."""
+    kind, stored = content.get('kind', ''), list(content.get('findings', ()))
+    values = {name: value for name, value in stored.pop(0).items() if name != 'kind'} \
+        if kind and stored else {}
+    refusal = NotCalibrated(
+        content['reason'], content['advice'], content.get('motion', 'unknown'),
+        frames=tuple(content.get('frames', {}).get('used', ())), facts=_facts(content),
+        status=dict(content.get('parameters', {})), software=content.get('software', ''),
+        kind=kind, values=values, findings=_findings(stored, ()))
+    if 'hint' not in content:
+        return refusal
+    return dataclasses.replace(refusal, hint=_hint(content['hint'], refusal))
+
+
+def _hint(stored: dict, refusal: NotCalibrated) -> Calibration:
+    """Read what the images suggest; the rest is that of the refusal."""
+    camera = _stored_camera(stored['camera'])
+    status = {name: 'held' if sigma == 0 else 'unobservable' if sigma is None else 'estimated'
+              for name, sigma in stored['sigma'].items()}
+    return Calibration(
+        camera=camera, covariance=_stored_covariance(stored, camera), status=status, held_by={},
+        motion=refusal.motion, facts=refusal.facts, frames=refusal.frames,
+        reprojection_rms_px=np.nan, noise_sigma_px=np.nan, observation_count=0, outlier_count=0,
+        reconstruction=None, software=refusal.software)
+
+
+def _facts(content: dict) -> CameraFacts:
     stated: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
                               for name, value in content.get('facts', {}).items()}
-    facts = CameraFacts(**stated)
-    software = content.get('software', '')
-    if content['status'] != 'calibrated':
-        kind, stored = content.get('kind', ''), list(content.get('findings', ()))
-        values = {name: value for name, value in stored.pop(0).items() if name != 'kind'} \
-            if kind and stored else {}
-        return NotCalibrated(content['reason'], content['advice'],
-                             content.get('motion', 'unknown'), facts=facts, software=software,
-                             kind=kind, values=values, findings=_findings(stored, ()))
-    c = content['camera']
+    return CameraFacts(**stated)
+
+
+def _stored_camera(c: dict) -> Camera:
     model = lens_model(c.get('distortion_model', 'plumb_bob'))
     # older files of a plumb bob lack its k3
     if len(c['d']) not in (len(model.coefficients), 0, *((4,) if model is PLUMB_BOB else ())):
         raise ValueError(f'the lens model {model.name} has not {len(c["d"])} coefficients')
-    camera = Camera(np.array([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]]),
-                    np.array(c['d']), c['width'], c['height'], model.name)
-    covariance = np.array([[np.nan if v is None else v for v in row]
-                           for row in content['covariance']], float)
-    covariance = _complete(covariance, content.get('parameter_names'), camera)
-    return Calibration(
-        camera=camera, covariance=covariance, status=content['parameters'],
-        held_by=content['held_by'], motion=content['motion'], facts=facts,
-        frames=tuple(content['frames']['used']),
-        reprojection_rms_px=content['reprojection_rms_px'],
-        noise_sigma_px=content['noise_sigma_px'], observation_count=content['observations'],
-        # the file does not hold it
-        outlier_count=content['outliers'], reconstruction=None,
-        software=software,
-        findings=_findings(content.get('findings', ()), content['notes']),
-        focal=_focal(content.get('focal')),
-        shutter=RowReadout(**content['shutter']) if 'shutter' in content else None,
-        mount=mount_from_dict(content.get('mount')))
+    return Camera(np.array([[c['fx'], c['skew'], c['cx']], [0, c['fy'], c['cy']], [0, 0, 1]]),
+                  np.array(c['d']), c['width'], c['height'], model.name)
+
+
+def _stored_covariance(content: dict, camera: Camera) -> np.ndarray:
+    covariance = np.array([[_number(v) for v in row] for row in content['covariance']], float)
+    return _complete(covariance, content.get('parameter_names'), camera)
+
+
+def _number(stored: float | None) -> float:
+    """Read a number; null stands for one that was not finite."""
+    return np.nan if stored is None else stored
+
+
+def _fixed_points(stored: dict | None) -> FixedPoints | None:
+    if not stored:
+        return None
+    real, imaginary = np.array(stored['circular_point'], float).T
+    return FixedPoints(np.array(stored['horizon'], float),
+                       np.array(stored['vanishing_point'], float), real + 1j * imaginary)
+
+
+def _stored_identifiability(stored: dict | None) -> Identifiability | None:
+    """Read where the knowledge of each parameter comes from; infinite factors are null."""
+    if not stored:
+        return None
+    without = {fact: {name: np.inf if factor is None else factor
+                      for name, factor in factors.items()}
+               for fact, factors in stored['without'].items()}
+    return Identifiability({name: _number(one) for name, one in stored['from_images'].items()},
+                           without,
+                           {name: _number(one) for name, one in stored['weakest'].items()},
+                           _number(stored['weakest_share']))
+
+
+def _structure_sample(stored: dict | None) -> StructureSample | None:
+    """Read the two measurements in the structure, where there are any."""
+    length, angle = ((stored or {}).get(name) for name in ('length_ratio', 'structure_angle_deg'))
+    if not (length and angle):
+        return None
+    sigmas = [Measured(_number(one['value']), _number(one['sigma'])) for one in (length, angle)]
+    return StructureSample(sigmas[0], tuple(length['first']), tuple(length['second']), sigmas[1],
+                           tuple(angle['corner']))
+
+
+def _labels(stored: dict | None) -> TrackLabels | None:
+    """Read what every track is."""
+    if stored is None:
+        return None
+    aside = STILL_IN_IMAGE in stored
+    names = TrackLabels(np.zeros(0, int), np.zeros(0, int), len(stored) - len(NAMES) - aside,
+                        aside).names
+    pairs = sorted((track, names.index(name)) for name, of in stored.items() for track in of)
+    track, label = np.array(pairs, int).reshape(-1, 2).T
+    return TrackLabels(track, label, len(names) - len(NAMES) - aside, aside)
 
 
 def _focal(stored: list[dict] | None) -> FocalCourse | None:

@@ -62,14 +62,6 @@ def grid_points() -> np.ndarray:
     return points - [0, 0, points[:, 2].mean()]
 
 
-def grid_neighbours() -> np.ndarray:
-    """Index pairs (224, 2) of adjacent corners of one plane, all equally far apart."""
-    index = np.arange(2 * CORNERS**2).reshape(2, CORNERS, CORNERS)
-    pairs = [np.column_stack([index[:, 1:].ravel(), index[:, :-1].ravel()]),
-             np.column_stack([index[:, :, 1:].ravel(), index[:, :, :-1].ravel()])]
-    return np.vstack(pairs)
-
-
 def grid_sequence(rng, rotations_deg, noise_px: float = CORNER_NOISE_PX, camera=None,
                   baseline=BASELINE) -> PointSequence:
     """

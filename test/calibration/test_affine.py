@@ -18,11 +18,12 @@ import pytest
 from selfcal_ros.calibration.affine.affine_calibration import (affine_structure, calibrate_affine,
                                                                translated_pair)
 from selfcal_ros.calibration.affine.diac import constraint_rows, linear_conic, unit_determinant
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.calibration.structure.metric_structure import distance_error
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_matrix
-from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, grid_camera, grid_neighbours,
-                                               grid_points, grid_sequence, random_rotations)
+from selfcal_ros.synthetic.grid_scenes import (CORNER_NOISE_PX, CORNERS, grid_camera, grid_points,
+                                               grid_sequence, random_rotations)
 from selfcal_ros.values.tracks import Tracks
 
 SIZE = (512, 512)
@@ -48,8 +49,7 @@ def test_chain_is_exact_without_noise(count, facts, refine):
     assert np.allclose(found.K, camera.K, atol=1e-4)
     assert np.allclose(found.conic.linear_K, camera.K, atol=1e-4)
     X = found.metric()
-    lengths = np.linalg.norm(np.diff(X[grid_neighbours()], axis=1)[:, 0], axis=1)
-    assert lengths.std() / lengths.mean() < 1e-6
+    assert distance_error(X.reshape(2, CORNERS, CORNERS, 3)) < 1e-6
 
 
 def test_stated_covariance_is_that_of_the_estimates():
@@ -96,7 +96,6 @@ def test_known_aspect_ratio_settles_a_rotation_about_x():
 def test_one_axis_without_a_fact_is_refused():
     found = calibrate_affine(_sequence(0, 1).tracks, (0, 1), SIZE)
     assert found.kind == 'rotations_about_one_axis'
-    assert 'state the skew or the aspect ratio' in found.reason
 
 
 def test_translation_only_and_two_views_leave_everything_open():
@@ -133,7 +132,7 @@ def test_further_translated_views_and_partial_tracks_take_part():
 def test_too_few_matches_are_refused_with_the_number():
     tracks = _sequence(0, 2).tracks
     found = translated_pair(tracks.select(tracks.track < 5), (0, 1))
-    assert found.kind == 'too_few' and 'there are 5' in found.reason
+    assert found.kind == 'too_few' and found.values['found'] == 5
 
 
 def test_linear_constraints_vanish_on_the_true_conic():

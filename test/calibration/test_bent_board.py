@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.object_bend import bend_modes
 from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks

@@ -23,7 +23,8 @@ from selfcal_ros.calibration.known_object.point_calibration import calibrate_kno
 from selfcal_ros.calibration.structure.camera_path import camera_path
 from selfcal_ros.calibration.structure.metric_structure import metric_structure, world_and_scale
 from selfcal_ros.calibration.structure.path_precision import in_the_world, path_slopes
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.report.scene_files.world_words import world_in_words
 from selfcal_ros.synthetic.scenes import sequence_si

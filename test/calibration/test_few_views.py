@@ -110,11 +110,22 @@ def test_equal_objects_in_one_image_calibrate_its_camera(turns):
 def test_objects_stated_to_stand_parallel_make_it_more_certain():
     tracks = equal_objects(np.random.default_rng(2), OBJECT_CAMERA, PARALLEL)
     found = calibrate(tracks, motion='repeated', facts=SQUARE)
-    stated = calibrate(tracks, motion='repeated', facts=SQUARE, translation_frames=(0, 1))
+    stated = calibrate(tracks, motion='repeated', facts=SQUARE, parallel_objects=(0, 1))
     assert_near(stated, OBJECT_CAMERA)
     assert stated.sigma['fx'] < 0.5 * found.sigma['fx']
-    wrong = calibrate(tracks, motion='repeated', facts=SQUARE, translation_frames=(0, 2))
+    wrong = calibrate(tracks, motion='repeated', facts=SQUARE, parallel_objects=(0, 2))
     assert wrong.kind == 'objects_insufficient' and wrong.values['why'].kind == 'frames_turned'
+    # as it was called before
+    before = calibrate(tracks, motion='repeated', facts=SQUARE, translation_frames=(0, 1))
+    assert np.array_equal(before.covariance, stated.covariance)
+
+
+@pytest.mark.parametrize('how', [{'motion': 'translation'}, {'motion': 'auto'},
+                                 {'motion': 'repeated', 'translation_frames': (0, 1)}])
+def test_parallel_objects_are_for_objects_and_stated_once(how):
+    tracks = equal_objects(np.random.default_rng(2), OBJECT_CAMERA, PARALLEL)
+    with pytest.raises(ArgumentError, match='Parallel objects'):
+        calibrate(tracks, parallel_objects=(0, 1), **how)
 
 
 @pytest.mark.parametrize('options', [

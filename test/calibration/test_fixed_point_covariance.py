@@ -22,7 +22,7 @@ from selfcal_ros.calibration.planar import (circular, conic_pencil as pencil, fi
                                             pair_means)
 from selfcal_ros.calibration.result import FixedPoints
 from selfcal_ros.geometry import fundamental, planar_batch, planar_pairs, projective
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic import scenes, special_scenes
 
 RUNS = 60

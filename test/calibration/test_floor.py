@@ -25,7 +25,8 @@ from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.floor import floor_below, with_floor
 from selfcal_ros.calibration.structure.metric_structure import middle_steps
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.report.mounts.record import mount_from_dict, mount_to_dict
 from selfcal_ros.report.mounts.words import mount_lines
 from selfcal_ros.values.tracks import Tracks

@@ -23,7 +23,8 @@ from selfcal_ros.calibration.estimators.under_camera import under_camera
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.synthetic.special_scenes import hand_held

@@ -26,7 +26,8 @@ from selfcal_ros.calibration.estimators.lens_selection import with_lens, gentle_
 from selfcal_ros.calibration.initialisation.initial_structure import (chained_centres,
                                                                       PairGeometry,
                                                                       relative_rotations)
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 
 SIZE = (752, 480)
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='plumb_bob')

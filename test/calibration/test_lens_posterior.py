@@ -26,7 +26,8 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import lens_priors
 from selfcal_ros.calibration.initialisation.problem import observations_of
 from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.few_view_scenes import general_views
 
 SIZE = (640, 480)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.affine.modulus import (calibrate_modulus, modulus_residuals,
                                                     projective_structure)
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.grid_scenes import grid_sequence, random_rotations
 
 SIZE = (512, 512)

@@ -22,7 +22,8 @@ from scipy.stats import chi2
 from selfcal_ros.calibration.monitoring.change_detector import ChangeMonitor
 from selfcal_ros.calibration.monitoring.window_score import window_score, WindowScore
 from selfcal_ros.calibration.result import Calibration
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.rolling_scenes import CAMERA, drive, record
 from selfcal_ros.values.tracks import Tracks
 

@@ -421,4 +421,4 @@ def test_long_tracks_of_a_thing_that_leads_do_not_lead_astray():
     tracks = tracks.select((tracks.track >= 105) | (
         (tracks.frame >= first) & (tracks.frame < first + 4))).with_at_least(3)
     result = calibrate(tracks, motion='general', facts=FACTS)
-    assert not result or np.abs(off_by(result)).max() < 4
+    assert result and np.abs(off_by(result)).max() < 4

@@ -71,24 +71,24 @@ def test_level_horizon_needs_more_than_zero_skew(seed):
     result = calibrate(sequence.tracks, facts=KNOWN_ASPECT)
 
     assert not refused
-    assert 'level' in refused.reason
+    assert refused.kind == 'horizon_level'
     assert result
     assert np.abs(deviations(result, sequence.camera)).max() < 4
 
 
-@pytest.mark.parametrize('name, words', [
-    ('pure_translation', 'did not rotate'),
-    ('pure_rotation', 'only rotated'),
-    ('nearly_equal_positions', 'only rotated'),
-    ('coplanar_points', 'one plane'),
-    ('few_points', 'share enough points')])
+@pytest.mark.parametrize('name, kind', [
+    ('pure_translation', 'no_rotation'),
+    ('pure_rotation', 'no_parallax'),
+    ('nearly_equal_positions', 'no_parallax'),
+    ('coplanar_points', 'no_parallax'),
+    ('few_points', 'no_epipolar_geometry')])
 @pytest.mark.parametrize('seed', range(2))
-def test_degenerate_sequences_are_refused_with_the_reason(name, words, seed):
+def test_degenerate_sequences_are_refused_with_the_reason(name, kind, seed):
     sequence = getattr(special_scenes, name)(np.random.default_rng(seed), 0.2)
     result = calibrate(sequence.tracks, motion='planar', facts=SQUARE)
 
     assert not result
-    assert words in result.reason
+    assert result.kind == kind
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -120,7 +120,7 @@ def test_general_motion_is_refused_or_right(seed):
     if result:
         assert np.abs(deviations(result, sequence.camera)).max() < 4
     else:
-        assert 'not planar' in result.reason
+        assert result.kind == 'not_planar'
 
 
 def test_circular_motion_of_many_views_is_solved_with_square_pixels():

@@ -264,4 +264,4 @@ def test_rows_read_in_turn_that_seem_to_zoom_among_gross_errors_are_refused_in_a
     with_outliers(sequence, rng, 0.08)
     tracks = with_outliers(sequence, rng, 0.3).tracks
     result = calibrate(tracks, motion='planar', facts=CameraFacts(distortion='radial2'))
-    assert not result and result.reason
+    assert not result and result.kind == 'too_many_outliers'

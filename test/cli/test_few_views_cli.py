@@ -36,7 +36,7 @@ def test_four_of_many_views_calibrate():
 def test_equal_objects_calibrate_or_are_refused(capsys):
     turns = ((0, 0, 0), (0, 0, 0), (25, 35, 10))
     equal_objects(np.random.default_rng(1), CAMERA, turns).to_csv('objects.csv')
-    assert selfcal('calibrate', 'objects.csv', '--motion', 'repeated', '--translation-frames',
+    assert selfcal('calibrate', 'objects.csv', '--motion', 'repeated', '--parallel-objects',
                    0, 1, '--json', 'result.json', *SIZE) == 0
     assert 'Every object counts as a view' in capsys.readouterr().out
     result = json.loads(open('result.json', encoding='utf-8').read())
@@ -51,6 +51,8 @@ def test_wrong_uses_are_told(tmp_path, capsys):
     assert '--views needs --motion general' in capsys.readouterr().err
     assert selfcal('calibrate', 'tracks.csv', '--motion', 'general', '--views', 3, *SIZE) == 2
     assert 'at least 4' in capsys.readouterr().err
+    assert selfcal('calibrate', 'tracks.csv', '--parallel-objects', 0, 1, *SIZE) == 2
+    assert '--motion repeated' in capsys.readouterr().err
     (tmp_path / 'images').mkdir()
     assert selfcal('calibrate', tmp_path / 'images', '--motion', 'repeated') == 2
     assert 'give tracks.csv' in capsys.readouterr().err

@@ -78,7 +78,7 @@ def test_every_verb_keeps_a_camera_or_a_model(arguments, capsys, monkeypatch):
                                     'earlier/poses.csv', 'earlier/recordings/d0.yaml')]
     for path in mine:
         path.write_text(MINE, encoding='utf-8')
-    monkeypatch.setattr(tracking_run, 'track_sequence', None)
+    monkeypatch.setattr(tracking_run, 'track_objects', None)
     assert 'exists already' in refused(capsys, *arguments)
     assert all(path.read_text(encoding='utf-8') == MINE for path in mine)
 

@@ -20,7 +20,8 @@ from selfcal_ros.calibration.known_object.point_calibration import calibrate_kno
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.features.targets import Chessboard, parse_target, PointList, read_points
 from selfcal_ros.features.tsai_grid import TsaiGrid
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.synthetic.calibration_grid import grid_scene, view_of_grid
 from selfcal_ros.synthetic.render import Renderer
 from selfcal_ros.values.tracks import Tracks

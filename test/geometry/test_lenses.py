@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import Camera, ros_distortion
+from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES, lens_model, LENS_MODELS
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
+from selfcal_ros.values.ros_lenses import ros_distortion
 
 #: Coefficients of a real lens of each model, and the angle from the axis that it is used to.
 LENSES = {

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.values.body_poses import BodyPoses
 from selfcal_ros.values.tracks import Tracks
 

@@ -97,7 +97,7 @@ def test_an_argument_that_a_node_does_not_take_is_refused(capsys, given, words):
 
 def test_sentences_of_nodes_name_parameters_and_not_options():
     # of what a node can come to say, every option has a parameter, but where there is none
-    none = {'--translation-frames', '--principal-point', '--image-size', '--object', '--overlay'}
+    none = {'--parallel-objects', '--principal-point', '--image-size', '--object', '--overlay'}
     known = {name for table in PARAMETERS.values() for name in table.__dataclass_fields__}
     sources = [*(ROOT / 'selfcal_ros' / 'findings').glob('refusals.py'),
                ROOT / 'selfcal_ros' / 'pipeline' / 'bag_source.py']

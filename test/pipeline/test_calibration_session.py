@@ -20,7 +20,8 @@ import pytest
 
 from selfcal_ros.calibration.result import HINT, NotCalibrated
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.calibration_session import (CalibrationSession, EstimateRequest,
                                                       SessionSettings)
 from selfcal_ros.synthetic.special_scenes import drive

@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 import pytest
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline import many_inputs
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.calibrate_input import CalibrationSettings

@@ -21,7 +21,8 @@ import pytest
 from selfcal_ros import calibrate
 from selfcal_ros.calibration.mount import Mount, mount_rotation, MountFacts, NAMES
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.pipeline.calibration_session import CalibrationSession, Keyframe, SessionSettings
 from selfcal_ros.pipeline.monitoring import MAX_WAITING, Monitoring

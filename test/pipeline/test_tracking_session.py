@@ -22,7 +22,8 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.pipeline.sources import open_source
-from selfcal_ros.pipeline.tracking_run import playing_rate_hz, read_start, track_sequence
+from selfcal_ros.pipeline.tracking_run import (playing_rate_hz, read_start, Target,
+                                               track_objects)
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
 from selfcal_ros.report.poses_csv import PosesTable, read_poses
@@ -183,8 +184,8 @@ def test_a_folder_gives_poses_and_a_video(recording, folder, tmp_path):
     with open_source(folder) as source, \
             OverlayVideo(tmp_path / 'overlay.avi', playing_rate_hz(source)) as video:
         draw = drawing_into(video, [made.model], made.camera)
-        run = track_sequence(source, made.model, made.camera, guess(made), listeners=(
-            table.add, lambda frame, tracked: draw(frame, (tracked,)),
+        run, = track_objects(source, [Target(made.model, guess(made))], made.camera, listeners=(
+            lambda frame, tracked: table.add(frame, tracked[0]), draw,
             lambda frame, _: seen.append(frame.index)))
     assert run.followed and run.images == VIEWS and seen == list(range(VIEWS))
     assert run.rms_px < 1.0 and f'Tracked in {VIEWS} of {VIEWS} images' in run.text()
@@ -203,7 +204,7 @@ def test_a_calibration_of_another_size_is_refused_before_anything(recording, fol
     other = Camera(made.camera.K, (), 640, 480)
     with open_source(folder) as source, \
             pytest.raises(InputError, match='320x240, the calibration is for 640x480'):
-        track_sequence(source, made.model, other, guess(made))
+        track_objects(source, [Target(made.model, guess(made))], other)
 
 
 def test_starts_are_read_from_numbers_files_and_clicks(recording, tmp_path):

@@ -20,7 +20,8 @@ import pytest
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, FixedPoints
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.report.page import page_html
 from selfcal_ros.report.provenance import Provenance
 from selfcal_ros.synthetic.scenes import sequence_si

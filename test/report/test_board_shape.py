@@ -16,7 +16,8 @@
 import numpy as np
 import pytest
 from selfcal_ros.calibration.known_object.point_calibration import calibrate_known_object
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.board_figure import board_figure
 from selfcal_ros.report.result_json import result_to_dict

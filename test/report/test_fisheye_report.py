@@ -20,7 +20,8 @@ import pytest
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.angular_measurement import central_angle, fields_of_view
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_matrix
 from selfcal_ros.report.figures import draw_figures
 from selfcal_ros.report.lens_curve import lens_curve

@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.many_inputs_report import (is_settled, rows_of, summary_to_dict,
                                                    verdict_of, write_summary_page)

@@ -28,7 +28,8 @@ import pytest
 from selfcal_ros.calibration.result import HINT, Identifiability, NotCalibrated
 from selfcal_ros.errors import InputError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report import figures
 from selfcal_ros.report.inline_svg import VARIABLES

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from selfcal_ros.calibration.estimators.joint import combine
 from selfcal_ros.calibration.result import NotCalibrated
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.pipeline.many_inputs import CameraSummary, Outcome, Summary
 from selfcal_ros.report.many_inputs_report import write_summary_page
 from selfcal_ros.report.page import write_page

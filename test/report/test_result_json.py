@@ -14,17 +14,23 @@
 """result.json against its contract, for both outcomes."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
-from selfcal_ros.calibration.reconstruction import Reconstruction
-from selfcal_ros.calibration.result import Calibration, FixedPoints, NotCalibrated
+from selfcal_ros.calibration.reconstruction import Measured, Reconstruction, StructureSample
+from selfcal_ros.calibration.result import (Calibration, FixedPoints, FocalCourse, HINT,
+                                            Identifiability, NotCalibrated)
+from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import Camera, CameraFacts, PARAMETER_NAMES
+from selfcal_ros.geometry.camera import Camera, PARAMETER_NAMES
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.report.result_json import (result_from_dict, result_to_dict, SCHEMA,
                                             write_result_json)
+from selfcal_ros.values.track_labels import STILL_IN_IMAGE, TrackLabels
 
+DOCS = Path(__file__).resolve().parents[2] / 'docs'
 CONTRACT = {'status', 'reason', 'motion', 'camera', 'sigma', 'covariance', 'parameters', 'frames',
             'reprojection_rms_px', 'facts', 'software'}
 
@@ -140,6 +146,61 @@ def test_files_without_a_schema_and_kinds_of_later_ones_are_read():
     del refused['schema']
     assert result_from_dict(refused).reason == 'There is no rotation.'
     assert result_from_dict(refused | {'kind': 'of_tomorrow'}).kind == 'of_tomorrow'
+
+
+def everything():
+    """Return a calibration that has all that a file can hold."""
+    infinite = {'skew': {'fx': np.inf, 'fy': 1.5}}
+    board = Finding('board_flat', bend_mm={'value': 0.1, 'sigma': 0.1}, limit_mm=0.4,
+                    unknowns_m=[1e-4, 0.0, -1e-5], sigmas_m=[1e-4] * 3)
+    followed = Finding('segments_followed', images=2000, followed=61, count=1, when=['1 to 3 s'],
+                       segments=[{'first': 30, 'last': 90}])
+    return calibration(
+        findings=(board, followed),
+        identifiability=Identifiability({'fx': 0.9}, infinite, {'fx': 2.0, 'cx': -1.0}, 0.02),
+        measured=StructureSample(Measured(1.5, 0.01), (3, 4), (5, 6), Measured(80.0, 0.2),
+                                 (3, 5, 6)),
+        focal=FocalCourse(np.array([0, 1]), np.array([520.0, 521.0]), np.array([1.0, np.inf])),
+        shutter=RowReadout(2e-5, 1e-6, 'estimated', 0.3, 0.01, 480),
+        labels=TrackLabels(np.array([3, 7, 8, 9]), np.array([0, 4, 5, 6]), 2, aside=True),
+        mount=NoEstimate('no_mount_fits', count=30))
+
+
+def test_every_key_comes_back():
+    result = everything()
+    document = json.loads(json.dumps(result_to_dict(result)))
+    schema = json.loads((DOCS / 'result.schema.json').read_text(encoding='utf-8'))
+    # of refusals, of rigs, and of the command line
+    others = {'kind', 'hint', 'cameras', 'rig', 'unit', 'path_step', 'joint', 'seed'}
+    assert document.keys() == schema['properties'].keys() - others
+    again = result_from_dict(document)
+    assert json.loads(json.dumps(result_to_dict(again))) == document
+
+    assert again.frames == (0, 1, 2, 3, 4) and again.measured == result.measured
+    assert again.identifiability == result.identifiability
+    assert np.array_equal(again.fixed_points.circular_point, result.fixed_points.circular_point)
+    assert np.array_equal(again.labels.label, result.labels.label)
+    assert again.labels.of('moving 2').tolist() == [8]
+    assert again.labels.of(STILL_IN_IMAGE).tolist() == [9]
+    # as the docstring says
+    assert again.reconstruction is again.residuals is again.population is None
+    bare = result_from_dict(result_to_dict(calibration(fixed_points=None)))
+    assert bare.fixed_points is bare.identifiability is bare.measured is bare.labels is None
+
+
+def test_every_key_of_a_refusal_comes_back():
+    hint = calibration(status=dict.fromkeys(PARAMETER_NAMES, 'estimated') | {
+        'cx': 'unobservable'})
+    refusal = NoEstimate(HINT, turned_deg=5.6, focal_px=620.0, sigma_px=30.0, hint=hint,
+                         status=hint.status, motion='planar')
+    result = NotCalibrated.of(refusal, frames=(1, 2), facts=hint.facts, software='selfcal_ros 0')
+    document = json.loads(json.dumps(result_to_dict(result)))
+    again = result_from_dict(document)
+    assert json.loads(json.dumps(result_to_dict(again))) == document
+    assert again == result and again.frames == (1, 2) and again.status == hint.status
+    assert again.hint.camera == hint.camera and again.hint.status['cx'] == 'unobservable'
+    assert np.array_equal(again.hint.covariance, hint.covariance)
+    assert np.isnan(again.hint.reprojection_rms_px) and again.hint.facts == hint.facts
 
 
 @pytest.mark.parametrize('named', [True, False])

@@ -208,8 +208,8 @@ def test_a_round_part_that_looks_alike_from_two_sides_stays_lost():
 
 
 def test_a_pattern_does_not_pass_for_the_outline():
-    errors = come_back(ring, 'patterned', 6)
-    assert not errors or max(errors) < 5
+    # it stays lost: no outline is sure enough
+    assert not come_back(ring, 'patterned', 6)
 
 
 def test_what_stands_out_from_a_shaded_background_is_one_piece_without_holes():

@@ -63,10 +63,9 @@ def test_a_start_some_degrees_off_converges(turn):
 
 @pytest.mark.parametrize('turn', ((60, 40, 50), (0, 75, 45)))
 def test_a_start_far_off_publishes_no_wrong_pose(turn):
-    made, _ = recorded()
-    for k, frame in enumerate(follow(turn_deg=turn)):
-        # the block looks the same after half a turn about its diagonal
-        assert not frame or np.allclose(frame.translation, made.translations[k], atol=2e-3)
+    frames = follow(turn_deg=turn)
+    assert all(frame.state is TrackerState.INITIALISING and not frame for frame in frames)
+    assert frames[-1].reason
 
 
 def test_another_object_is_never_tracked():

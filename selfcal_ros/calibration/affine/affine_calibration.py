@@ -30,7 +30,7 @@ from selfcal_ros.calibration.affine.affine_adjustment import adjust, AffineViews
 from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_determinant
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
     camera_from_homographies, ConicCalibration)
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.fundamental import PairMatches, refine_translation
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import homogeneous

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import calibration_from_iac
 

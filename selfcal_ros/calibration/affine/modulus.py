@@ -31,7 +31,8 @@ from selfcal_ros.calibration.affine.diac import InfiniteHomographies, unit_deter
 from selfcal_ros.calibration.affine.infinite_homography_calibration import (
     camera_from_homographies, ConicCalibration)
 from selfcal_ros.calibration.affine.pair_distortion import straightened
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.fundamental import fundamental
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import completed_frame, cross_matrix, unit

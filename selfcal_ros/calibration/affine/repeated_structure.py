@@ -26,7 +26,7 @@ import numpy as np
 from selfcal_ros.calibration.affine.affine_calibration import calibrate_affine
 from selfcal_ros.calibration.affine.translation_groups import translation_groups
 from selfcal_ros.errors import InputError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 

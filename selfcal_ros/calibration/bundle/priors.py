@@ -23,7 +23,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.lens import intrinsic_names, Lens, places_among
 from selfcal_ros.calibration.bundle.state import BundleState
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB

@@ -45,7 +45,8 @@ from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, s
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
 from selfcal_ros.calibration.uncertainty.identifiability import identify
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import lengths, rms_length
 

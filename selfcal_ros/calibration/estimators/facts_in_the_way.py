@@ -31,7 +31,8 @@ from selfcal_ros.calibration.estimators.stated_facts import (ABOUT, CONTRADICTED
                                                              spread_of_unknowns)
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 

@@ -34,7 +34,7 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.supposed_lens import WIDEST_PERSPECTIVE
 from selfcal_ros.calibration.uncertainty.hidden_decentring import DECENTRING, likely_decentring
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients
 

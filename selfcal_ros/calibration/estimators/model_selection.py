@@ -39,7 +39,7 @@ from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
 from selfcal_ros.calibration.uncertainty.profile_likelihood import (profile_likelihood_excess,
                                                                     PROFILED_FRACTION)
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.rotation import rotation_vector
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import rotation_vector
 

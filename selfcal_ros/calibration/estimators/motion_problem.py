@@ -28,7 +28,8 @@ from selfcal_ros.calibration.initialisation.problem import observations_of, Self
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts, LEAST_NOISE_PX
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 

@@ -39,7 +39,7 @@ from selfcal_ros.calibration.row_readout import RowReadout
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.values.tracks import Tracks
 
 #: A line delay is estimated where it differs from zero by so many sigmas.

@@ -34,7 +34,8 @@ from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentri
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, Supposition,
                                                               Tested)
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.distributions import chi2_sf, f_sf
 from selfcal_ros.geometry.no_estimate import NoEstimate
 

@@ -32,7 +32,8 @@ from selfcal_ros.calibration.estimators.stated_facts import (Contradiction, LENS
 from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
                                                                    find_distortion_misfit)
 from selfcal_ros.calibration.uncertainty.hidden_decentring import possible_decentring
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 
 #: A model that leaves more than this share of the field does not explain it.
 LEFT_SHARE = 0.5

@@ -27,7 +27,7 @@ from selfcal_ros.calibration.estimators.model_selection import robust_covariance
 from selfcal_ros.calibration.estimators.rotation import fit_rotations, RotationFit
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 
 #: Rotations explain images where they leave less than so many times the noise of their pairs.

@@ -33,7 +33,7 @@ from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProble
 from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, FocalEvidence,
                                                               gain_of_most, gains_of_tracks,
                                                               shape_gain, SURE)
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 
 #: While starts are compared: change of log f from view to view.
 START_SIGMA = 0.03

@@ -30,7 +30,8 @@ from selfcal_ros.calibration.initialisation.pivot_start import PivotPath
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.supposed_lens import (Bend, likely_focal_lengths,
                                                                   supposed_camera)
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.values.tracks import Tracks

@@ -24,7 +24,8 @@ from __future__ import annotations
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import fitted_coefficients, LensModel
 

@@ -40,7 +40,8 @@ from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robu
                                                                     jackknife_excess,
                                                                     segment_findings)
 from selfcal_ros.errors import ArgumentError, InputError
-from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import Camera, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.version import __version__

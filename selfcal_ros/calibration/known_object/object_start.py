@@ -36,7 +36,8 @@ import numpy as np
 from selfcal_ros.calibration.bundle.lens import Lens
 from selfcal_ros.calibration.bundle.object_poses import ObjectPoses
 from selfcal_ros.calibration.bundle.state import ObjectState
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import (calibration_from_iac, euclidean, homogeneous,

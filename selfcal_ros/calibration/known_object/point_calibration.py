@@ -16,12 +16,13 @@ Calibration from known objects (thesis 3.2): any number of views of points with 
 
 One image of a solid suffices; boards need several views under different tilts. A closed form
 (`object_start`) starts one robust adjustment of calibration, distortion and poses together
-(`object_bundle`), which owns the result and its covariance.
+(`bundle.Bundle`), which owns the result and its covariance.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+import logging
 
 import numpy as np
 
@@ -41,13 +42,15 @@ from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
 from selfcal_ros.findings.finding import Finding
-from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import rms_length
 from selfcal_ros.values.known_object import KnownObject
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
+_LOGGER = logging.getLogger(__name__)
 MOTION = 'known-object'
 #: Distortion models that 'auto' tries, the richest first.
 AUTOMATIC_DISTORTION = ('plumb_bob', 'radtan', 'radial2', 'radial1', 'none')
@@ -122,6 +125,7 @@ def calibrate_known_object(tracks: Tracks, target: KnownObject, *,
     try:
         result = _calibrate(tracks, target, size, facts, flatness)
     except np.linalg.LinAlgError:
+        _LOGGER.debug('equations without a solution', exc_info=True)
         result = NoEstimate('equations_singular')
     if isinstance(result, NoEstimate):
         return NotCalibrated.of(result, frames=tracks.frames, facts=facts, motion=MOTION,

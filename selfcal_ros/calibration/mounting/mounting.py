@@ -71,6 +71,8 @@ FAR_M = 8.0
 ANY_SCALE, MOST_APART = 0.3, 0.05
 #: More wrong poses than this are no few.
 MOST_WRONG = 0.4
+#: Kind of refusal where the equations have no solution.
+SINGULAR = 'mount_singular'
 #: Where more of the poses contradict the others, a stated sigma may be why, if the misfits are so
 #: many times larger.
 MOST_BY_SIGMA, SIGMA_TOO_SMALL = 0.1, 2.0
@@ -105,20 +107,29 @@ def mount_camera(calibration: Calibration, poses: BodyPoses,
         If the calibration comes without its reconstruction.
 
     """
+    found = _solved(calibration, poses, stamps_ns, facts)
+    others = MountFacts(scale=facts.scale)
+    failed = isinstance(found.mount, NoEstimate) and found.mount.kind == SINGULAR
+    if facts == others or not (failed or isinstance(found.mount, Mount)):
+        return found
+    free = _solved(calibration, poses, stamps_ns, others).mount
+    if not isinstance(free, Mount):
+        return found
+    wrong = contradicted_fact(facts, free)
+    if wrong is None and failed:
+        # without them there is a solution
+        wrong = NoEstimate('mount_facts_wrong', facts=tuple(facts.stated))
+    return found if wrong is None else replace(calibration, mount=wrong)
+
+
+def _solved(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int, int] | None,
+            facts: MountFacts) -> Calibration:
+    """Find where a camera sits, or that the equations have no solution."""
     try:
-        found = _mounted(calibration, poses, stamps_ns, facts)
-        others = MountFacts(scale=facts.scale)
-        if not isinstance(found.mount, Mount) or facts == others:
-            return found
-        free = _mounted(calibration, poses, stamps_ns, others)
-        wrong = contradicted_fact(facts, free.mount) if isinstance(free.mount, Mount) else None
-        return found if wrong is None else replace(calibration, mount=wrong)
+        return _mounted(calibration, poses, stamps_ns, facts)
     except np.linalg.LinAlgError:
-        # facts that are held and cannot be, most likely
         _LOGGER.debug('equations without a solution', exc_info=True)
-        return replace(calibration, mount=NoEstimate(
-            'mount_facts_wrong', facts=tuple(facts.stated)) if facts.stated else NoEstimate(
-                'no_mount_fits', count=len(poses)))
+        return replace(calibration, mount=NoEstimate('mount_singular', count=len(poses)))
 
 
 def _mounted(calibration: Calibration, poses: BodyPoses, stamps_ns: Mapping[int, int] | None,

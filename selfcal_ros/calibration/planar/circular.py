@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.calibration.planar.conic_covariance import K_ENTRIES
 from selfcal_ros.calibration.planar.conic_pencil import PencilCalibration
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import iac_from_calibration
 

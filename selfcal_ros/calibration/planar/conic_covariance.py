@@ -67,7 +67,7 @@ def calibration_covariance(K, C, ll, mu, fixed, working, T, known, facts,
     K : ndarray, shape (3, 3)
         Pixels.
     C, ll, mu
-        The member of the pencil in the working frame; see `pencil.conic_pencil`.
+        The member of the pencil in the working frame; see `conic_pencil.conic_pencil`.
     fixed, working : FixedPoints
         In pixels, and in the working frame.
     T : ndarray, shape (3, 3)

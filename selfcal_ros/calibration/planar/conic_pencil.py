@@ -26,7 +26,7 @@ import numpy as np
 
 from selfcal_ros.calibration.planar.conic_covariance import calibration_covariance, EXACT_SIGMAS
 from selfcal_ros.calibration.result import FixedPoints
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import calibration_from_iac, iac_from_calibration
 
@@ -130,13 +130,6 @@ def mu_from_aspect(C, ll, aspect_ratio: float) -> list[float]:
         return [-quadratic[2] / quadratic[1]] if quadratic[1] else []
     roots = np.roots(quadratic)
     return roots[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))].real.tolist()
-
-
-def mu_from_aspect_without_skew(C, ll, aspect_ratio: float) -> list[float]:
-    """Member with the aspect ratio, the skew neglected, as the thesis has it (5.8)."""
-    z2 = aspect_ratio ** 2
-    below = ll[0, 0] - z2 * ll[1, 1]
-    return [(z2 * C[1, 1] - C[0, 0]) / below] if below else []
 
 
 def mu_from_principal_point(C, ll, point) -> list[float]:

@@ -188,7 +188,7 @@ def calibrate_estimate(estimate: FixedPointEstimate, facts):
     Returns
     -------
     PencilCalibration or NoEstimate
-        See `pencil.calibrate_from_fixed_points` and `circular.calibrate_circular`.
+        See `conic_pencil.calibrate_from_fixed_points` and `circular.calibrate_circular`.
 
     """
     if estimate.motion == 'circular':

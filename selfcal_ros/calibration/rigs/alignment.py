@@ -71,14 +71,6 @@ class Alignment:
         """[R | p] of the second camera in the first, shape (3, 4)."""
         return np.column_stack([self.rotation, self.place])
 
-    def first_from(self, second: np.ndarray) -> np.ndarray:
-        """Return poses (V, 3, 4) of the first camera from those of the second in its own world."""
-        turned = self.rotation @ second[:, :, :3] @ self.turn.T
-        centres = np.einsum('vji,vj->vi', second[:, :, :3], -second[:, :, 3])
-        placed = self.scale * centres @ self.turn.T + self.shift
-        placed -= np.einsum('vji,j->vi', turned, self.place)
-        return np.concatenate([turned, -turned @ placed[:, :, None]], axis=2)
-
 
 def align(first: np.ndarray, second: np.ndarray) -> list[Alignment]:
     """

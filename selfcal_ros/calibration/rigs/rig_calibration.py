@@ -40,7 +40,7 @@ from selfcal_ros.calibration.rigs.result import RigCalibration
 from selfcal_ros.calibration.rigs.start import (best_start, observations_of, places, priors_of,
                                                 seen_ahead, with_all_points)
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import CameraFacts
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__

@@ -32,7 +32,8 @@ from selfcal_ros.calibration.bundle.robust_fit import bundle_of, Observations
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.rigs.alignment import align
-from selfcal_ros.geometry.camera import Camera, CameraFacts
+from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.resection import decompose, resect
 from selfcal_ros.geometry.schur_complement import PointBlocks

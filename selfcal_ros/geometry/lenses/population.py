@@ -51,9 +51,6 @@ _COEFFICIENTS = {
     'equidistant': ('k1', 'k2', 'k3', 'k4'),
 }
 _OTHER_NAMES = {'rational': 'rational_polynomial'}
-#: A drawn lens grows at least by this share of its slope on the axis, up to the corner.
-_LEAST_SLOPE = 0.1
-_TRIES = 1000
 
 
 @dataclass(frozen=True)
@@ -165,57 +162,3 @@ def _rational(corner: float) -> tuple[np.ndarray, np.ndarray]:
     difference = _RATIONAL_BROADER**2 * difference
     return (np.concatenate([mean, np.zeros(3)]),
             np.block([[difference + common, common], [common, common]]))
-
-
-def draw_lens(rng: np.random.Generator, model: str, corner: float,
-              spread: float = 0.5) -> np.ndarray:
-    """
-    Draw the coefficients of a lens that sees up to the image's corner.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    model : str
-        As for `lens_population`.
-    corner : float
-        As for `lens_population`.
-    spread : float
-        Of the draws, over that of the prior; by default that of ordinary lenses.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Coefficients whose image radius grows up to the corner.
-
-    Raises
-    ------
-    ArgumentError
-        If no such lens was found, or there is no prior for it.
-
-    """
-    mean, covariance = lens_population(model, corner)
-    if not len(mean):
-        return mean
-    factor = np.linalg.cholesky(covariance)
-    for _ in range(_TRIES):
-        values: np.ndarray = mean + spread * factor @ rng.standard_normal(len(mean))
-        if _reaches(_OTHER_NAMES.get(model, model), values, corner):
-            return values
-    raise ArgumentError(f'No lens {model} reaches a corner at {corner:g} focal lengths.')
-
-
-def _reaches(model: str, values: np.ndarray, corner: float) -> bool:
-    """Tell whether the image radius grows up to the corner."""
-    radial = values[[name[0] == 'k' for name in _COEFFICIENTS[model]]]
-    # where the perspective models end, far beyond what they are used for
-    end = np.pi if model == 'equidistant' else np.tan(np.radians(80.0))
-    distance = np.linspace(0.0, end, 2000)
-    powers = distance[:, None]**(2 * np.arange(1, 4))
-    if model == 'rational_polynomial':
-        factor = (1 + powers @ radial[:3]) / (1 + powers @ radial[3:])
-    else:
-        factor = 1 + distance[:, None]**(2 * np.arange(1, len(radial) + 1)) @ radial
-    radius = distance * factor
-    slope = np.diff(radius) / np.diff(distance)
-    ends = np.append(slope < _LEAST_SLOPE, True)
-    return bool(radius[np.argmax(ends)] >= corner)

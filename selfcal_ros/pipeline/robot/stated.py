@@ -20,7 +20,7 @@ import re
 
 from selfcal_ros.calibration.mount import MountFacts
 from selfcal_ros.errors import ArgumentError
-from selfcal_ros.geometry.camera import LEAST_SIGMA
+from selfcal_ros.geometry.camera_facts import LEAST_SIGMA
 
 #: Parts of a mount that can be stated, with their units.
 PARTS = {'x': 'm', 'y': 'm', 'z': 'm', 'roll': 'degrees', 'pitch': 'degrees', 'yaw': 'degrees',

@@ -17,7 +17,7 @@ A wireframe from the lines that are found in two translated images, without clic
 Lines are found in both images and intersected to corners. Without a turn of the camera the
 neighbourhood of a corner looks the same in both, so that correlation proposes the matches; the
 one epipole on which most of them agree decides. An edge between two matched corners in both
-images is a line of the model, and closed loops of lines in one plane are its faces.
+images is a line of the model. `acquire_model` makes the model of them.
 """
 
 from __future__ import annotations
@@ -31,8 +31,6 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.rorapid.acquisition.image_lines import detect_lines, find_corners, refine_lines
-from selfcal_ros.rorapid.acquisition.plane_loops import plane_loops
-from selfcal_ros.rorapid.acquisition.two_view_model import acquire_model, AcquiredModel
 
 #: Half side of the square that is compared around corners, pixels.
 _HALF = 9
@@ -46,51 +44,6 @@ _BAND_PX = 1.5
 _MIN_MOTION_PX = 2.0
 #: Share of a line along which its edge must be found, in both images.
 _MIN_SUPPORT = 0.6
-
-
-def acquire_from_images(first, second, camera: Camera, rng: np.random.Generator,
-                        region: tuple | None = None, largest_motion_px: float = 150.0,
-                        name: str = 'acquired', faces: bool = True, **facts,
-                        ) -> AcquiredModel | NoEstimate:
-    """
-    Make a model of what two images show that are related by a pure translation.
-
-    Parameters
-    ----------
-    first, second : ndarray, shape (H, W), uint8
-        Grey images.
-    camera : Camera
-    rng : numpy.random.Generator
-        Chooses the samples of RANSAC.
-    region : (left, top, right, bottom), optional
-        Where the object is in the first image, pixels; everything by default.
-    largest_motion_px : float
-        How far a corner may go between the images.
-    name : str
-    faces : bool
-        Make closed plane loops of lines opaque faces.
-    **facts
-        `baseline_m` and `sigma_px` as for `acquisition.points_from_translation`.
-
-    Returns
-    -------
-    AcquiredModel or NoEstimate
-
-    Raises
-    ------
-    ArgumentError
-        If the images are not grey images of one size, or the scale is not given.
-
-    """
-    matched = match_vertices(first, second, camera, rng, region, largest_motion_px)
-    if isinstance(matched, NoEstimate):
-        return matched
-    ends = matched.first_px, matched.second_px
-    acquired = acquire_model(*ends, camera, matched.lines, name=name, **facts)
-    if faces and not isinstance(acquired, NoEstimate):
-        loops = plane_loops(acquired.model.vertices, matched.lines)
-        acquired = acquire_model(*ends, camera, matched.lines, loops, name=name, **facts)
-    return acquired
 
 
 @dataclass(frozen=True)
@@ -118,8 +71,15 @@ def match_vertices(first, second, camera: Camera, rng: np.random.Generator,
 
     Parameters
     ----------
-    first, second, camera, rng, region, largest_motion_px
-        As for `acquire_from_images`.
+    first, second : ndarray, shape (H, W), uint8
+        Grey images.
+    camera : Camera
+    rng : numpy.random.Generator
+        Chooses the samples of RANSAC.
+    region : (left, top, right, bottom), optional
+        Where the object is in the first image, pixels; everything by default.
+    largest_motion_px : float
+        How far a corner may go between the images.
 
     Returns
     -------
