@@ -32,10 +32,8 @@ from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RA
 from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
                                                             usual_matrix)
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX, parameter_status
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    ClusterCovariance,
-                                                                    jackknife_excess)
-from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess
 from selfcal_ros.calibration.uncertainty.profile_likelihood import (profile_likelihood_excess,
                                                                     PROFILED_FRACTION)
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
@@ -60,7 +58,7 @@ class ModelDecision:
     exact : bool
         Whether the motion is exactly planar.
     jackknife : (float, ndarray of shape (k, k))
-        Of `jackknife_excess`.
+        Of `segment_excess`.
     profile_excess : ndarray, shape (k, k)
         Covariance of the internal parameters beyond that from the curvature at the optimum.
     turned : bool
@@ -144,11 +142,11 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     ModelDecision
 
     """
-    dependence = robust_covariance_of(fit, problem.size).inflation**2
+    dependence = robust_covariance_of(fit, problem.size).variance_inflation
 
     def dependence_of(trial: RobustFit) -> float:
         return (dependence if trial is fit
-                else float(robust_covariance_of(trial, problem.size).inflation**2))
+                else float(robust_covariance_of(trial, problem.size).variance_inflation))
 
     def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
         covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
@@ -158,7 +156,7 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
 
     lens = choose_lens(fit, problem.facts, problem.size, dependence_of, determined)
     fit, facts = lens.fit, lens.facts
-    known = robust_covariance_of(fit, problem.size).inflation**2
+    known = robust_covariance_of(fit, problem.size).variance_inflation
     exact = False
     if problem.motion.keeps_plane:
         fit, exact = choose_motion(fit, known)
@@ -171,7 +169,7 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
         fit, problem.size, fraction, 0.0 if problem.is_weak else PROFILED_FRACTION)
     curved = second_order_covariance(fit, problem.size, fraction * known)
     profile_excess = profile_excess + (curved + lens.excess) / known
-    shared = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
+    shared = segment_excess(fit, known)
     return ModelDecision(fit, facts, exact, shared, profile_excess, turned, fraction)
 
 
@@ -211,7 +209,8 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
         return False
     bundle = bundle_of(free.observations, fit.motion, fit.bundle.priors, free.bundle.sigma_px)
     held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=0.05)
-    excess = 2 * (bundle.cost(held) - free.cost) / robust_covariance_of(free, size).inflation**2
+    excess = (2 * (bundle.cost(held) - free.cost)
+              / robust_covariance_of(free, size).variance_inflation)
     return not is_chance(excess, 3 * len(fit.state.path))
 
 
@@ -234,14 +233,8 @@ def hold_parallel(fit: RobustFit, parallel: tuple[int, ...], size: tuple[int, in
     motion = replace(fit.motion, parallel=parallel)
     held = refit(fit, motion, replace(fit.state, path=fit.state.path.aligned(motion)))
     freedom = 3 * (len(parallel) - 1)
-    excess = 2 * (held.cost - fit.cost) / robust_covariance_of(fit, size).inflation**2
+    excess = 2 * (held.cost - fit.cost) / robust_covariance_of(fit, size).variance_inflation
     if is_chance(excess, freedom):
         return held, 0.0
     R = fit.state.path.rotations()[list(parallel)]
     return fit, float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
-
-
-def robust_covariance_of(fit: RobustFit, size: tuple[int, int]) -> ClusterCovariance:
-    """Assess how far the residuals of a fit are from independent."""
-    return cluster_robust_covariance(fit.information, fit.observations.point,
-                                     fit.observations.xy, size)

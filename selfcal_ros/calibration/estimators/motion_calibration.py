@@ -38,8 +38,7 @@ from selfcal_ros.calibration.estimators.facts_in_the_way import (
     fact_in_the_way, preferred_by_all, without_facts)
 from selfcal_ros.calibration.estimators.model_selection import (as_uneven_as_told,
                                                                 choose_model, first_fit,
-                                                                hold_parallel, leaves_plane,
-                                                                robust_covariance_of)
+                                                                hold_parallel, leaves_plane)
 from selfcal_ros.calibration.estimators.motion_class import (MAX_TILT_RAD, not_planar,
                                                              out_of_plane_rad,
                                                              widest_turn_rad)
@@ -61,6 +60,7 @@ from selfcal_ros.calibration.moving.sorting import (explained_share, explains_al
                                                     SortedTracks, stands_out, tested_as_still)
 from selfcal_ros.calibration.observability import held_facts, LEAST_NOISE_PX
 from selfcal_ros.calibration.result import Calibration
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
@@ -340,7 +340,7 @@ def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGr
     if fit.state.zoom is not None:
         second = two_focal_lengths(fit.state.zoom.log_focal)
     else:
-        second = two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
+        second = two_cameras(fit, robust_covariance_of(fit, window.size).variance_inflation)
     if second is None:
         return None
     frames = np.array(window.instants, dtype=int)

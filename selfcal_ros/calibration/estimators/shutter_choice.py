@@ -203,7 +203,7 @@ def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
     place = bundle.unknowns.places((LINE_DELAY,))[0]
     step = -bundle.inverse(information.system) @ information.system.gradient
     inflation = cluster_robust_covariance(information, observations.point, observations.xy,
-                                          size).inflation
+                                          size).sigma_inflation
     sigma = float(np.sqrt(information.covariance[place, place])) * inflation
     return DelayTest(fit.state.line_delay + float(step[place]), sigma,
                      step[bundle.unknowns.lens])

@@ -27,9 +27,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    jackknife_excess)
-from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess, SEGMENTS
 from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentring
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, Supposition,
                                                               Tested)
@@ -341,10 +340,8 @@ def spread_of_unknowns(fit: RobustFit, places: np.ndarray, size: tuple[int, int]
 
     Also how much larger that of stretches of views is than chance has it.
     """
-    clusters = cluster_robust_covariance(fit.information, fit.observations.point,
-                                         fit.observations.xy, size)
-    ratio, of_segments = jackknife_excess(*delete_a_group(fit), fit.lens_covariance,
-                                          clusters.inflation**2)
+    clusters = robust_covariance_of(fit, size)
+    ratio, of_segments = segment_excess(fit, clusters.variance_inflation)
     return (clusters.covariance + of_segments)[np.ix_(places, places)], ratio
 
 

@@ -301,16 +301,17 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
     within = view * (int(views.primitive.max()) + 1) + views.primitive
     by_primitive = cluster_robust_covariance(information, views.primitive, views.xy, size)
     by_stay = cluster_robust_covariance(information, within, views.xy, size)
-    wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
-    ratio, more = _segments(views, bundle, state, wider)
+    wider = max((by_primitive, by_stay), key=lambda found: found.sigma_inflation)
+    ratio, more = _segments(views, bundle, state, wider.variance_inflation)
     camera = state.camera(*size)
     covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
-    return (covariance, wider.inflation * ratio, findings,
+    return (covariance, wider.sigma_inflation * ratio, findings,
             parameter_status(camera, covariance, facts))
 
 
-def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
+def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, variance_inflation: float,
+              ) -> tuple[float, np.ndarray]:
     """Return what leaving out a segment of images at a time tells: ratio and covariance."""
     nothing = 1.0, np.zeros((len(state.lens),) * 2)
     frames = views.frames
@@ -327,7 +328,7 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
         moved = part.optimise(own, iterations=20, tolerance=1e-4)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved)[lens, lens])
-    return jackknife_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
+    return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
 
 
 def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimate | None:

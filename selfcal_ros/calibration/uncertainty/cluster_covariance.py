@@ -24,11 +24,13 @@ that leave out one segment of views each.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.information import Information
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.findings.finding import Finding
 
 #: Image regions that errors may share, along the longer and the shorter side.
@@ -58,9 +60,14 @@ class ClusterCovariance:
     covariance: np.ndarray
 
     @property
-    def inflation(self) -> float:
-        """Ratio of sigma with all dependence to sigma with none."""
-        return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
+    def variance_inflation(self) -> float:
+        """Variance with shared errors over that with independent ones: the inflation factor."""
+        return 1 + float(sum(ratio**2 - 1 for ratio in self.ratios.values()))
+
+    @property
+    def sigma_inflation(self) -> float:
+        """The same of sigmas."""
+        return float(np.sqrt(self.variance_inflation))
 
     def findings(self, *names: str, track: str = 'errors_within_track') -> tuple[Finding, ...]:
         """Tell what was found; names choose among the ratios, `track` is the kind of theirs."""
@@ -111,6 +118,27 @@ def cluster_robust_covariance(information: Information, track: np.ndarray, xy: n
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return ClusterCovariance(ratios, widened)
+
+
+def robust_covariance_of(fit: RobustFit, sizes: Sequence[int] | np.ndarray) -> ClusterCovariance:
+    """
+    Widen the covariance of an optimum by the dependence that its residuals show.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        Of one camera or of a rig.
+    sizes : (int, int), or array of int, shape (C, 2)
+        Width and height of the image, of a rig those of every camera.
+
+    Returns
+    -------
+    ClusterCovariance
+
+    """
+    observations = fit.observations
+    xy, size, camera = images_alike(observations.xy, np.asarray(sizes), observations.camera)
+    return cluster_robust_covariance(fit.information, observations.point, xy, size, camera)
 
 
 def images_alike(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None,
