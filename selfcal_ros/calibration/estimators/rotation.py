@@ -281,8 +281,7 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     bundle, state, motion = fit.bundle, fit.state, fit.motion
     camera = state.camera(*size)
     choices = lens.excess + decided.covariance(len(state.lens), bundle.unknowns.free)
-    assessed = rotation_corrections(may_miss, choices).applied_to(
-        replace(AssessedEstimate.of(fit, size), findings=()))
+    assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
     inner, inflation = assessed.covariance, assessed.variance_inflation
     course = focal_course(fit, state, frames, inner, inflation)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
