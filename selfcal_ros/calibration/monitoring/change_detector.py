@@ -34,6 +34,7 @@ from selfcal_ros.calibration.monitoring.window_scatter import UsualWindows
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 
 #: A window does not fit where noise that the epipolar geometry lacks exceeds the usual by this
 #: factor, or where tracks agree with themselves alone, by the factors of misfit and dependence.
@@ -148,7 +149,7 @@ class ChangeMonitor(SequentialMonitor):
                                                                             camera.height)
 
     def _seen(self, score: WindowScore) -> tuple[np.ndarray, np.ndarray]:
-        spread = _inverse(score.information) * self._usual.inflation(score.dependence)
+        spread = scaled_pseudo_inverse(score.information) * self._usual.inflation(score.dependence)
         step = (score.at + score.step - self.in_force)[self._changes]
         return step, spread[np.ix_(self._changes, self._changes)]
 
@@ -167,10 +168,3 @@ def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
     if covariance[aspect, aspect] < 1e-14:
         covariance[aspect] = covariance[:, aspect] = 0
     return covariance
-
-
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Invert by way of unit diagonals: parameters differ in scale."""
-    scale = np.sqrt(np.diag(information))
-    return np.linalg.pinv(information / np.outer(scale, scale),
-                          hermitian=True) / np.outer(scale, scale)

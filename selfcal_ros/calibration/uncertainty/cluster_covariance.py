@@ -32,6 +32,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.information import Information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
@@ -263,8 +264,7 @@ def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     free = np.flatnonzero(sigma > 0)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)]
-                                     / np.outer(sigma[free], sigma[free]))
+    values, vectors = np.linalg.eigh(unit_diagonal(covariance[np.ix_(free, free)])[0])
     usable = values > 1e-10 * values[-1]
     whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
     return whiten, np.linalg.pinv(whiten), free
