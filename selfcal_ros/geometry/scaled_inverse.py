@@ -15,7 +15,7 @@
 Inverses and eigenvalues of symmetric matrices whose unknowns differ in unit.
 
 Pixels, radians and coefficients stand side by side in an information or a covariance. Divided by
-the roots of its diagonal the matrix has ones there. Tolerances then mean the same for all unknowns.
+the roots of its diagonal the matrix has ones there. Then tolerances mean the same for all of them.
 Of all diagonal scalings that is nearly the one of least condition (van der Sluis 1969).
 """
 

@@ -27,7 +27,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
-                                                               REGULARISED)
+                                                               LensDecision, REGULARISED)
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
                                                             usual_matrix)
@@ -142,24 +142,12 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     ModelDecision
 
     """
-    dependence = robust_covariance_of(fit, problem.size).variance_inflation
-
-    def dependence_of(trial: RobustFit) -> float:
-        return (dependence if trial is fit
-                else float(robust_covariance_of(trial, problem.size).variance_inflation))
-
-    def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
-        covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
-        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
-                                  trial.bundle.sigma_px)
-        return 'unobservable' not in status.values()
-
-    lens = choose_lens(fit, problem.facts, problem.size, dependence_of, determined)
+    lens = _chosen_lens(problem, fit)
     fit, facts = lens.fit, lens.facts
-    known = robust_covariance_of(fit, problem.size).variance_inflation
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
     exact = False
     if problem.motion.keeps_plane:
-        fit, exact = choose_motion(fit, known)
+        fit, exact = choose_motion(fit, variance_inflation)
     turned = True
     if largest_turn_rad(fit.state.path, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
         every = tuple(range(len(fit.state.path)))
@@ -167,10 +155,27 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     # beside a large rotation a short lever leaves a valley, steep wherever the optimum is wrong
     fit, profile_excess = profile_likelihood_excess(
         fit, problem.size, fraction, 0.0 if problem.is_weak else PROFILED_FRACTION)
-    curved = second_order_covariance(fit, problem.size, fraction * known)
-    profile_excess = profile_excess + (curved + lens.excess) / known
-    shared = segment_excess(fit, known)
+    curved = second_order_covariance(fit, problem.size, fraction * variance_inflation)
+    profile_excess = profile_excess + (curved + lens.excess) / variance_inflation
+    shared = segment_excess(fit, variance_inflation)
     return ModelDecision(fit, facts, exact, shared, profile_excess, turned, fraction)
+
+
+def _chosen_lens(problem: SelfCalibrationProblem, fit: RobustFit) -> LensDecision:
+    """Choose the distortion model, if the facts leave it open; see `choose_lens`."""
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
+
+    def variance_inflation_of(trial: RobustFit) -> float:
+        return (variance_inflation if trial is fit
+                else robust_covariance_of(trial, problem.size).variance_inflation)
+
+    def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
+        covariance = variance_inflation * to_parameters(trial.covariance, trial.state.lens)
+        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
+                                  trial.bundle.sigma_px)
+        return 'unobservable' not in status.values()
+
+    return choose_lens(fit, problem.facts, problem.size, variance_inflation_of, determined)
 
 
 def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int]) -> bool:

@@ -171,12 +171,12 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     assert problem.pivot is not None
     problem = replace(problem, pivot=replace(problem.pivot,
                                              lever=fit.state.path.translation[0]))
-    dependence = robust_covariance_of(fit, problem.size).variance_inflation
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
     still = refit(fit, ROTATION, _without_lever(fit.state))
     free = refit(fit, GENERAL)
     return problem, PivotDecision(
-        model, 2 * (still.cost - fit.cost) / dependence, len(fit.state.points) + 2,
-        2 * (fit.cost - free.cost) / dependence,
+        model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
+        2 * (fit.cost - free.cost) / variance_inflation,
         free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
 
 

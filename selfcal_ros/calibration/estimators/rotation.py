@@ -282,8 +282,8 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     camera = state.camera(*size)
     choices = lens.excess + decided.covariance(len(state.lens), bundle.unknowns.free)
     assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
-    inner, inflation = assessed.covariance, assessed.variance_inflation
-    course = focal_course(fit, state, frames, inner, inflation)
+    inner, variance_inflation = assessed.covariance, assessed.variance_inflation
+    course = focal_course(fit, state, frames, inner, variance_inflation)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
@@ -291,11 +291,12 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         refusal = (NoEstimate('rotations_leave_open', missing=missing) if found.conic
                    else found.conic)
         return refusal.saying(status=status, motion='rotation', facts=facts)
-    if motion.zoom is None and only_slides(fit, size, float(np.sqrt(inner[0, 0])), inflation):
+    if motion.zoom is None and only_slides(fit, size, float(np.sqrt(inner[0, 0])),
+                                           variance_inflation):
         return NoEstimate('images_slide', motion='rotation', facts=facts, status={
             **status, 'fx': 'unobservable', 'fy': 'unobservable'})
     # the gates of every other motion
-    verdict = examine_facts(fit, stated, size, inflation, assessed.hidden)
+    verdict = examine_facts(fit, stated, size, variance_inflation, assessed.hidden)
     for refused in (most_agree(fit.outliers / len(found.observed.view)), unchecked(bundle),
                     verdict.refusal(covariance, state.lens['f'])):
         if refused is not None:

@@ -213,8 +213,9 @@ def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return ratio
 
 
-def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], known: float,
-                  hidden: HiddenDecentring | None = None) -> FactsVerdict:
+def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
+                  variance_inflation: float, hidden: HiddenDecentring | None = None,
+                  ) -> FactsVerdict:
     """
     Ask the images of an optimum about every fact that is stated.
 
@@ -226,7 +227,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
         As they were stated; a lens that was chosen is no fact.
     size : (int, int)
         Width and height of the image.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
     hidden : HiddenDecentring, optional
         What the lens may do beside its model: no fact is blamed for it.
@@ -242,7 +243,8 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
     asked: set[str] = set()
     while True:
         about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
-        tested = sorted(_tested(fit, about, known, hidden), key=lambda one: one.p_value)
+        tested = sorted(_tested(fit, about, variance_inflation, hidden),
+                        key=lambda one: one.p_value)
         if not asked:
             unchecked = tuple(error for one in tested if one.p_value > DOUBTED
                               for error in _unchecked(fit, one))
@@ -273,7 +275,7 @@ def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
     return {**stated, LENS_MODEL: held} if held else stated
 
 
-def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
+def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], variance_inflation: float,
             hidden: HiddenDecentring | None) -> list[Tested]:
     """Test every fact by itself, the others supposed."""
     if not about:
@@ -286,7 +288,7 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
         shared = bundle.predict(fit.state).differentiated(
             replace(bundle.unknowns, free=free)).shared
     joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
-                                    for fact, names in about.items()], known,
+                                    for fact, names in about.items()], variance_inflation,
                               None if hidden is None else hidden.columns,
                               1.0 if hidden is None else hidden.sigma)
     return [joint.test(fact) for fact in about]

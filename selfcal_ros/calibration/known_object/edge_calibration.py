@@ -193,7 +193,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
             break
     if found is None:
         return NoEstimate('no_fit_to_edges')
-    used, bundle, state, chosen, covariance, inflation, findings, status = found
+    used, bundle, state, chosen, covariance, sigma_inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
     missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
@@ -202,7 +202,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         missing = ('fx', 'fy')
     if missing:
         return NoEstimate('edges_leave_open', missing=missing, status=status)
-    zoomed = _zoomed(used, state, inflation)
+    zoomed = _zoomed(used, state, sigma_inflation)
     if zoomed is not None:
         return zoomed
     camera = state.camera(*size)
@@ -331,7 +331,7 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, variance_inf
     return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
 
 
-def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimate | None:
+def _zoomed(views: EdgeViews, state: ObjectState, sigma_inflation: float) -> NoEstimate | None:
     """Refuse a focal length that has changed between the halves of the sequence."""
     frames = views.frames
     if len(frames) < 8:
@@ -350,7 +350,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
         variance = bundle.ideal_covariance(own)[0, 0]
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found
-    limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
+    limit = max(ZOOM_SIGMAS * sigma_inflation * np.hypot(sigma_a, sigma_b),
                 ZOOM_FRACTION * state.lens['f'])
     if abs(a - b) < limit:
         return None

@@ -63,7 +63,7 @@ class WindowScore:
         From there to the camera that the window shows.
     information : ndarray, shape (k, k)
         Inverse covariance of the step for independent errors.
-    dependence : float
+    variance_inflation : float
         Variance of the step with errors shared within tracks over that with independent errors;
         scatters about 1 where the errors are independent.
     noise_px : float
@@ -81,7 +81,7 @@ class WindowScore:
     at: np.ndarray
     step: np.ndarray
     information: np.ndarray
-    dependence: float
+    variance_inflation: float
     noise_px: float
     misfit: float
     still: float = 1.0
@@ -128,8 +128,8 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         return NoEstimate('window_singular')
     information = scaled_pseudo_inverse(covariance)
-    dependence = shared_within_tracks(told, observations.point, places, information)
-    shaped = shape_of_views(replace(fit, bundle=bundle), camera.height, dependence)
+    variance_inflation = shared_within_tracks(told, observations.point, places, information)
+    shaped = shape_of_views(replace(fit, bundle=bundle), camera.height, variance_inflation)
     if shaped is not None:
         moved, root = (part[places] for part in shaped)
         step = step + moved
@@ -138,8 +138,8 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
     supposed = Lens.of(camera).take(free)
     return WindowScore(
         tuple(int(frame) for frame in graph.frames), supposed,
-        state.lens.values[places] + step - supposed, information, dependence, bundle.sigma_px,
-        bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
+        state.lens.values[places] + step - supposed, information, variance_inflation,
+        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
         float(state.line_delay + told.influence[:, row].sum()),
         float(np.sqrt(told.covariance[row, row])))
 

@@ -205,7 +205,7 @@ def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
 
 
 def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
-                     known: float = 1.0) -> tuple[float, np.ndarray]:
+                     variance_inflation: float = 1.0) -> tuple[float, np.ndarray]:
     """
     Variance that errors shared by segments of views add.
 
@@ -221,7 +221,7 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
         Of those estimates, for independent errors.
     covariance : ndarray, shape (k, k)
         Of the estimate from all, for independent errors.
-    known : float
+    variance_inflation : float
         Variance over that with independent errors which is accounted for already.
 
     Returns
@@ -237,14 +237,15 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     if groups < 4:
         return nothing
     # a segment without weight in some direction must not divide by nothing there
-    expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
+    expected = variance_inflation * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
     if not (np.diag(expected) > 0).any():
         return nothing
     whiten, unwhiten, free = _whitening(expected)
     scatter = shifts[:, free] @ whiten.T
     gram = scatter.T @ scatter
     unknowns = len(whiten)
-    each = whiten @ (known * (covariances - covariance))[:, free[:, None], free] @ whiten.T
+    each = variance_inflation * (covariances - covariance)
+    each = whiten @ each[:, free[:, None], free] @ whiten.T
     # variance of a sum of squares of Gaussians; the ends of a drive may weigh most
     spread = np.sqrt(2 * np.sum(each**2)) / unknowns
     if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
@@ -254,7 +255,7 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     axes = unwhiten @ vectors
     inverse = np.linalg.pinv(covariance[np.ix_(free, free)])
     axes /= np.sqrt(np.einsum('ik,ij,jk->k', axes, inverse, axes))
-    more = known * (axes * np.maximum(values - 1, 0)) @ axes.T
+    more = variance_inflation * (axes * np.maximum(values - 1, 0)) @ axes.T
     added = np.zeros_like(covariance)
     added[np.ix_(free, free)] = more
     return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added

@@ -269,8 +269,8 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
         At its optimum.
     suppositions : sequence of Supposition
     variance_inflation : float
-        Variance of the estimate over that with independent errors: the dependence that the
-        covariance of the camera allows for, too.
+        Variance of the estimate over that with independent errors, which the covariance of
+        the camera allows for, too.
     nuisance : ndarray, shape (N, 2, q), optional
         Derivatives by unknowns that are eliminated with the rest, as those of a smooth field.
     nuisance_sigma : float, or ndarray of shape (q,)
