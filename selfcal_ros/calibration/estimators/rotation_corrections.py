@@ -22,19 +22,18 @@ from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     apply_lens_posterior, AssessedEstimate, Chain, Correction)
 from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 
-#: Corrections of other motions that rotations do not have, and why. The simulated heads are
-#: those of `test_rotating.py`, their lenses chosen: three kinds, eight seeds each.
+#: Corrections of other motions that rotations do not have, and why. What is said of heads is of
+#: those that `test_rotating.py` simulates, their lenses chosen: three kinds, eight seeds each.
 LEFT_OUT: dict[Correction, str] = {
-    allow_for_distortion_misfit:
-        'A gap: real heads are not measured, and a lever too short to be seen may pass for it. '
-        'With a lens 0.3 px beside its model cy errs by 3.8 sigma rms, by 2.3 with this step. '
-        'Where the lens follows its model it changes nothing.',
-    allow_for_segments:
-        'It changed no head but one with a lever, which has a step of its own.',
-    apply_lens_posterior:
-        'It changed no simulated head: the choice of the lens weighs what lenses are like.',
-    allow_for_prism:
-        'It changed no simulated head: decentring has the prior of ordinary lenses.'}
+    # With a lens 0.3 px beside its model cy errs by 3.8 sigma rms, by 2.3 with this step. Where
+    # the lens follows its model it changes nothing. A lever too short to be seen may pass for it.
+    allow_for_distortion_misfit: 'a gap: not measured on real heads',
+    # It changed one head, which had a lever.
+    allow_for_segments: 'levers have a step',
+    # The choice of the lens weighs what lenses are like. It changed no head.
+    apply_lens_posterior: 'weighed with the lens',
+    # Decentring has the prior of ordinary lenses. It changed no head.
+    allow_for_prism: 'decentring is ordinary'}
 
 
 def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
