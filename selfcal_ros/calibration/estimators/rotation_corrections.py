@@ -27,7 +27,7 @@ from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 LEFT_OUT: dict[Correction, str] = {
     # With a lens 0.3 px beside its model cy errs by 3.8 sigma rms, by 2.3 with this step. Where
     # the lens follows its model it changes nothing. A lever too short to be seen may pass for it.
-    allow_for_distortion_misfit: 'a gap: not measured on real heads',
+    allow_for_distortion_misfit: 'a gap, not measured yet',
     # It changed one head, which had a lever.
     allow_for_segments: 'levers have a step',
     # The choice of the lens weighs what lenses are like. It changed no head.
