@@ -104,7 +104,7 @@ class LinearWindow:
         error : ndarray, shape (k,)
             Of the camera.
         information : ndarray, shape (k, k)
-        dependence : float
+        variance_inflation : float
 
         """
         residual, length = self._adjusted(error, lost)
@@ -221,10 +221,10 @@ def linear_hours(drive: MeasuredDrive, hours: float, period_s: float, seed: int)
     step = monitor.settings.keyframes - 1
     endless = EndlessDrive(drive, monitor.settings.keyframes, monitor.free)
     chances, errors = [], []
-    for index, (error, information, dependence) in endless.scores(
+    for index, (error, information, variance_inflation) in endless.scores(
             rng, max(1, int(hours * 3600 / period_s / step))):
         monitor.add(WindowScore((index - step, index), at, true + error - at, information,
-                                dependence, 0.0, 1.0))
+                                variance_inflation, 0.0, 1.0))
         errors.append(error)
         chances.append(corrected_chance(monitor))
     return int(monitor.change is not None), np.array(chances), np.array(errors)

@@ -248,7 +248,7 @@ def unchanged(drive: MeasuredDrive, seed: int):
             frames = frames[-1:]
             if score is not None:
                 scores.append((score.at + score.step - true, score.information,
-                               score.dependence))
+                               score.variance_inflation))
                 chances.append(corrected_chance(monitor))
         if frame[0] >= PIECE_KEYFRAMES:
             return int(monitor.change is not None), scores, np.array(chances)
@@ -266,10 +266,10 @@ def drawn_chances(drive: MeasuredDrive, pieces, seed: int, hours: float = 100) -
     while len(chances) < count:
         piece = pieces[rng.integers(len(pieces))]
         first = int(rng.integers(max(1, len(piece) - TOGETHER)))
-        for error, information, dependence in piece[first:first + TOGETHER]:
+        for error, information, variance_inflation in piece[first:first + TOGETHER]:
             frame = len(chances) * step
             monitor.add(WindowScore((frame, frame + step), at, true + error - at, information,
-                                    dependence, 0.0, 1.0))
+                                    variance_inflation, 0.0, 1.0))
             chances.append(corrected_chance(monitor))
     return np.array(chances)
 

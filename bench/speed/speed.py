@@ -29,19 +29,19 @@ from bench.tables import percent, Report
 import numpy as np
 from selfcal_ros import calibrate, CameraFacts
 from selfcal_ros.calibration.bundle.bundle import Bundle
-from selfcal_ros.calibration.estimators import (acceptance as conclusion,
-                                                model_selection as model_choice)
+from selfcal_ros.calibration.estimators import acceptance, model_selection
+from selfcal_ros.calibration.uncertainty import assessed_estimate
 from selfcal_ros.synthetic.recordings import agv_drive, write_image_folder
 from selfcal_ros.synthetic.special_scenes import drive
 
 FACTS = CameraFacts(aspect_ratio=1.0, skew=0.0)
 GROWTH_VIEWS = (12, 24, 50, 100, 200, 1000)
 #: Where covariance and identifiability are asked for; the outermost call counts.
-EVIDENCE = ((model_choice, 'robust_covariance_of'), (conclusion, 'robust_covariance_of'),
-            (conclusion, 'find_distortion_misfit'), (model_choice, 'delete_a_group'),
-            (model_choice, 'jackknife_excess'), (model_choice, 'profile_likelihood_excess'),
-            (model_choice, 'second_order_covariance'), (conclusion, 'identify'),
-            (conclusion, 'suggest_motions'), (conclusion, 'sample_structure'),
+EVIDENCE = ((model_selection, 'robust_covariance_of'), (assessed_estimate, 'robust_covariance_of'),
+            (assessed_estimate, 'find_distortion_misfit'), (model_selection, 'segment_excess'),
+            (model_selection, 'profile_likelihood_excess'),
+            (model_selection, 'second_order_covariance'), (acceptance, 'identify'),
+            (acceptance, 'suggest_motions'), (acceptance, 'sample_structure'),
             (Bundle, 'information'), (Bundle, 'covariance'))
 #: Observations a view that the growth is measured at, and the length of a track in views.
 OBSERVATIONS_PER_VIEW, TRACK_LENGTH = 150, 12

@@ -81,7 +81,7 @@ class ScoreRequest:
         try:
             return WindowVerdict(score, mount_score(
                 *found, self.camera, self.mount, self.robot.poses(), self.robot.facts,
-                max(1.0, score.dependence)))
+                max(1.0, score.variance_inflation)))
         except (InputError, np.linalg.LinAlgError) as error:
             return WindowVerdict(score, NoEstimate('body_poses_unusable', why=str(error)))
 

@@ -98,7 +98,7 @@ def test_scores_of_the_true_camera_scatter_as_they_say(scene):
     squares = [score.step @ score.information @ score.step for score in scores]
     freedom = 3 * len(scores)
     assert chi2.ppf(1e-4, freedom) < np.sum(squares) < chi2.isf(1e-4, freedom)
-    assert np.mean([score.dependence for score in scores]) == pytest.approx(1, abs=0.15)
+    assert np.mean([score.variance_inflation for score in scores]) == pytest.approx(1, abs=0.15)
     assert np.mean([score.noise_px for score in scores]) == pytest.approx(NOISE_PX, rel=0.1)
 
 

@@ -78,7 +78,7 @@ def with_something_moving(seed, share):
 
 def squares(score):
     """Tell how far the window is from the true camera, in sigmas of the whole."""
-    return float(score.step @ score.information @ score.step) / max(1.0, score.dependence)
+    return float(score.step @ score.information @ score.step) / max(1.0, score.variance_inflation)
 
 
 def test_rows_that_are_read_in_turn_do_not_look_like_another_camera():
@@ -144,7 +144,7 @@ def test_tracks_that_agree_with_themselves_alone_weigh_less():
     rng, monitor = np.random.default_rng(5), ChangeMonitor(calibration())
     for score in scores(rng, 4):
         monitor.learn(score)
-    for score in scores(rng, 12, f=524.0, dependence=8.0):
+    for score in scores(rng, 12, f=524.0, variance_inflation=8.0):
         monitor.add(score)
     assert monitor.change is None and monitor.windows == 12
 

@@ -72,6 +72,17 @@ def test_one_axis_is_refused_and_names_the_rotation_that_helps(axes, missing):
     assert f"the camera's {'xyz'[axes.index(1)]} axis" in found.reason
 
 
+def test_it_is_said_that_sigmas_hold_errors_that_tracks_share():
+    tracks = _head(1, noise_px=0.05).tracks
+    drift = 0.05 * np.random.default_rng(0).normal(size=(tracks.track.max() + 1, 2))
+    moved = tracks.xy + drift[tracks.track] * (tracks.frame - 3.5)[:, None]
+    drifting = Tracks(tracks.frame, tracks.track, moved, tracks.image_size)
+    still, found = (calibrate_rotating(one, SIZE, STRAIGHT) for one in (tracks, drifting))
+    assert 'errors_within_track' not in [one.kind for one in still.findings]
+    assert 'errors_within_track' in [one.kind for one in found.findings]
+    assert found.sigma['fx'] > 1.2 * still.sigma['fx']
+
+
 def test_pan_alone_suffices_with_square_pixels():
     facts = CameraFacts(skew=0.0, aspect_ratio=910 / 900, distortion='none')
     found = calibrate_rotating(_head(1, axes=(0, 1, 0)).tracks, SIZE, facts)

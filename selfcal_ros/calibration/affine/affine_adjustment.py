@@ -24,6 +24,7 @@ from selfcal_ros.geometry.projective import tangent_basis
 from selfcal_ros.geometry.resection import projection_jacobian
 from selfcal_ros.geometry.robust_loss import huber_loss, huber_weights
 from selfcal_ros.geometry.robust_scale import robust_sigma_of_lengths
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.geometry.selection_matrix import selection_matrix
 
@@ -222,8 +223,8 @@ class _Adjustment:
         gauge = depth.ravel() / np.linalg.norm(depth)
         matrix = matrix + weight * np.outer(gauge, gauge)
         index = np.flatnonzero(self.free)
-        root = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
-        values, vectors = np.linalg.eigh(matrix[np.ix_(index, index)] / np.outer(root, root))
+        scaled, root = unit_diagonal(matrix[np.ix_(index, index)])
+        values, vectors = np.linalg.eigh(scaled)
         values = np.maximum(values, 1e-14 * values[-1])
         covariance = np.zeros(matrix.shape)
         covariance[np.ix_(index, index)] = (vectors / values) @ vectors.T / np.outer(root, root)

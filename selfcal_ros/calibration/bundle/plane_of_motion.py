@@ -48,7 +48,7 @@ def out_of_plane(fit: RobustFit) -> tuple[float, float]:
             max(float(height) / path.step_length(), MINIMUM_HEIGHT))
 
 
-def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFit, bool]:
+def choose_motion(relaxed: RobustFit, variance_inflation: float = 1.0) -> tuple[RobustFit, bool]:
     """
     Decide whether the plane of motion is exact.
 
@@ -60,7 +60,7 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
     ----------
     relaxed : RobustFit
         Of nearly planar motion.
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors; the excess is divided by it.
 
     Returns
@@ -72,11 +72,11 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
     flat = replace(relaxed.state, path=relaxed.state.path.flat())
     exact = refit(relaxed, replace(PLANAR, zoom=relaxed.motion.zoom), flat)
     freedom = 3 * len(flat.path) - 1
-    excess = 2 * (exact.cost - relaxed.cost) / dependence
+    excess = 2 * (exact.cost - relaxed.cost) / variance_inflation
     if is_chance(excess, freedom):
         return exact, True
     if len(flat.path) < FEW_VIEWS:
-        sound = _but_for_few(relaxed, exact, freedom, dependence)
+        sound = _but_for_few(relaxed, exact, freedom, variance_inflation)
         if sound is not None:
             return sound, True
     fit = relaxed
@@ -89,7 +89,7 @@ def choose_motion(relaxed: RobustFit, dependence: float = 1.0) -> tuple[RobustFi
     return fit, False
 
 
-def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, dependence: float,
+def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, variance_inflation: float,
                  ) -> RobustFit | None:
     """Return a fit whose plane is exact but for few observations, if there is one."""
     sound = fit_robustly(relaxed.observations, exact.state, exact.motion, relaxed.bundle.priors,
@@ -100,6 +100,6 @@ def _but_for_few(relaxed: RobustFit, exact: RobustFit, freedom: float, dependenc
     points = np.searchsorted(before.track, kept.track)
     start = replace(relaxed.state, points=relaxed.state.points[points])
     free = refit(sound, relaxed.motion, start)
-    excess = 2 * (sound.cost - free.cost) / dependence
+    excess = 2 * (sound.cost - free.cost) / variance_inflation
     sound = replace(sound, outliers=relaxed.outliers + len(before.view) - len(kept.view))
     return sound if is_chance(excess, freedom) else None

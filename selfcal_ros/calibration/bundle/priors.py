@@ -28,6 +28,7 @@ from selfcal_ros.geometry.lenses.catalogue import LENS_CHOICES
 from selfcal_ros.geometry.lenses.model import LensModel
 from selfcal_ros.geometry.lenses.plumb_bob import PLUMB_BOB
 from selfcal_ros.geometry.lenses.population import lens_population, Population
+from selfcal_ros.geometry.scaled_inverse import scaled_inverse
 
 
 #: Sigma of p1 and p2 among ordinary lenses.
@@ -168,9 +169,7 @@ def population_of(choice: str, model: LensModel, corner: float,
     for k, name in enumerate(model.coefficients):
         if name in ('p1', 'p2') and decentring is not None:
             covariance[k, k] = decentring**2
-    scale = np.sqrt(np.diag(covariance))
-    information = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
-    return Population(model.coefficients, mean, information)
+    return Population(model.coefficients, mean, scaled_inverse(covariance))
 
 
 def start_lens(facts: CameraFacts, model: LensModel | None = None) -> Priors:

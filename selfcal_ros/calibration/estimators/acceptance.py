@@ -29,8 +29,7 @@ from selfcal_ros.calibration.estimators.motion_class import (axis_place, describ
                                                              PathDescription, widest_turn_rad)
 from selfcal_ros.calibration.estimators.shutter_choice import readout_of, shutter_findings
 from selfcal_ros.calibration.estimators.stated_facts import FactsVerdict
-from selfcal_ros.calibration.estimators.supported_optimum import (MAX_BEHIND, supported_optimum,
-                                                                  SupportedOptimum)
+from selfcal_ros.calibration.estimators.supported_optimum import MAX_BEHIND, supported_optimum
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import (held_facts, parameter_status,
@@ -40,6 +39,7 @@ from selfcal_ros.calibration.result import Calibration, CENTRE_OUTSIDE, FixedPoi
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.calibration.structure.structure_measurement import precision_of, sample_structure
+from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.distortion_misfit import DistortionMisfit
 from selfcal_ros.calibration.uncertainty.experiment_design import best_motion, suggest_motions
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
@@ -212,14 +212,15 @@ ACCEPTANCE_TESTS = (_most_agree, _facts_hold, _is_explained, _lens_fits, _can_be
 def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem, graph: ViewGraph,
            stated: CameraFacts) -> Calibration | NoEstimate:
     """Judge an optimum: what the data determine, what the motion lacks, and what was stated."""
-    found = supported_optimum(fit, model, problem, stated)
-    optimum = _judged(found, fit, model, problem, graph)
+    found, verdict = supported_optimum(fit, model, problem, stated)
+    optimum = _judged(found, verdict, model, problem, graph)
     refusal = _refusal(optimum)
     if refusal is not None:
         return refusal
     state, camera, path = found.state, found.state.camera(*problem.size), optimum.path
-    course = focal_course(fit, state, graph.frames, found.covariance, found.dependence)
-    covariance, of_facts = found.stated.widened(optimum.covariance, camera.parameter_names)
+    course = focal_course(fit, state, graph.frames, found.covariance,
+                          found.variance_inflation)
+    covariance, of_facts = verdict.widened(optimum.covariance, camera.parameter_names)
     # first, for all the rest rests on them
     findings = of_facts + course_findings(course) + found.findings
     known = identify(model.fit, problem.size, tuple(
@@ -227,7 +228,7 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
     if known.weakest_share > ADVISED_FRACTION:
         findings += optimum.motion_for(tuple(n for n in known.weakest if n in MATRIX_PARAMETERS))
     precision = precision_of(fit)
-    shutter = readout_of(fit, float(np.sqrt(found.dependence)))
+    shutter = readout_of(fit, found.clusters.sigma_inflation)
     # beside the camera the model predicts as little as behind it
     residuals = np.where(lengths(found.residual)[:, None] < max(problem.size), found.residual,
                          np.nan)
@@ -248,10 +249,10 @@ def assess(fit: RobustFit, model: ModelDecision, problem: SelfCalibrationProblem
         population=fit.bundle.priors.population, focal=course, shutter=shutter)
 
 
-def _judged(found: SupportedOptimum, fit: RobustFit, model: ModelDecision,
+def _judged(found: AssessedEstimate, verdict: FactsVerdict, model: ModelDecision,
             problem: SelfCalibrationProblem, graph: ViewGraph) -> _Optimum:
     """Gather what an optimum is accepted or refused by."""
-    state, camera = found.state, found.state.camera(*problem.size)
+    fit, state, camera = found.fit, found.state, found.state.camera(*problem.size)
     covariance = without_held(to_parameters(found.covariance, state.lens), camera, problem.facts)
     path = describe_path(state.path, model.exact, problem.motion.keeps_plane, model.turned,
                          problem.motion.fixed_pivot)
@@ -261,8 +262,8 @@ def _judged(found: SupportedOptimum, fit: RobustFit, model: ModelDecision,
         rejected = min(rejected, share_that_contradicts(fit, graph))
     return _Optimum(fit, model, problem, path,
                     parameter_status(camera, covariance, problem.facts, fit.bundle.sigma_px),
-                    held_facts(problem.facts), rejected, graph.noise_px, found.field,
-                    found.stated, covariance, found.behind)
+                    held_facts(problem.facts), rejected, graph.noise_px, found.misfit,
+                    verdict, covariance, found.behind)
 
 
 def _refusal(optimum: _Optimum) -> NoEstimate | None:

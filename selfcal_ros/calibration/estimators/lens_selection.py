@@ -111,7 +111,7 @@ def lens_priors(facts: CameraFacts, size: tuple[int, int], f: float,
 
 
 def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
-                dependence_of: Callable[[RobustFit], float],
+                variance_inflation_of: Callable[[RobustFit], float],
                 determined: Callable[[RobustFit, CameraFacts], bool],
                 decentring: float | None = None) -> LensDecision:
     """
@@ -125,7 +125,7 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
         Where it states a lens, that one is fitted.
     size : (int, int)
         Width and height of the image.
-    dependence_of : callable
+    variance_inflation_of : callable
         Variance of the estimate over that with independent errors, of a fit.
     determined : callable
         Whether a fit under facts determines the camera.
@@ -137,48 +137,50 @@ def choose_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
     LensDecision
 
     """
-    dependence = dependence_of(fit)
+    variance_inflation = variance_inflation_of(fit)
     if facts.distortion != 'auto':
-        found = _fitted(fit, facts, size, dependence, decentring)
+        found = _fitted(fit, facts, size, variance_inflation, decentring)
         return LensDecision(found, facts, _nothing(found))
     names = _families(fit, size)
-    trials = _trials(fit, names, facts, size, dependence, decentring)
+    trials = _trials(fit, names, facts, size, variance_inflation, decentring)
     least = min(trials.values(), key=lambda trial: trial.cost)
     if least.cost < WRONG_START * fit.cost:
         fit = replace(least, bundle=least.bundle.with_sigma(least.bundle.noise_sigma(least.state)))
-        dependence = dependence_of(fit)
-        trials = _trials(fit, names, facts, size, dependence, decentring)
-    tried = [(_evidence(trial, dependence) + PRIOR_LOG_ODDS.get(name, 0.0), trial,
+        variance_inflation = variance_inflation_of(fit)
+        trials = _trials(fit, names, facts, size, variance_inflation, decentring)
+    tried = [(_evidence(trial, variance_inflation) + PRIOR_LOG_ODDS.get(name, 0.0), trial,
               replace(facts, distortion=name)) for name, trial in trials.items()]
     tried.sort(key=lambda one: -one[0])
     (best, found, stated), excess = tried[0], None
     if len(tried) > 1:
         excess = _between(found, [(best - one, other) for one, other, _ in tried[1:]],
-                          dependence)
+                          variance_inflation)
     for poorer in (None, *POORER[stated.distortion]):
         if poorer is not None:
             stated = replace(stated, distortion=poorer)
-            found = _fitted(fit, stated, size, dependence, decentring)
-            excess = dependence * of_decentring(found)
+            found = _fitted(fit, stated, size, variance_inflation, decentring)
+            excess = variance_inflation * of_decentring(found)
         if determined(found, stated):
             break
     return LensDecision(found, stated, _nothing(found) if excess is None else excess)
 
 
 def _trials(fit: RobustFit, names: tuple[str, ...], facts: CameraFacts, size: tuple[int, int],
-            dependence: float, decentring: float | None) -> dict[str, RobustFit]:
+            variance_inflation: float, decentring: float | None) -> dict[str, RobustFit]:
     """Fit every family that may have made the images."""
     def fitted(name: str, start: RobustFit) -> RobustFit:
-        return _fitted(start, replace(facts, distortion=name), size, dependence, decentring)
+        return _fitted(start, replace(facts, distortion=name), size, variance_inflation,
+                       decentring)
+
     trials = {name: fitted(name, fit) for name in names}
     if 'rational' in trials:
         # from a polynomial none but polynomials are found: its denominator begins at one
-        least = _evidence(trials['rational'], dependence)
+        least = _evidence(trials['rational'], variance_inflation)
         starts = [_with_simple_rational(min(trials.values(), key=lambda trial: trial.cost))]
-        if _evidence(trials['equidistant'], dependence) > least:
+        if _evidence(trials['equidistant'], variance_inflation) > least:
             starts.append(trials['equidistant'])
         others = [trials['rational'], *(fitted('rational', start) for start in starts)]
-        trials['rational'] = max(others, key=lambda trial: _evidence(trial, dependence))
+        trials['rational'] = max(others, key=lambda trial: _evidence(trial, variance_inflation))
     return trials
 
 
@@ -233,7 +235,7 @@ def gentle_lens(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
     return found, lens_priors(facts, size, found['f'])
 
 
-def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependence: float,
+def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], variance_inflation: float,
             decentring: float | None) -> RobustFit:
     """Fit a lens to the same observations, decentring as large as the images suggest."""
     state = with_lens(fit.state, fit.observations.xy, facts.distortion)
@@ -242,7 +244,7 @@ def _fitted(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], dependenc
     decentred = facts.distortion in ('plumb_bob', 'rational')
     if decentred and priors.population is not None and decentring is None:
         places = found.state.lens.places(('p1', 'p2'))
-        variance = dependence * found.lens_covariance[np.ix_(places, places)]
+        variance = variance_inflation * found.lens_covariance[np.ix_(places, places)]
         decentring = likely_decentring(found.state.lens.values[places], variance)
         priors = lens_priors(facts, size, found.state.lens['f'], decentring)
         found = _refitted(fit, found.state, priors)
@@ -302,22 +304,22 @@ def of_decentring(fit: RobustFit, sigma: float = ORDINARY_DECENTRING) -> np.ndar
     return excess * np.outer(free, free)
 
 
-def _evidence(fit: RobustFit, dependence: float) -> float:
+def _evidence(fit: RobustFit, variance_inflation: float) -> float:
     """Log of the probability of the images under a lens, up to what all lenses share."""
     population = fit.bundle.priors.population
-    cost = fit.cost / dependence
+    cost = fit.cost / variance_inflation
     if not np.isfinite(cost):
         return -np.inf
     if population is None:
         return -cost
     places = fit.state.lens.places(population.names)
-    after = dependence * fit.lens_covariance[np.ix_(places, places)]
+    after = variance_inflation * fit.lens_covariance[np.ix_(places, places)]
     scale = np.sqrt(np.diag(after))
     log_after = np.linalg.slogdet(after / np.outer(scale, scale))[1] + 2 * np.log(scale).sum()
     return float(-cost + 0.5 * (log_after + np.linalg.slogdet(population.information)[1]))
 
 
-def _between(fit: RobustFit, others: list[tuple[float, RobustFit]], dependence: float,
+def _between(fit: RobustFit, others: list[tuple[float, RobustFit]], variance_inflation: float,
              ) -> np.ndarray | None:
     """
     Covariance between families that explain the images about alike, and of what only they leave.
@@ -335,7 +337,7 @@ def _between(fit: RobustFit, others: list[tuple[float, RobustFit]], dependence: 
     for odds, other in rivals:
         apart = other.state.lens.values[matrix] - fit.state.lens.values[matrix]
         excess[matrix, matrix] += odds / total * np.outer(apart, apart)
-        wider += odds / total * dependence * (other.lens_covariance[matrix, matrix] - own)
+        wider += odds / total * variance_inflation * (other.lens_covariance[matrix, matrix] - own)
     # a rival that determines more does not make this one surer
     values, vectors = np.linalg.eigh(wider)
     excess[matrix, matrix] += (vectors * np.maximum(values, 0)) @ vectors.T

@@ -27,15 +27,13 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
-                                                               REGULARISED)
+                                                               LensDecision, REGULARISED)
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
                                                             usual_matrix)
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX, parameter_status
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    ClusterCovariance,
-                                                                    jackknife_excess)
-from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess
 from selfcal_ros.calibration.uncertainty.profile_likelihood import (profile_likelihood_excess,
                                                                     PROFILED_FRACTION)
 from selfcal_ros.calibration.uncertainty.second_order import second_order_covariance
@@ -60,7 +58,7 @@ class ModelDecision:
     exact : bool
         Whether the motion is exactly planar.
     jackknife : (float, ndarray of shape (k, k))
-        Of `jackknife_excess`.
+        Of `segment_excess`.
     profile_excess : ndarray, shape (k, k)
         Covariance of the internal parameters beyond that from the curvature at the optimum.
     turned : bool
@@ -144,24 +142,12 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     ModelDecision
 
     """
-    dependence = robust_covariance_of(fit, problem.size).inflation**2
-
-    def dependence_of(trial: RobustFit) -> float:
-        return (dependence if trial is fit
-                else float(robust_covariance_of(trial, problem.size).inflation**2))
-
-    def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
-        covariance = dependence * to_parameters(trial.covariance, trial.state.lens)
-        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
-                                  trial.bundle.sigma_px)
-        return 'unobservable' not in status.values()
-
-    lens = choose_lens(fit, problem.facts, problem.size, dependence_of, determined)
+    lens = _chosen_lens(problem, fit)
     fit, facts = lens.fit, lens.facts
-    known = robust_covariance_of(fit, problem.size).inflation**2
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
     exact = False
     if problem.motion.keeps_plane:
-        fit, exact = choose_motion(fit, known)
+        fit, exact = choose_motion(fit, variance_inflation)
     turned = True
     if largest_turn_rad(fit.state.path, problem.motion.keeps_plane) < DOUBTFUL_ROTATION_RAD:
         every = tuple(range(len(fit.state.path)))
@@ -169,10 +155,27 @@ def choose_model(problem: SelfCalibrationProblem, fit: RobustFit, fraction: floa
     # beside a large rotation a short lever leaves a valley, steep wherever the optimum is wrong
     fit, profile_excess = profile_likelihood_excess(
         fit, problem.size, fraction, 0.0 if problem.is_weak else PROFILED_FRACTION)
-    curved = second_order_covariance(fit, problem.size, fraction * known)
-    profile_excess = profile_excess + (curved + lens.excess) / known
-    shared = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
+    curved = second_order_covariance(fit, problem.size, fraction * variance_inflation)
+    profile_excess = profile_excess + (curved + lens.excess) / variance_inflation
+    shared = segment_excess(fit, variance_inflation)
     return ModelDecision(fit, facts, exact, shared, profile_excess, turned, fraction)
+
+
+def _chosen_lens(problem: SelfCalibrationProblem, fit: RobustFit) -> LensDecision:
+    """Choose the distortion model, if the facts leave it open; see `choose_lens`."""
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
+
+    def variance_inflation_of(trial: RobustFit) -> float:
+        return (variance_inflation if trial is fit
+                else robust_covariance_of(trial, problem.size).variance_inflation)
+
+    def determined(trial: RobustFit, trial_facts: CameraFacts) -> bool:
+        covariance = variance_inflation * to_parameters(trial.covariance, trial.state.lens)
+        status = parameter_status(trial.state.camera(*problem.size), covariance, trial_facts,
+                                  trial.bundle.sigma_px)
+        return 'unobservable' not in status.values()
+
+    return choose_lens(fit, problem.facts, problem.size, variance_inflation_of, determined)
 
 
 def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int]) -> bool:
@@ -211,7 +214,8 @@ def leaves_plane(model: ModelDecision, tried: Observations, size: tuple[int, int
         return False
     bundle = bundle_of(free.observations, fit.motion, fit.bundle.priors, free.bundle.sigma_px)
     held = bundle.optimise(bundle.refine_points(start), iterations=40, tolerance=0.05)
-    excess = 2 * (bundle.cost(held) - free.cost) / robust_covariance_of(free, size).inflation**2
+    excess = (2 * (bundle.cost(held) - free.cost)
+              / robust_covariance_of(free, size).variance_inflation)
     return not is_chance(excess, 3 * len(fit.state.path))
 
 
@@ -234,14 +238,8 @@ def hold_parallel(fit: RobustFit, parallel: tuple[int, ...], size: tuple[int, in
     motion = replace(fit.motion, parallel=parallel)
     held = refit(fit, motion, replace(fit.state, path=fit.state.path.aligned(motion)))
     freedom = 3 * (len(parallel) - 1)
-    excess = 2 * (held.cost - fit.cost) / robust_covariance_of(fit, size).inflation**2
+    excess = 2 * (held.cost - fit.cost) / robust_covariance_of(fit, size).variance_inflation
     if is_chance(excess, freedom):
         return held, 0.0
     R = fit.state.path.rotations()[list(parallel)]
     return fit, float(np.linalg.norm(rotation_vector(R @ R[0].T), axis=1).max())
-
-
-def robust_covariance_of(fit: RobustFit, size: tuple[int, int]) -> ClusterCovariance:
-    """Assess how far the residuals of a fit are from independent."""
-    return cluster_robust_covariance(fit.information, fit.observations.point,
-                                     fit.observations.xy, size)

@@ -21,12 +21,12 @@ from selfcal_ros.calibration.bundle.motion import PLANAR
 from selfcal_ros.calibration.bundle.priors import priors_from_facts
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.estimators.acceptance import unchecked
-from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.estimators.shutter_choice import timed
 from selfcal_ros.calibration.initialisation.planar_scene import FlatScene
 from selfcal_ros.calibration.initialisation.problem import observations_of, SelfCalibrationProblem
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import held_facts, LEAST_NOISE_PX
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras, two_focal_lengths
 from selfcal_ros.geometry.camera import MATRIX_PARAMETERS
 from selfcal_ros.geometry.camera_facts import CameraFacts
@@ -65,7 +65,7 @@ def of_two_cameras(fit: RobustFit, window: SelfCalibrationProblem, graph: ViewGr
     if fit.state.zoom is not None:
         second = two_focal_lengths(fit.state.zoom.log_focal)
     else:
-        second = two_cameras(fit, robust_covariance_of(fit, window.size).inflation**2)
+        second = two_cameras(fit, robust_covariance_of(fit, window.size).variance_inflation)
     if second is None:
         return None
     frames = np.array(window.instants, dtype=int)

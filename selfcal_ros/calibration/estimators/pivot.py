@@ -37,8 +37,7 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
-                                                                ModelDecision,
-                                                                robust_covariance_of)
+                                                                ModelDecision)
 from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_VIEW,
                                                                of_two_cameras)
 from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
@@ -48,6 +47,7 @@ from selfcal_ros.calibration.initialisation.pivot_start import completed_rotatio
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
 from selfcal_ros.calibration.observability import LEAST_NOISE_PX
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.projective import unit
@@ -171,12 +171,12 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     assert problem.pivot is not None
     problem = replace(problem, pivot=replace(problem.pivot,
                                              lever=fit.state.path.translation[0]))
-    dependence = robust_covariance_of(fit, problem.size).inflation**2
+    variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
     still = refit(fit, ROTATION, _without_lever(fit.state))
     free = refit(fit, GENERAL)
     return problem, PivotDecision(
-        model, 2 * (still.cost - fit.cost) / dependence, len(fit.state.points) + 2,
-        2 * (fit.cost - free.cost) / dependence,
+        model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
+        2 * (fit.cost - free.cost) / variance_inflation,
         free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
 
 

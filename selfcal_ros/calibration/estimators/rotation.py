@@ -38,6 +38,7 @@ from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
 from selfcal_ros.calibration.estimators.acceptance import most_agree, unchecked
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
+from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
                                                                shutter_findings, timed)
 from selfcal_ros.calibration.estimators.sliding_images import only_slides
@@ -51,10 +52,8 @@ from selfcal_ros.calibration.observability import (held_facts, LEAST_NOISE_PX,
 from selfcal_ros.calibration.reconstruction import Reconstruction
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.calibration.structure.path_precision import pose_precision
-from selfcal_ros.calibration.uncertainty.cluster_covariance import cluster_robust_covariance
+from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate
 from selfcal_ros.calibration.uncertainty.focal_course import course_findings, focal_course
-from selfcal_ros.calibration.uncertainty.hidden_decentring import hidden_decentring
-from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
 from selfcal_ros.geometry.camera import Camera, CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.fundamental import eight_point, PairMatches, refine_general
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -273,55 +272,19 @@ def _richest_lens(state: SceneState, observed: Observations, motion: MotionModel
 def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], stated: CameraFacts,
             may_miss: bool) -> Calibration | NoEstimate:
     """Drop gross errors, estimate the noise, and judge the optimum."""
-    observed, frames, noise_px = found.observed, found.frames, found.noise_px
-    state, facts, priors = lens.fit.state, lens.facts, lens.fit.bundle.priors
-    total, motion = len(observed.view), lens.fit.motion
-    bundle = bundle_of(observed, motion, priors, max(noise_px, LEAST_NOISE_PX))
-    for _ in range(3):
-        sigma = max(bundle.noise_sigma(state), 1e-6)
-        near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
-        if not near.all():
-            smaller, points = observed.select(near)
-            if len(np.unique(smaller.view)) < len(frames):
-                break
-            observed, state = smaller, replace(state, points=state.points[points])
-        bundle = bundle_of(observed, motion, priors, sigma)
-        state = bundle.optimise(state, iterations=30, tolerance=0.01)
-        if near.all():
-            break
-    bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))
     # rows that are read in turn leave more than rotations do
-    decided = choose_shutter(RobustFit(bundle, state, observed, total - len(observed.view)),
-                             found.observed, stated, size)
-    bundle, state, observed = decided.fit.bundle, decided.fit.state, decided.fit.observations
-    if not bundle.sigma_px < ROTATION_RATIO * max(noise_px, LEAST_NOISE_PX):
-        return NoEstimate('moved_not_rotated', left_px=bundle.sigma_px, noise_px=noise_px,
-                          facts=facts)
-    focal, skew = state.lens['f'], state.lens['skew']
-    if not 1 / MAX_FOCAL_FRACTION < focal / max(size) < MAX_FOCAL_FRACTION \
-            or abs(skew) > MAX_SKEW_FRACTION * focal:
-        return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
-                          motion='rotation', facts=facts)
-    fit = decided.fit
-    if motion.zoom is None and not (facts.focal == 'constant' and facts.trusted) \
-            and seems_to_vary(fit, tuple(frames.astype(float).tolist()), size):
-        return NoEstimate('focal_not_constant', motion='rotation', facts=facts)
+    decided = choose_shutter(_without_gross_errors(lens.fit, found), found.observed, stated, size)
+    fit, facts, frames = decided.fit, lens.facts, found.frames
+    refusal = _refused(fit, facts, found, size)
+    if refusal is not None:
+        return refusal
+    bundle, state, motion = fit.bundle, fit.state, fit.motion
     camera = state.camera(*size)
-    dependence = cluster_robust_covariance(fit.information, observed.point, observed.xy, size)
-    inner = dependence.covariance + lens.excess + decided.covariance(
-        len(state.lens), bundle.unknowns.free)
-    hidden = hidden_decentring(fit, dependence.inflation**2)
-    if hidden is not None:
-        inner = inner + hidden.covariance
-    further = hidden.findings() if hidden else ()
-    if may_miss:
-        lever = hidden_lever(fit, dependence.inflation**2)
-        further += lever.findings(inner)
-        inner = inner + lever.covariance
-    course = focal_course(fit, state, frames, inner, dependence.inflation**2)
-    covariance = without_held(to_parameters(inner, state.lens),
-                              camera, facts)
-    held = held_facts(facts)
+    choices = lens.excess + decided.covariance(len(state.lens), bundle.unknowns.free)
+    assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
+    inner, variance_inflation = assessed.covariance, assessed.variance_inflation
+    course = focal_course(fit, state, frames, inner, variance_inflation)
+    covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
     missing = tuple(k for k in MATRIX_PARAMETERS if status[k] == 'unobservable')
     if missing:
@@ -329,29 +292,67 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
                    else found.conic)
         return refusal.saying(status=status, motion='rotation', facts=facts)
     if motion.zoom is None and only_slides(fit, size, float(np.sqrt(inner[0, 0])),
-                                           dependence.inflation**2):
+                                           variance_inflation):
         return NoEstimate('images_slide', motion='rotation', facts=facts, status={
             **status, 'fx': 'unobservable', 'fy': 'unobservable'})
     # the gates of every other motion
-    verdict = examine_facts(fit, stated, size, dependence.inflation**2, hidden)
-    for refused in (most_agree(fit.outliers / total), unchecked(bundle),
-                    verdict.refusal(covariance, focal)):
+    verdict = examine_facts(fit, stated, size, variance_inflation, assessed.hidden)
+    for refused in (most_agree(fit.outliers / len(found.observed.view)), unchecked(bundle),
+                    verdict.refusal(covariance, state.lens['f'])):
         if refused is not None:
             return refused.saying(**{'status': status, **refused.values, 'motion': 'rotation',
                                      'facts': facts})
     covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
-    residuals, shutter = bundle.residuals(state), readout_of(fit, dependence.inflation)
+    residuals = bundle.residuals(state)
+    shutter = readout_of(fit, assessed.clusters.sigma_inflation)
     return Calibration(
-        camera=camera, covariance=covariance, status=status, held_by=held, motion='rotation',
-        facts=facts, frames=tuple(int(f) for f in frames),
+        camera=camera, covariance=covariance, status=status, held_by=held_facts(facts),
+        motion='rotation', facts=facts, frames=tuple(int(f) for f in frames),
         reprojection_rms_px=rms_length(residuals),
-        noise_sigma_px=bundle.sigma_px, observation_count=len(observed.view),
+        noise_sigma_px=bundle.sigma_px, observation_count=len(fit.observations.view),
         outlier_count=fit.outliers,
-        reconstruction=Reconstruction(frames, state.path.cam_from_world(), observed.track,
+        reconstruction=Reconstruction(frames, state.path.cam_from_world(), fit.observations.track,
                                       state.points, pose_precision=pose_precision(fit, False)),
-        residuals=residuals, population=priors.population, focal=course,
-        shutter=shutter,
-        findings=course_findings(course) + of_facts + further + shutter_findings(shutter))
+        residuals=residuals, population=bundle.priors.population, focal=course, shutter=shutter,
+        findings=(*course_findings(course), *of_facts, *assessed.findings,
+                  *shutter_findings(shutter)))
+
+
+def _without_gross_errors(fit: RobustFit, found: RotationFit) -> RobustFit:
+    """Drop gross errors, and estimate the noise of the rest."""
+    observed, state, priors = found.observed, fit.state, fit.bundle.priors
+    bundle = bundle_of(observed, fit.motion, priors, max(found.noise_px, LEAST_NOISE_PX))
+    for _ in range(3):
+        sigma = max(bundle.noise_sigma(state), 1e-6)
+        near = np.linalg.norm(bundle.residuals(state), axis=1) < OUTLIER_SIGMAS * sigma
+        if not near.all():
+            smaller, points = observed.select(near)
+            if len(np.unique(smaller.view)) < len(found.frames):
+                break
+            observed, state = smaller, replace(state, points=state.points[points])
+        bundle = bundle_of(observed, fit.motion, priors, sigma)
+        state = bundle.optimise(state, iterations=30, tolerance=0.01)
+        if near.all():
+            break
+    bundle = bundle.with_sigma(max(bundle.noise_rms(state), MIN_NOISE_PX))
+    return RobustFit(bundle, state, observed, len(found.observed.view) - len(observed.view))
+
+
+def _refused(fit: RobustFit, facts: CameraFacts, found: RotationFit, size: tuple[int, int],
+             ) -> NoEstimate | None:
+    """Refuse what rotations do not explain, what is no camera, and a lens that zooms."""
+    sigma_px, noise_px = fit.bundle.sigma_px, found.noise_px
+    if not sigma_px < ROTATION_RATIO * max(noise_px, LEAST_NOISE_PX):
+        return NoEstimate('moved_not_rotated', left_px=sigma_px, noise_px=noise_px, facts=facts)
+    focal, skew = fit.state.lens['f'], fit.state.lens['skew']
+    if not 1 / MAX_FOCAL_FRACTION < focal / max(size) < MAX_FOCAL_FRACTION \
+            or abs(skew) > MAX_SKEW_FRACTION * focal:
+        return NoEstimate('no_such_camera', focal_px=float(focal), skew_px=float(skew),
+                          motion='rotation', facts=facts)
+    if fit.motion.zoom is None and not (facts.focal == 'constant' and facts.trusted) \
+            and seems_to_vary(fit, tuple(found.frames.astype(float).tolist()), size):
+        return NoEstimate('focal_not_constant', motion='rotation', facts=facts)
+    return None
 
 
 def _starting_cameras(conic, size, facts):

@@ -202,9 +202,8 @@ def score_line_delay(fit: RobustFit, size: tuple[int, int]) -> DelayTest:
     information = bundle.information(fit.state)
     place = bundle.unknowns.places((LINE_DELAY,))[0]
     step = -bundle.inverse(information.system) @ information.system.gradient
-    inflation = cluster_robust_covariance(information, observations.point, observations.xy,
-                                          size).inflation
-    sigma = float(np.sqrt(information.covariance[place, place])) * inflation
+    clusters = cluster_robust_covariance(information, observations.point, observations.xy, size)
+    sigma = float(np.sqrt(information.covariance[place, place])) * clusters.sigma_inflation
     return DelayTest(fit.state.line_delay + float(step[place]), sigma,
                      step[bundle.unknowns.lens])
 
@@ -290,9 +289,16 @@ def _with_line_delay(fit: RobustFit, observations: Observations) -> RobustFit:
     return fit_robustly(observations, state, fit.motion, fit.bundle.priors, fit.bundle.sigma_px)
 
 
-def readout_of(fit: RobustFit, inflation: float) -> RowReadout | None:
+def readout_of(fit: RobustFit, sigma_inflation: float) -> RowReadout | None:
     """
-    Return the rolling shutter of an optimum, sigmas widened by the dependence of the errors.
+    Return the rolling shutter of an optimum, sigmas widened by what errors share.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    sigma_inflation : float
+        Sigma with shared errors over that with independent ones.
 
     Returns
     -------
@@ -304,7 +310,8 @@ def readout_of(fit: RobustFit, inflation: float) -> RowReadout | None:
     if shutter is None or clock is None:
         return None
     place = fit.bundle.unknowns.places((LINE_DELAY,))[0]
-    value, sigma = fit.state.line_delay, inflation * float(np.sqrt(fit.covariance[place, place]))
+    value = fit.state.line_delay
+    sigma = sigma_inflation * float(np.sqrt(fit.covariance[place, place]))
     seconds = clock.unit / clock.lines if clock.is_stamped else None
     return RowReadout(None if seconds is None else value * seconds,
                       None if seconds is None else sigma * seconds,

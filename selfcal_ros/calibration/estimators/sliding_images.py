@@ -43,7 +43,7 @@ OF_DENOMINATOR = {'k4': 2, 'k5': 4, 'k6': 6}
 
 
 def only_slides(fit: RobustFit, size: tuple[int, int], focal_sigma_px: float,
-                dependence: float) -> bool:
+                variance_inflation: float) -> bool:
     """
     Tell whether a camera at infinity explains turning views as well as the one that was found.
 
@@ -55,7 +55,7 @@ def only_slides(fit: RobustFit, size: tuple[int, int], focal_sigma_px: float,
         Width and height, pixels.
     focal_sigma_px : float
         Of the focal length.
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -76,7 +76,7 @@ def only_slides(fit: RobustFit, size: tuple[int, int], focal_sigma_px: float,
         held = bundle_of(fit.observations, fit.motion,
                          priors.updated({'f': Prior(state.lens['f'], 0.0)}), fit.bundle.sigma_px)
         state = held.optimise(held.refine_points(state), iterations=20, tolerance=0.01)
-        if not 2 * (held.cost(state) - cost) < EXCLUDED * dependence:
+        if not 2 * (held.cost(state) - cost) < EXCLUDED * variance_inflation:
             return False
     return True
 

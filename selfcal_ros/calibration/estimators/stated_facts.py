@@ -27,9 +27,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    jackknife_excess)
-from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group, SEGMENTS
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
+from selfcal_ros.calibration.uncertainty.group_jackknife import segment_excess, SEGMENTS
 from selfcal_ros.calibration.uncertainty.hidden_decentring import HiddenDecentring
 from selfcal_ros.calibration.uncertainty.suppositions import (joint_information, Supposition,
                                                               Tested)
@@ -215,8 +214,9 @@ def _in_sigmas(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return ratio
 
 
-def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], known: float,
-                  hidden: HiddenDecentring | None = None) -> FactsVerdict:
+def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int],
+                  variance_inflation: float, hidden: HiddenDecentring | None = None,
+                  ) -> FactsVerdict:
     """
     Ask the images of an optimum about every fact that is stated.
 
@@ -228,7 +228,7 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
         As they were stated; a lens that was chosen is no fact.
     size : (int, int)
         Width and height of the image.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
     hidden : HiddenDecentring, optional
         What the lens may do beside its model: no fact is blamed for it.
@@ -244,7 +244,8 @@ def examine_facts(fit: RobustFit, facts: CameraFacts, size: tuple[int, int], kno
     asked: set[str] = set()
     while True:
         about = {fact: names for fact, names in _stated(fit, facts).items() if fact not in asked}
-        tested = sorted(_tested(fit, about, known, hidden), key=lambda one: one.p_value)
+        tested = sorted(_tested(fit, about, variance_inflation, hidden),
+                        key=lambda one: one.p_value)
         if not asked:
             unchecked = tuple(error for one in tested if one.p_value > DOUBTED
                               for error in _unchecked(fit, one))
@@ -275,7 +276,7 @@ def _stated(fit: RobustFit, facts: CameraFacts) -> dict[str, tuple[str, ...]]:
     return {**stated, LENS_MODEL: held} if held else stated
 
 
-def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
+def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], variance_inflation: float,
             hidden: HiddenDecentring | None) -> list[Tested]:
     """Test every fact by itself, the others supposed."""
     if not about:
@@ -288,7 +289,7 @@ def _tested(fit: RobustFit, about: dict[str, tuple[str, ...]], known: float,
         shared = bundle.predict(fit.state).differentiated(
             replace(bundle.unknowns, free=free)).shared
     joint = joint_information(fit, [Supposition(fact, names, shared[:, :, lens.places(names)])
-                                    for fact, names in about.items()], known,
+                                    for fact, names in about.items()], variance_inflation,
                               None if hidden is None else hidden.columns,
                               1.0 if hidden is None else hidden.sigma)
     return [joint.test(fact) for fact in about]
@@ -342,10 +343,8 @@ def spread_of_unknowns(fit: RobustFit, places: np.ndarray, size: tuple[int, int]
 
     Also how much larger that of stretches of views is than chance has it.
     """
-    clusters = cluster_robust_covariance(fit.information, fit.observations.point,
-                                         fit.observations.xy, size)
-    ratio, of_segments = jackknife_excess(*delete_a_group(fit), fit.lens_covariance,
-                                          clusters.inflation**2)
+    clusters = robust_covariance_of(fit, size)
+    ratio, of_segments = segment_excess(fit, clusters.variance_inflation)
     return (clusters.covariance + of_segments)[np.ix_(places, places)], ratio
 
 

@@ -41,8 +41,9 @@ LEFT_SHARE = 0.5
 TOLD_SIGMAS = 3.0
 
 
-def contradicted_lens(fit: RobustFit, stated: CameraFacts, size: tuple[int, int], known: float,
-                      field: DistortionMisfit) -> Contradiction | None:
+def contradicted_lens(fit: RobustFit, stated: CameraFacts, size: tuple[int, int],
+                      variance_inflation: float, field: DistortionMisfit,
+                      ) -> Contradiction | None:
     """
     Hold a stated lens model against the lens that the images would choose.
 
@@ -54,7 +55,7 @@ def contradicted_lens(fit: RobustFit, stated: CameraFacts, size: tuple[int, int]
         As they were stated; a lens that was left open contradicts nothing.
     size : (int, int)
         Width and height of the image.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
     field : DistortionMisfit
         What the stated lens leaves.
@@ -67,16 +68,16 @@ def contradicted_lens(fit: RobustFit, stated: CameraFacts, size: tuple[int, int]
     """
     if stated.distortion == 'auto':
         return None
-    chosen = choose_lens(fit, replace(stated, distortion='auto'), size, lambda _: known,
-                         lambda *_: True)
+    chosen = choose_lens(fit, replace(stated, distortion='auto'), size,
+                         lambda _: variance_inflation, lambda *_: True)
     if chosen.facts.distortion == stated.distortion:
         return None
     other = chosen.fit
-    left = find_distortion_misfit(other, size, known, possible_decentring(other))
+    left = find_distortion_misfit(other, size, variance_inflation, possible_decentring(other))
     if left is not None and left.rms_px > LEFT_SHARE * field.rms_px:
         return None
     as_surely = other.bundle.with_sigma(fit.bundle.sigma_px)
-    gain = 2 * (fit.cost - as_surely.cost(other.state)) / known
+    gain = 2 * (fit.cost - as_surely.cost(other.state)) / variance_inflation
     # coefficients of two models are not comparable
     before, names = fit.state.camera().parameters, len(MATRIX_PARAMETERS)
     moved = other.state.camera().parameters[:names] - before[:names]

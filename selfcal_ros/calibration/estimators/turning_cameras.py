@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.estimators.rotation import fit_rotations, RotationFit
 from selfcal_ros.calibration.initialisation.view_graph import ViewGraph
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.two_cameras import two_cameras
 from selfcal_ros.geometry.camera_facts import CameraFacts
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -60,7 +60,7 @@ def of_two_turning(turning: RotationFit, graph: ViewGraph, size: tuple[int, int]
     if turning.lens.fit.state.zoom is not None or turning.left_px < EXPLAINED * noise_px:
         return None
     fit = turning.lens.fit
-    second = two_cameras(fit, robust_covariance_of(fit, size).inflation**2)
+    second = two_cameras(fit, robust_covariance_of(fit, size).variance_inflation)
     if second is None:
         return None
     first, others = turning.frames[~second], turning.frames[second]

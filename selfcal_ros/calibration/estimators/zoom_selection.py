@@ -28,8 +28,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        refit, RobustFit, with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import Zoom, ZoomModel
-from selfcal_ros.calibration.estimators.model_selection import robust_covariance_of
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem
+from selfcal_ros.calibration.uncertainty.cluster_covariance import robust_covariance_of
 from selfcal_ros.calibration.uncertainty.focal_course import (focal_evidence, FocalEvidence,
                                                               gain_of_most, gains_of_tracks,
                                                               shape_gain, SURE)
@@ -101,17 +101,17 @@ def seems_to_vary(fit: RobustFit, instants: tuple[float, ...], size: tuple[int, 
 def _variation(fit: RobustFit, instants: tuple[float, ...],
                size: tuple[int, int]) -> FocalEvidence | None:
     """Return what contradicts a constant focal length; None where nothing does."""
-    dependence = robust_covariance_of(fit, size).inflation**2
-    found = focal_evidence(fit, instants, dependence)
-    if (found is None or not _is_zoom(found, fit, dependence)
-            or gain_of_most(fit, instants, found, dependence) <= SURE):
+    variance_inflation = robust_covariance_of(fit, size).variance_inflation
+    found = focal_evidence(fit, instants, variance_inflation)
+    if (found is None or not _is_zoom(found, fit, variance_inflation)
+            or gain_of_most(fit, instants, found, variance_inflation) <= SURE):
         return None
     return found
 
 
-def _is_zoom(found: FocalEvidence, fit: RobustFit, dependence: float) -> bool:
+def _is_zoom(found: FocalEvidence, fit: RobustFit, variance_inflation: float) -> bool:
     """Tell whether images differ in scale, and in no other shape as probably."""
-    return found.varies and found.gain > shape_gain(fit, dependence)
+    return found.varies and found.gain > shape_gain(fit, variance_inflation)
 
 
 def near_state(near: RobustFit, observations: Observations) -> SceneState | None:
@@ -151,11 +151,11 @@ def settle_zoom(fit: RobustFit, facts: CameraFacts, size: tuple[int, int]) -> Ro
     for _ in range(ROUNDS):
         before = fit.motion.zoom
         assert before is not None
-        dependence = robust_covariance_of(fit, size).inflation**2
-        found = focal_evidence(fit, before.instants, dependence)
+        variance_inflation = robust_covariance_of(fit, size).variance_inflation
+        found = focal_evidence(fit, before.instants, variance_inflation)
         if found is None:
             break
-        if facts.focal == 'auto' and not _is_zoom(found, fit, dependence):
+        if facts.focal == 'auto' and not _is_zoom(found, fit, variance_inflation):
             still = replace(fit.state, zoom=None)
             return refit(fit, replace(fit.motion, zoom=None), still)
         zoom = replace(before, sigma=found.sigma)

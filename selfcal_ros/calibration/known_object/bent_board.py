@@ -62,7 +62,7 @@ class BoardShape:
     normal: np.ndarray
 
     @classmethod
-    def of(cls, bundle: Bundle, state: ObjectState, dependence: ClusterCovariance,
+    def of(cls, bundle: Bundle, state: ObjectState, clusters: ClusterCovariance,
            points: np.ndarray, extent: float) -> BoardShape:
         """
         Take the shape out of an adjustment.
@@ -71,7 +71,7 @@ class BoardShape:
         ----------
         bundle : Bundle
         state : ObjectState
-        dependence : ClusterCovariance
+        clusters : ClusterCovariance
             Of all that observations share, the shape included.
         points : ndarray, shape (P, 3)
             Of the object, in units of `extent`.
@@ -85,7 +85,7 @@ class BoardShape:
         """
         found, place = bend_modes(points), bundle.unknowns.places(BEND_NAMES)
         assert found is not None     # it has been free to bend
-        return cls(extent * state.bend, extent**2 * dependence.covariance[np.ix_(place, place)],
+        return cls(extent * state.bend, extent**2 * clusters.covariance[np.ix_(place, place)],
                    *found)
 
     @property

@@ -194,7 +194,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
             break
     if found is None:
         return NoEstimate('no_fit_to_edges')
-    used, bundle, state, chosen, covariance, inflation, findings, status = found
+    used, bundle, state, chosen, covariance, sigma_inflation, findings, status = found
     if not bundle.sigma_px <= MISFIT_FRACTION * float(np.hypot(*size)):
         return NoEstimate('edges_misfit', left_px=float(bundle.sigma_px))
     missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
@@ -203,7 +203,7 @@ def _calibrate(views: EdgeViews, start: Camera, facts: CameraFacts) -> Calibrati
         missing = ('fx', 'fy')
     if missing:
         return NoEstimate('edges_leave_open', missing=missing, status=status)
-    zoomed = _zoomed(used, state, inflation)
+    zoomed = _zoomed(used, state, sigma_inflation)
     if zoomed is not None:
         return zoomed
     camera = state.camera(*size)
@@ -302,16 +302,17 @@ def _judge(views: EdgeViews, bundle: Bundle, state: ObjectState, facts: CameraFa
     within = view * (int(views.primitive.max()) + 1) + views.primitive
     by_primitive = cluster_robust_covariance(information, views.primitive, views.xy, size)
     by_stay = cluster_robust_covariance(information, within, views.xy, size)
-    wider = max((by_primitive, by_stay), key=lambda found: found.inflation)
-    ratio, more = _segments(views, bundle, state, wider)
+    wider = max((by_primitive, by_stay), key=lambda found: found.sigma_inflation)
+    ratio, more = _segments(views, bundle, state, wider.variance_inflation)
     camera = state.camera(*size)
     covariance = without_held(to_parameters(wider.covariance + more, state.lens), camera, facts)
     findings = wider.findings(track='errors_within_edge') + segment_findings(ratio)
-    return (covariance, wider.inflation * ratio, findings,
+    return (covariance, wider.sigma_inflation * ratio, findings,
             parameter_status(camera, covariance, facts))
 
 
-def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
+def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, variance_inflation: float,
+              ) -> tuple[float, np.ndarray]:
     """Return what leaving out a segment of images at a time tells: ratio and covariance."""
     nothing = 1.0, np.zeros((len(state.lens),) * 2)
     frames = views.frames
@@ -328,10 +329,10 @@ def _segments(views: EdgeViews, bundle: Bundle, state: ObjectState, known):
         moved = part.optimise(own, iterations=20, tolerance=1e-4)
         shifts.append(moved.lens.values - state.lens.values)
         covariances.append(part.ideal_covariance(moved)[lens, lens])
-    return jackknife_excess(np.array(shifts), np.array(covariances), base, known.inflation**2)
+    return jackknife_excess(np.array(shifts), np.array(covariances), base, variance_inflation)
 
 
-def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimate | None:
+def _zoomed(views: EdgeViews, state: ObjectState, sigma_inflation: float) -> NoEstimate | None:
     """Refuse a focal length that has changed between the halves of the sequence."""
     frames = views.frames
     if len(frames) < 8:
@@ -350,7 +351,7 @@ def _zoomed(views: EdgeViews, state: ObjectState, inflation: float) -> NoEstimat
         variance = bundle.ideal_covariance(own)[0, 0]
         found.append((own.lens['f'], float(np.sqrt(variance))))
     (a, sigma_a), (b, sigma_b) = found
-    limit = max(ZOOM_SIGMAS * inflation * np.hypot(sigma_a, sigma_b),
+    limit = max(ZOOM_SIGMAS * sigma_inflation * np.hypot(sigma_a, sigma_b),
                 ZOOM_FRACTION * state.lens['f'])
     if abs(a - b) < limit:
         return None

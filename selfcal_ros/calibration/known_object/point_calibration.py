@@ -159,7 +159,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         return NoEstimate('object_mirrored')
     if not bundle.sigma_px <= limit:
         return NoEstimate('object_misfit', left_px=float(bundle.sigma_px), limit_px=limit)
-    dependence, covariance, status = judgement
+    clusters, covariance, status = judgement
     missing = tuple(name for name in MATRIX_PARAMETERS if status[name] == 'unobservable')
     if missing:
         return _unobservable(missing, used).saying(status=status)
@@ -172,7 +172,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
     poses[:, :, 3] = extent * poses[:, :, 3] - poses[:, :, :3] @ origin
     points = np.column_stack([target.points, np.ones(len(target))])
     if bent is not None:
-        shape = BoardShape.of(bundle, state, dependence, scaled.points, extent)
+        shape = BoardShape.of(bundle, state, clusters, scaled.points, extent)
         points[:, :3] += shape.off
         findings += (shape.finding(),)
     rejected = len(views.view) - len(used.view)
@@ -185,7 +185,7 @@ def _calibrate(tracks: Tracks, target: KnownObject, size: tuple[int, int],
         outlier_count=rejected,
         reconstruction=Reconstruction(used.frames, poses, target.identity, points,
                                       pose_precision=pose_precision(bundle, state, extent)),
-        findings=findings + dependence.findings(track='errors_at_object_points'),
+        findings=findings + clusters.findings(track='errors_at_object_points'),
         residuals=residuals)
 
 
@@ -324,12 +324,12 @@ def _judge(views: ObjectViews, bundle: Bundle, state: ObjectState, facts: Camera
     """Return how far errors are shared, the covariance, and every parameter's status."""
     # the shape of a board with the lens: what moves the one moves the other
     information = replace(bundle.information(state), lens=bundle.unknowns.shared)
-    dependence = cluster_robust_covariance(information, views.point, views.xy, size)
+    clusters = cluster_robust_covariance(information, views.point, views.xy, size)
     camera = state.camera(*size)
-    of_lens = dependence.covariance[bundle.unknowns.lens, bundle.unknowns.lens]
+    of_lens = clusters.covariance[bundle.unknowns.lens, bundle.unknowns.lens]
     covariance = without_held(to_parameters(of_lens, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
-    return dependence, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
+    return clusters, covariance, {**status, **_open_without_lens(bundle, state, facts, size)}
 
 
 def _open_without_lens(bundle: Bundle, state: ObjectState, facts: CameraFacts,

@@ -34,10 +34,11 @@ from selfcal_ros.calibration.monitoring.window_scatter import UsualWindows
 from selfcal_ros.calibration.monitoring.window_score import WindowScore
 from selfcal_ros.calibration.result import Calibration
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 
 #: A window does not fit where noise that the epipolar geometry lacks exceeds the usual by this
 #: factor, or where tracks agree with themselves alone, by the factors of misfit and dependence.
-UNUSUAL_NOISE, UNUSUAL_MISFIT, UNUSUAL_DEPENDENCE = 1.3, 1.2, 1.5
+UNUSUAL_NOISE, UNUSUAL_MISFIT, UNUSUAL_INFLATION = 1.3, 1.2, 1.5
 #: The same where less than this share of the tracks stands still.
 MOSTLY_STILL = 0.9
 #: A score is exact to first order: so much of the step that it tells is its own uncertainty.
@@ -111,7 +112,7 @@ class ChangeMonitor(SequentialMonitor):
             self.unexplained += 1
             return self.change
         self.unexplained = 0
-        information = score.information / self._usual.inflation(score.dependence)
+        information = score.information / self._usual.inflation_of(score)
         # every scene has its own small error, however much it tells
         found = self._ask(score, information,
                           information @ (score.at + score.step - self.in_force),
@@ -134,7 +135,7 @@ class ChangeMonitor(SequentialMonitor):
         usual = self._usual.usual(self.calibration.noise_sigma_px)
         return (score.noise_px < UNUSUAL_NOISE * usual.noise_px
                 or score.misfit < UNUSUAL_MISFIT * usual.misfit
-                and score.dependence < UNUSUAL_DEPENDENCE * usual.dependence
+                and score.variance_inflation < UNUSUAL_INFLATION * usual.variance_inflation
                 and score.still > MOSTLY_STILL)
 
     def _changed(self, change) -> Camera:
@@ -148,7 +149,7 @@ class ChangeMonitor(SequentialMonitor):
                                                                             camera.height)
 
     def _seen(self, score: WindowScore) -> tuple[np.ndarray, np.ndarray]:
-        spread = _inverse(score.information) * self._usual.inflation(score.dependence)
+        spread = scaled_pseudo_inverse(score.information) * self._usual.inflation_of(score)
         step = (score.at + score.step - self.in_force)[self._changes]
         return step, spread[np.ix_(self._changes, self._changes)]
 
@@ -167,10 +168,3 @@ def _intrinsic_covariance(calibration: Calibration) -> np.ndarray:
     if covariance[aspect, aspect] < 1e-14:
         covariance[aspect] = covariance[:, aspect] = 0
     return covariance
-
-
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Invert by way of unit diagonals: parameters differ in scale."""
-    scale = np.sqrt(np.diag(information))
-    return np.linalg.pinv(information / np.outer(scale, scale),
-                          hermitian=True) / np.outer(scale, scale)

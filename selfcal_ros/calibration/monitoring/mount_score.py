@@ -85,7 +85,7 @@ def is_watchable(mount: object) -> bool:
 
 def mount_score(graph: ViewGraph, window: WindowFit, camera: Camera, mount: Mount,
                 poses: BodyPoses, facts: MountFacts = MountFacts(),
-                dependence: float = 1.0) -> MountScore | NoEstimate:
+                variance_inflation: float = 1.0) -> MountScore | NoEstimate:
     """
     Score a window of keyframes against a mount.
 
@@ -102,7 +102,7 @@ def mount_score(graph: ViewGraph, window: WindowFit, camera: Camera, mount: Moun
         Of the body, as long as the window lasts.
     facts : MountFacts
         By which the mount was estimated: of them the scale of the poses counts.
-    dependence : float
+    variance_inflation : float
         Variance of what images say over that with independent errors.
 
     Returns
@@ -118,7 +118,7 @@ def mount_score(graph: ViewGraph, window: WindowFit, camera: Camera, mount: Moun
     if len(rows) < MIN_POSES:
         return NoEstimate('window_without_body', poses=len(rows))
     track = track.anchored(offset)
-    path = poses_of_fit(frames, _with_lens(window, camera), dependence).chosen(rows)
+    path = poses_of_fit(frames, _with_lens(window, camera), variance_inflation).chosen(rows)
     metre = facts.scale[0] if facts.scale is not None else 1.0
     start = _start(mount, path, track.at(offset, rows), offset, metre)
     if start is None:

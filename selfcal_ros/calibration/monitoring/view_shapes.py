@@ -34,7 +34,7 @@ SIZES_PX = 0.02 * 2.0**(0.5 * np.arange(20))
 GAIN = 2.0
 
 
-def shape_of_views(fit: RobustFit, rows: int, dependence: float,
+def shape_of_views(fit: RobustFit, rows: int, variance_inflation: float,
                    ) -> tuple[np.ndarray, np.ndarray] | None:
     """
     Tell how the lens moves, and how uncertain it gets, where every image has its own shape.
@@ -45,7 +45,7 @@ def shape_of_views(fit: RobustFit, rows: int, dependence: float,
         At its optimum; the unknowns of the lens that are told of are free.
     rows : int
         Height of the image.
-    dependence : float
+    variance_inflation : float
         Variance over that with independent errors.
 
     Returns
@@ -63,7 +63,7 @@ def shape_of_views(fit: RobustFit, rows: int, dependence: float,
     joint = joint_information(fit, [
         Supposition('stretch', ('stretch',), np.column_stack([zero, below])[:, :, None], True),
         Supposition('shear', ('shear',), np.column_stack([below, zero])[:, :, None], True)],
-        max(dependence, 1.0))
+        max(variance_inflation, 1.0))
     values, vectors = np.linalg.eigh(joint.information)
     values, turned = np.maximum(values, 0), vectors.T @ joint.score
     size_px, gain = most_probable_size(values, turned, SIZES_PX)

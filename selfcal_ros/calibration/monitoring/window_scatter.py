@@ -35,7 +35,7 @@ class UsualWindow(NamedTuple):
 
     noise_px: float
     misfit: float
-    dependence: float
+    variance_inflation: float
 
 
 class UsualWindows:
@@ -48,16 +48,16 @@ class UsualWindows:
         """Return the medians of the windows so far; the noise that is given without any."""
         if not self._known:
             return UsualWindow(noise_px, 1.0, 1.0)
-        return UsualWindow(*np.median([(one.noise_px, one.misfit, max(one.dependence, 1.0))
+        return UsualWindow(*np.median([(one.noise_px, one.misfit, max(one.variance_inflation, 1.0))
                                        for one in self._known], axis=0).tolist())
 
-    def inflation(self, own: float) -> float:
+    def inflation_of(self, score: WindowScore) -> float:
         """
         Variance of a window over that of independent errors, never less than one.
 
         Windows scatter about the median; one that exceeds it by far has errors of its own.
         """
-        before = [one.dependence for one in self._known]
+        own, before = score.variance_inflation, [one.variance_inflation for one in self._known]
         if before and own > UNUSUAL * max(1.0, float(np.median(before))):
             return own
         return max(1.0, float(np.median([*before, own])))

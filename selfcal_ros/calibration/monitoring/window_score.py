@@ -38,6 +38,7 @@ from selfcal_ros.calibration.monitoring.view_shapes import shape_of_views
 from selfcal_ros.calibration.monitoring.window_fit import fit_window, WindowFit
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.no_estimate import NoEstimate
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 from selfcal_ros.geometry.two_view_tests import PARALLAX_RATIO
 from selfcal_ros.values.tracks import Tracks
 
@@ -62,7 +63,7 @@ class WindowScore:
         From there to the camera that the window shows.
     information : ndarray, shape (k, k)
         Inverse covariance of the step for independent errors.
-    dependence : float
+    variance_inflation : float
         Variance of the step with errors shared within tracks over that with independent errors;
         scatters about 1 where the errors are independent.
     noise_px : float
@@ -80,7 +81,7 @@ class WindowScore:
     at: np.ndarray
     step: np.ndarray
     information: np.ndarray
-    dependence: float
+    variance_inflation: float
     noise_px: float
     misfit: float
     still: float = 1.0
@@ -126,28 +127,21 @@ def score_of(graph: ViewGraph, window: WindowFit, camera: Camera,
     scale = np.sqrt(np.diag(covariance))
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         return NoEstimate('window_singular')
-    information = _inverse(covariance)
-    dependence = shared_within_tracks(told, observations.point, places, information)
-    shaped = shape_of_views(replace(fit, bundle=bundle), camera.height, dependence)
+    information = scaled_pseudo_inverse(covariance)
+    variance_inflation = shared_within_tracks(told, observations.point, places, information)
+    shaped = shape_of_views(replace(fit, bundle=bundle), camera.height, variance_inflation)
     if shaped is not None:
         moved, root = (part[places] for part in shaped)
-        step, information = step + moved, _inverse(covariance + root @ root.T)
+        step = step + moved
+        information = scaled_pseudo_inverse(covariance + root @ root.T)
     row = bundle.unknowns.places((LINE_DELAY,))[0]
     supposed = Lens.of(camera).take(free)
     return WindowScore(
         tuple(int(frame) for frame in graph.frames), supposed,
-        state.lens.values[places] + step - supposed, information, dependence, bundle.sigma_px,
-        bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
+        state.lens.values[places] + step - supposed, information, variance_inflation,
+        bundle.sigma_px, bundle.sigma_px / max(graph.noise_px, MIN_NOISE_PX), window.still,
         float(state.line_delay + told.influence[:, row].sum()),
         float(np.sqrt(told.covariance[row, row])))
-
-
-def _inverse(covariance: np.ndarray) -> np.ndarray:
-    """Invert by way of unit diagonals: parameters differ in scale."""
-    scale = np.sqrt(np.diag(covariance))
-    inverse: np.ndarray = np.linalg.pinv(covariance / np.outer(scale, scale),
-                                         hermitian=True) / np.outer(scale, scale)
-    return inverse
 
 
 def adjusted(tracks: Tracks, camera: Camera, rng: np.random.Generator,

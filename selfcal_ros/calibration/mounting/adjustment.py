@@ -30,6 +30,7 @@ from selfcal_ros.calibration.mounting.pose_errors import PoseErrors
 from selfcal_ros.calibration.mounting.wrong_poses import agreeing, FALSE_ALARM, LEAST_SPARE
 from selfcal_ros.geometry.distributions import f_isf
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.scaled_inverse import scaled_inverse
 
 #: Metres, radians, a factor's logarithm, seconds: what is not known at all is not known better.
 #: Open directions get these sigmas in covariances, far beyond what counts as known.
@@ -404,8 +405,6 @@ class Adjustment:
         """Return the covariance of all unknowns; see `Optimum`."""
         free = self._free
         H = (information + np.diag(self._vague))[np.ix_(free, free)]
-        root = np.sqrt(np.diag(H))
         covariance = np.zeros_like(information)
-        covariance[np.ix_(free, free)] = np.linalg.inv(H / np.outer(root, root)) / np.outer(
-            root, root)
+        covariance[np.ix_(free, free)] = scaled_inverse(H)
         return covariance

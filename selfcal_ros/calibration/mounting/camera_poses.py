@@ -30,6 +30,7 @@ from selfcal_ros.calibration.structure.path_precision import pose_precision
 from selfcal_ros.geometry.distributions import chi2_sf
 from selfcal_ros.geometry.projective import cross_matrix
 from selfcal_ros.geometry.rotation import rotation_matrix
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Relative to the variances: keeps the factor of a covariance with dependent unknowns.
 _ROUNDING = 1e-12
@@ -200,8 +201,7 @@ def _in_a_middle_world(roots: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 def _root(covariance: np.ndarray) -> np.ndarray:
     """Return L (k, k) with L Lᵀ the covariance, its negative part left out."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    scaled = covariance / np.outer(scale, scale)
+    scaled, scale = unit_diagonal(covariance)
     scaled = (scaled + scaled.T) / 2
     try:
         root = np.linalg.cholesky(scaled + _ROUNDING * np.eye(len(scaled)))
@@ -234,7 +234,7 @@ def chance_of_pull(poses: CameraPoses, w: np.ndarray, covariance: np.ndarray) ->
     if not free.any():
         return 1.0
     pull = (L @ w)[free] / size[free]
-    values, vectors = np.linalg.eigh(gained[np.ix_(free, free)] / np.outer(size[free], size[free]))
+    values, vectors = np.linalg.eigh(unit_diagonal(gained[np.ix_(free, free)])[0])
     known = values > _TOLD
     return float(chi2_sf(np.sum((pull @ vectors[:, known])**2 / values[known]), known.sum()))
 

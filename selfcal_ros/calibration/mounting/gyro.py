@@ -41,6 +41,7 @@ from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.geometry.rotation import (left_jacobian, nearest_rotation, rotation_matrix,
                                            rotation_vector)
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 from selfcal_ros.values.angular_rates import AngularRates
 
 #: Offsets of the clocks that are tried, seconds.
@@ -241,9 +242,8 @@ def _density(views: _Views, residual, slopes) -> float:
     def cost(log_density: float) -> float:
         factor = cho_factor(_spread(views, np.exp(log_density)))
         Wr, WJ = cho_solve(factor, r), cho_solve(factor, J)
-        H = J.T @ WJ
-        scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-        values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+        scaled, scale = unit_diagonal(J.T @ WJ)
+        values, vectors = np.linalg.eigh(scaled)
         known = values > 1e-9
         g = (vectors.T @ ((J.T @ Wr) / scale))[known]
         return float(2 * np.log(np.diag(factor[0])).sum() + np.log(values[known]).sum()

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.mounting.model import COUNT, OFFSET, SCALE, T, TURN
 from selfcal_ros.calibration.mounting.optimum import Optimum
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Sigma from which on a degree of freedom counts as unobservable: no better than a look at the
 #: robot. Metres, radians, share of the scale, seconds.
@@ -166,10 +167,10 @@ def _shown(optimum: Optimum, free: np.ndarray, odometry: bool, columns: np.ndarr
     H = optimum.information
     tied = H[np.ix_(others, columns)]
     inner = H[np.ix_(others, others)]
-    root = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    scaled, root = unit_diagonal(inner)
     tied = tied / root[:, None]
-    scaled = inner / np.outer(root, root) + 1e-12 * np.eye(len(others))
-    shown = H[np.ix_(columns, columns)] - tied.T @ np.linalg.solve(scaled, tied)
+    shown = H[np.ix_(columns, columns)] - tied.T @ np.linalg.solve(
+        scaled + 1e-12 * np.eye(len(others)), tied)
     feigned = _feigned(optimum, odometry)[np.ix_(columns, columns)]
     limits = dict(zip(_COLUMNS, _LIMITS))
     unit = np.array([limits[column] for column in columns])

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,21 +32,12 @@ from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.calibration.rigs.overlap import Overlap, unseen_heights
 from selfcal_ros.calibration.rigs.result import CameraInRig, PLACE, RigCalibration, TURN
 from selfcal_ros.calibration.rigs.start import RigObservations
-from selfcal_ros.calibration.rigs.steadiness import steadiness, Unsteady
+from selfcal_ros.calibration.rigs.steadiness import steadiness
 from selfcal_ros.calibration.structure.metric_structure import IN_A_PLANE
 from selfcal_ros.calibration.structure.path_precision import pose_precision
-from selfcal_ros.calibration.uncertainty.cluster_covariance import (cluster_robust_covariance,
-                                                                    ClusterCovariance,
-                                                                    images_alike,
-                                                                    jackknife_excess,
-                                                                    segment_findings)
-from selfcal_ros.calibration.uncertainty.distortion_misfit import (DistortionMisfit,
-                                                                   find_distortion_misfit)
-from selfcal_ros.calibration.uncertainty.group_jackknife import delete_a_group
-from selfcal_ros.calibration.uncertainty.hidden_decentring import (
-    hidden_decentring, possible_decentring)
-from selfcal_ros.calibration.uncertainty.lens_posterior import lens_posterior, LensPosterior
-from selfcal_ros.calibration.uncertainty.prism import possible_prism
+from selfcal_ros.calibration.uncertainty.assessed_estimate import AssessedEstimate, Chain, SHARED
+from selfcal_ros.calibration.uncertainty.cluster_covariance import (ClusterCovariance,
+                                                                    robust_covariance_of)
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.camera import CameraFacts, MATRIX_PARAMETERS
 from selfcal_ros.geometry.no_estimate import NoEstimate
@@ -82,8 +73,6 @@ class RigOptimum:
         What single cameras leave.
     shared : bool
         Whether the cameras may share points.
-    deviation : DistortionMisfit or LensPosterior, optional
-        How the lenses deviate from their models, or are like others, where that is allowed for.
 
     """
 
@@ -94,20 +83,6 @@ class RigOptimum:
     motion: str
     noise_px: float
     shared: bool
-    deviation: DistortionMisfit | LensPosterior | None = None
-
-    @property
-    def state(self) -> RigState:
-        """The values of all blocks."""
-        state = self.fit.state if self.deviation is None else self.deviation.state
-        assert isinstance(state, RigState)
-        return state
-
-    @property
-    def residuals(self) -> np.ndarray:
-        """What remains of every observation, pixels, (N, 2)."""
-        return (self.fit.linearisation.residual if self.deviation is None
-                else self.deviation.residual)
 
     @property
     def camera(self) -> np.ndarray:
@@ -115,63 +90,22 @@ class RigOptimum:
         assert self.fit.observations.camera is not None
         return self.fit.observations.camera
 
-    def dependence(self) -> ClusterCovariance:
-        """Assess how far the residuals are from independent, each camera in its own image."""
-        xy, size, camera = images_alike(self.fit.observations.xy, self.image_sizes, self.camera)
-        return cluster_robust_covariance(self.fit.information, self.fit.observations.point, xy,
-                                         size, camera)
+    def clusters(self) -> ClusterCovariance:
+        """Assess what errors of one track or region share, each camera in its own image."""
+        return robust_covariance_of(self.fit, self.image_sizes)
 
     @property
     def image_sizes(self) -> np.ndarray:
         """Width and height of the images of every camera, (C, 2)."""
         return np.array([self.sizes[name] for name in self.found.cameras])
 
-    def with_all_errors(self) -> tuple[RigOptimum, np.ndarray, tuple[Finding, ...]]:
-        """
-        Allow for what a single camera's estimate allows for, too.
+    def corrections(self) -> Chain:
+        """Return what the covariance of a rig has to allow for."""
+        def allow_for_unsteadiness(found: AssessedEstimate) -> AssessedEstimate:
+            added, cause = steadiness(found.fit, self.found, found.variance_inflation)
+            return found.widened(added, () if cause is None else (cause.finding(),))
 
-        These are errors that tracks and regions share, lenses beside their models, their
-        decentring and prisms that no model has, and errors that stretches of the way share.
-
-        Returns
-        -------
-        RigOptimum
-            The estimate with the lenses' deviations allowed for.
-        ndarray, shape (k, k)
-            Covariance of the unknowns of the block.
-        tuple of Finding
-
-        """
-        fit, dependence = self.fit, self.dependence()
-        covariance, findings, better = dependence.covariance, dependence.findings(), self
-        field = find_distortion_misfit(fit, self.image_sizes, dependence.ratios['track']**2,
-                                       possible_decentring(fit))
-        if field is not None:
-            # the field is what the image's regions share
-            covariance = field.covariance
-            findings = (*dependence.findings('track'), *field.findings())
-            better = replace(self, deviation=field)
-        known = dependence.inflation**2
-        ratio, added = jackknife_excess(*delete_a_group(fit), fit.lens_covariance, known)
-        covariance, findings = covariance + added, (*findings, *segment_findings(ratio))
-        posterior = lens_posterior(fit, better.state, covariance, better.residuals)
-        if posterior is not None:
-            covariance, better = posterior.covariance, replace(better, deviation=posterior)
-        hidden = hidden_decentring(fit, known, *(
-            () if field is None else (field.modes, field.size_px)))
-        if hidden is not None:
-            covariance, findings = covariance + hidden.covariance, findings + hidden.findings()
-        prism = possible_prism(fit, covariance, known)
-        if prism is not None:
-            covariance, findings = covariance + prism.covariance, findings + prism.findings()
-        added, cause = self.steadiness()
-        if cause is not None:
-            findings += (cause.finding(),)
-        return better, covariance + added, findings
-
-    def steadiness(self) -> tuple[np.ndarray, Unsteady | None]:
-        """Ask the images whether the rig was rigid all the time."""
-        return steadiness(self.fit, self.found, self.dependence().inflation**2)
+        return Chain((*SHARED, allow_for_unsteadiness))
 
 
 def refused(optimum: RigOptimum) -> NoEstimate | None:
@@ -179,7 +113,9 @@ def refused(optimum: RigOptimum) -> NoEstimate | None:
     fit = optimum.fit
     rejected = fit.outliers / max(fit.outliers + len(fit.observations.view), 1)
     if fit.bundle.sigma_px > RIGID * optimum.noise_px or rejected > MAX_OUTLIERS:
-        cause, left_px = optimum.steadiness()[1], float(fit.bundle.sigma_px)
+        # whether the rig was rigid all the time
+        _, cause = steadiness(fit, optimum.found, optimum.clusters().variance_inflation)
+        left_px = float(fit.bundle.sigma_px)
         if cause is not None and cause.explained > 0.5 * (1 - (optimum.noise_px / left_px)**2):
             # more than half of what is beyond the noise of single cameras
             return cause.refusal(left_px, optimum.noise_px, optimum.motion)
@@ -210,11 +146,14 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     refusal = refused(optimum)
     if refusal is not None:
         return refusal
-    optimum, inner, findings = optimum.with_all_errors()
-    state, rig = optimum.state, optimum.state.lens
+    found = optimum.corrections().applied_to(
+        AssessedEstimate.of(optimum.fit, optimum.image_sizes))
+    state, inner, findings = found.state, found.covariance, found.findings
+    assert isinstance(state, RigState)
+    rig = state.lens
     unit, scale, slopes = 'path', 1 / state.path.step_length(), _slopes(rig)
     more, overlap = np.zeros(len(slopes)), Overlap.of(optimum.fit.observations)
-    heights, spread = (unseen_heights(optimum.fit, overlap, optimum.dependence().inflation),
+    heights, spread = (unseen_heights(optimum.fit, overlap, found.clusters.sigma_inflation),
                        _spread(state.path.centres()))
     for group, normal in heights:
         # all of them are up together
@@ -238,7 +177,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     spread *= scale
     cameras, poses, parameters = {}, {}, []
     for k, name in enumerate(rig.cameras):
-        one = _camera(optimum, k, covariance, scale)
+        one = _camera(optimum, found, k, covariance, scale)
         missing = tuple(n for n in MATRIX_PARAMETERS if one.status[n] == 'unobservable')
         if missing:
             return NoEstimate('rig_lens_open', camera=name, missing=missing,
@@ -246,8 +185,9 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
         cameras[name] = one
         parameters += [name_in_rig(name, parameter) for parameter in one.parameter_names]
         covariance[rig.of_lens(k), rig.of_lens(k)] = one.covariance
-        poses[name] = _pose(optimum, k, covariance, scale, spread, int(overlap.points[k]), next(
-            (normal for group, normal in heights if k in group), np.zeros(3)))
+        height = next((normal for group, normal in heights if k in group), np.zeros(3))
+        poses[name] = _pose(optimum, rig, k, covariance, scale, spread, int(overlap.points[k]),
+                            height)
         remark = poses[name].remark
         findings += () if remark is None else (remark,)
     for k, name in enumerate(rig.cameras[1:], 1):
@@ -256,7 +196,7 @@ def judge(optimum: RigOptimum, alone: Mapping[str, Calibration | NotCalibrated],
     findings = (Finding('rig_overlap', points=int(overlap.points.max()))
                 if overlap.points.any() else Finding('rig_no_overlap'), *findings)
     fit = optimum.fit
-    residuals = optimum.residuals[fit.linearisation.ahead]
+    residuals = found.residual[fit.linearisation.ahead]
     return RigCalibration(
         cameras=cameras, poses=poses, parameter_names=tuple(parameters), covariance=covariance,
         unit=unit, scale=scale * state.path.step_length(), motion=optimum.motion,
@@ -300,9 +240,12 @@ def _carried_by_baseline(rig: Rig, slopes: np.ndarray) -> np.ndarray:
     return carried
 
 
-def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -> Calibration:
+def _camera(optimum: RigOptimum, found: AssessedEstimate, k: int, covariance: np.ndarray,
+            scale: float) -> Calibration:
     """Return a camera as if it had been calibrated by itself."""
-    state, rig, fit = optimum.state, optimum.state.lens, optimum.fit
+    state, fit = found.state, optimum.fit
+    assert isinstance(state, RigState)
+    rig = state.lens
     name = rig.cameras[k]
     facts, part = optimum.facts[name], rig.of_lens(k)
     camera = rig.lens(k).camera(*optimum.sizes[name])
@@ -310,7 +253,7 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
     rows = (optimum.camera == k) & fit.linearisation.ahead
     offered = optimum.found.observations.camera
     assert offered is not None
-    residuals = optimum.residuals[rows]
+    residuals = found.residual[rows]
     path = state.path.cam_from_world()
     path[:, :, 3] -= rig.place(k)
     path = rig.rotations[k].T @ path
@@ -336,10 +279,9 @@ def _camera(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float) -
         residuals=residuals)
 
 
-def _pose(optimum: RigOptimum, k: int, covariance: np.ndarray, scale: float, spread: float,
-          shared: int, height: np.ndarray) -> CameraInRig:
+def _pose(optimum: RigOptimum, rig: Rig, k: int, covariance: np.ndarray, scale: float,
+          spread: float, shared: int, height: np.ndarray) -> CameraInRig:
     """Return where a camera sits, and what of it is open; a height (3,) that is counts as none."""
-    rig = optimum.state.lens
     T = np.eye(4)
     if k == 0:
         return CameraInRig(T, np.zeros((6, 6)), dict.fromkeys((*PLACE, *TURN), 'held'),

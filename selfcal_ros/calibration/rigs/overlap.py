@@ -67,7 +67,7 @@ class Overlap:
         return bool(self.group[i] == self.group[k])
 
 
-def unseen_heights(fit: RobustFit, overlap: Overlap, inflation: float,
+def unseen_heights(fit: RobustFit, overlap: Overlap, sigma_inflation: float,
                    ) -> list[tuple[list[int], np.ndarray]]:
     """
     Tell which cameras may sit at any height together, since the rig moved in a plane.
@@ -79,8 +79,8 @@ def unseen_heights(fit: RobustFit, overlap: Overlap, inflation: float,
     ----------
     fit : RobustFit
     overlap : Overlap
-    inflation : float
-        Sigma with all dependence of errors over sigma with none.
+    sigma_inflation : float
+        Sigma with shared errors over that with independent ones.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def unseen_heights(fit: RobustFit, overlap: Overlap, inflation: float,
     if not fit.motion.keeps_plane:
         return []
     path, places = fit.state.path, fit.bundle.unknowns.of_views('tilt_x', 'tilt_y')
-    feigned = np.sum(fit.covariance.diagonal()[places]) * inflation**2
+    feigned = np.sum(fit.covariance.diagonal()[places]) * sigma_inflation**2
     if np.sum(path.tilt**2) > ABOVE_NOISE * feigned:
         return []
     others = set(overlap.group.tolist()) - {int(overlap.group[0])}

@@ -212,7 +212,7 @@ def _calibrated(tracks: Mapping[str, Tracks], facts: Mapping[str, CameraFacts],
         anchor.motion, noise_px, shared)
     if kind is NEARLY_PLANAR:
         # errors that tracks and regions share must not pass for a motion out of the plane
-        fit, _ = choose_motion(fit, optimum.dependence().inflation**2)
+        fit, _ = choose_motion(fit, optimum.clusters().variance_inflation)
         optimum = replace(optimum, fit=fit)
     return judge(optimum, alone, baseline)
 

@@ -99,7 +99,7 @@ class Unsteady:
         return {'share': self.offset, 'interval_s': self.interval_s}
 
 
-def steadiness(fit: RobustFit, seen: RigObservations, known: float,
+def steadiness(fit: RobustFit, seen: RigObservations, variance_inflation: float,
                ) -> tuple[np.ndarray, Unsteady | None]:
     """
     Ask the images of a rig whether it was rigid, and whether its images are of one instant.
@@ -110,7 +110,7 @@ def steadiness(fit: RobustFit, seen: RigObservations, known: float,
         Of a rig, at its optimum.
     seen : RigObservations
         Its frames count time where its seconds are not known.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -131,7 +131,7 @@ def steadiness(fit: RobustFit, seen: RigObservations, known: float,
     poses = fit.linearisation.shared[:, :, unknowns.lens][:, :, rows.ravel()]
     joint = joint_information(fit, [
         Supposition(_OFFSET, cameras, _flow(fit, times, len(cameras))),
-        Supposition(_KNOCK, POSE_NAMES * len(cameras), poses, of_views=True)], known)
+        Supposition(_KNOCK, POSE_NAMES * len(cameras), poses, of_views=True)], variance_inflation)
     offset = joint.test(_OFFSET)
     found, after = offset.with_prior(likely_size(offset.value, offset.information, OFFSETS)**2)
     response = offset.response * unknowns.free[unknowns.lens][:, None]
@@ -146,7 +146,7 @@ def steadiness(fit: RobustFit, seen: RigObservations, known: float,
     knock, k, view = min(knocks, key=lambda one: (one[0].p_value, -one[0].chi2))
 
     def explained(one: Tested) -> float:
-        return one.chi2 * known / max(2 * len(fit.observations.view), 1)
+        return one.chi2 * variance_inflation / max(2 * len(fit.observations.view), 1)
 
     if knock.p_value * len(knocks) < ACCIDENT and knock.chi2 > offset.chi2:
         step = np.zeros(size)

@@ -31,6 +31,7 @@ from selfcal_ros.calibration.reconstruction import Measured, StructurePrecision,
 from selfcal_ros.calibration.result import Calibration, NotCalibrated
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.projective import tangent_basis
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 
 #: Correlations of the internal parameters with less than this share of the largest eigenvalue
 #: are rounding.
@@ -382,12 +383,9 @@ def regression(covariance: np.ndarray, shared: np.ndarray) -> np.ndarray:
         Zero for what is held.
 
     """
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
-    free = scale > 0
-    # in sigmas: a variance of 1e-10 beside one of 1e4 is no rounding
-    scaled = covariance[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+    free = np.diag(covariance) > 0
     result = np.zeros_like(shared, dtype=float)
-    inverse = np.linalg.pinv(scaled, _ROUNDING, hermitian=True) / np.outer(scale[free],
-                                                                           scale[free])
-    result[free] = inverse @ shared[free]
+    # in sigmas: a variance of 1e-10 beside one of 1e4 is no rounding
+    result[free] = scaled_pseudo_inverse(covariance[np.ix_(free, free)],
+                                         _ROUNDING) @ shared[free]
     return result

@@ -24,12 +24,15 @@ that leave out one segment of views each.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from selfcal_ros.calibration.bundle.information import Information
+from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.findings.finding import Finding
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Image regions that errors may share, along the longer and the shorter side.
 REGIONS = (8, 6)
@@ -58,9 +61,14 @@ class ClusterCovariance:
     covariance: np.ndarray
 
     @property
-    def inflation(self) -> float:
-        """Ratio of sigma with all dependence to sigma with none."""
-        return float(np.sqrt(1 + sum(ratio**2 - 1 for ratio in self.ratios.values())))
+    def variance_inflation(self) -> float:
+        """Variance with shared errors over that with independent ones: the inflation factor."""
+        return 1 + float(sum(ratio**2 - 1 for ratio in self.ratios.values()))
+
+    @property
+    def sigma_inflation(self) -> float:
+        """The same of sigmas."""
+        return float(np.sqrt(self.variance_inflation))
 
     def findings(self, *names: str, track: str = 'errors_within_track') -> tuple[Finding, ...]:
         """Tell what was found; names choose among the ratios, `track` is the kind of theirs."""
@@ -111,6 +119,27 @@ def cluster_robust_covariance(information: Information, track: np.ndarray, xy: n
         ratios[name], more = _cluster_excess(part, label, against)
         widened[np.ix_(free, free)] += unwhiten @ more @ unwhiten.T
     return ClusterCovariance(ratios, widened)
+
+
+def robust_covariance_of(fit: RobustFit, sizes: Sequence[int] | np.ndarray) -> ClusterCovariance:
+    """
+    Widen the covariance of an optimum by the dependence that its residuals show.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        Of one camera or of a rig.
+    sizes : (int, int), or array of int, shape (C, 2)
+        Width and height of the image, of a rig those of every camera.
+
+    Returns
+    -------
+    ClusterCovariance
+
+    """
+    observations = fit.observations
+    xy, size, camera = images_alike(observations.xy, np.asarray(sizes), observations.camera)
+    return cluster_robust_covariance(fit.information, observations.point, xy, size, camera)
 
 
 def images_alike(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | None,
@@ -176,7 +205,7 @@ def region_excess(covariance: np.ndarray, influence: np.ndarray, xy: np.ndarray,
 
 
 def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np.ndarray,
-                     known: float = 1.0) -> tuple[float, np.ndarray]:
+                     variance_inflation: float = 1.0) -> tuple[float, np.ndarray]:
     """
     Variance that errors shared by segments of views add.
 
@@ -192,7 +221,7 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
         Of those estimates, for independent errors.
     covariance : ndarray, shape (k, k)
         Of the estimate from all, for independent errors.
-    known : float
+    variance_inflation : float
         Variance over that with independent errors which is accounted for already.
 
     Returns
@@ -208,14 +237,15 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     if groups < 4:
         return nothing
     # a segment without weight in some direction must not divide by nothing there
-    expected = known * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
+    expected = variance_inflation * (np.sum(covariances - covariance, axis=0) + 0.05 * covariance)
     if not (np.diag(expected) > 0).any():
         return nothing
     whiten, unwhiten, free = _whitening(expected)
     scatter = shifts[:, free] @ whiten.T
     gram = scatter.T @ scatter
     unknowns = len(whiten)
-    each = whiten @ (known * (covariances - covariance))[:, free[:, None], free] @ whiten.T
+    each = variance_inflation * (covariances - covariance)
+    each = whiten @ each[:, free[:, None], free] @ whiten.T
     # variance of a sum of squares of Gaussians; the ends of a drive may weigh most
     spread = np.sqrt(2 * np.sum(each**2)) / unknowns
     if np.trace(gram) / unknowns < 1 + SIGNIFICANT * spread:
@@ -225,7 +255,7 @@ def jackknife_excess(shifts: np.ndarray, covariances: np.ndarray, covariance: np
     axes = unwhiten @ vectors
     inverse = np.linalg.pinv(covariance[np.ix_(free, free)])
     axes /= np.sqrt(np.einsum('ik,ij,jk->k', axes, inverse, axes))
-    more = known * (axes * np.maximum(values - 1, 0)) @ axes.T
+    more = variance_inflation * (axes * np.maximum(values - 1, 0)) @ axes.T
     added = np.zeros_like(covariance)
     added[np.ix_(free, free)] = more
     return float(np.sqrt(1 + np.trace(inverse @ more) / unknowns)), added
@@ -235,8 +265,7 @@ def _whitening(covariance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return W, its pseudo-inverse, and the indices that it takes: W C Wᵀ = I."""
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
     free = np.flatnonzero(sigma > 0)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)]
-                                     / np.outer(sigma[free], sigma[free]))
+    values, vectors = np.linalg.eigh(unit_diagonal(covariance[np.ix_(free, free)])[0])
     usable = values > 1e-10 * values[-1]
     whiten = (vectors[:, usable] / np.sqrt(values[usable])).T / sigma[free]
     return whiten, np.linalg.pinv(whiten), free

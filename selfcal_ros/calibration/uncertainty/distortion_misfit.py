@@ -31,15 +31,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
-from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.uncertainty.cluster_covariance import (images_alike,
                                                                     region_excess)
+from selfcal_ros.calibration.uncertainty.joint_equations import joint_equations, JointEquations
 from selfcal_ros.calibration.uncertainty.random_effects import most_probable_size
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.levenberg_marquardt import DampedFactor
-from selfcal_ros.geometry.robust_loss import huber_weights
 from selfcal_ros.geometry.selection_matrix import embedded_selection
 
 #: Degrees of the polynomials: the highest have waves of a quarter of the image.
@@ -141,6 +140,17 @@ class _Spectrum:
     values: np.ndarray
     vectors: np.ndarray
 
+    @property
+    def posterior(self) -> np.ndarray:
+        """Variances (q,) along the eigenvectors, with what the images tell."""
+        variance: np.ndarray = self.size_px**2 / (1 + self.size_px**2 * self.values)
+        return variance
+
+    def coefficients(self, pull: np.ndarray) -> np.ndarray:
+        """Return the most probable coefficients (q,), pixels, from the gradient (q,) by them."""
+        found: np.ndarray = -self.vectors @ (self.posterior * (self.vectors.T @ pull))
+        return found
+
 
 def displacement_modes(xy: np.ndarray, size: tuple[int, int], highest: int = MAX_DEGREE,
                        ) -> np.ndarray:
@@ -193,8 +203,9 @@ def _modes_by_camera(xy: np.ndarray, sizes: np.ndarray, camera: np.ndarray | Non
     return np.concatenate(parts, axis=2)
 
 
-def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, known: float,
-                           rival: Supposed | None = None) -> DistortionMisfit | None:
+def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray,
+                           variance_inflation: float, rival: Supposed | None = None,
+                           ) -> DistortionMisfit | None:
     """
     Look for a field in the residuals of an optimum.
 
@@ -204,7 +215,7 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
         At its optimum.
     size : (int, int), or array of int, shape (C, 2)
         Width and height of the image, of a rig those of every camera.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors (drift within tracks).
     rival : Supposed, optional
         What may explain the residuals with fewer coefficients. Where no field is left beside it,
@@ -216,83 +227,105 @@ def find_distortion_misfit(fit: RobustFit, size: Sequence[int] | np.ndarray, kno
         None where the residuals show none.
 
     """
-    bundle, state, linearisation = fit.bundle, fit.state, fit.linearisation
-    unknowns, shared_count = bundle.unknowns, bundle.unknowns.shared.stop
-    # where the points project: at the measured places the modes would carry the noise itself,
-    # and one that the rest of the adjustment all but absorbs would explain the residuals by it
-    sizes, camera = np.asarray(size), fit.observations.camera
-    highest = _highest_degree(len(bundle.xy), np.size(sizes) // 2)
-    modes = _modes_by_camera(bundle.xy + linearisation.residual, sizes, camera, highest)
-    count = modes.shape[2]
-    degree = np.tile([i + j for i, j in _powers(highest)], np.size(sizes))
-    distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
-    weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
-    weight /= known * bundle.sigma_px**2
-    root = np.sqrt(weight)[:, None]
-    others = np.empty((*bundle.xy.shape, 0)) if rival is None else rival.columns
-    every_shared = shared_count + count + others.shape[2]
-    # many columns: one copy, and weighed in place
-    slopes = np.concatenate([linearisation.shared, modes, others, linearisation.view], axis=2)
-    slopes *= root[..., None]
-    system = bundle.blocks.reduce_rows(slopes, linearisation.view.shape[2],
-                                       linearisation.eliminated * root[..., None],
-                                       linearisation.residual * root)
-    # of the adjustment's unknowns, and of the field
-    place = np.r_[:shared_count, every_shared:len(system.matrix)]
-    field = np.arange(shared_count, shared_count + count)
-    besides = np.arange(shared_count + count, every_shared)
-    bundle.add_priors(system, state, place, 1 / known)
-    gauge = bundle.model.gauge(state, unknowns)
-    if gauge is not None:
-        wide = np.zeros(len(system.matrix))
-        wide[place] = gauge
-        system.add_gauge(float(np.mean(system.diagonal[place])), wide)
-
-    factor = DampedFactor(system.matrix, system.diagonal, 0.0,
-                          embedded_selection(unknowns.selection, place, len(system.matrix)))
+    sizes = np.asarray(size)
+    modes, degree = _modes_of(fit, sizes)
+    # the images are worth less by what errors share, and what is known beforehand with them
+    joint = joint_equations(fit, [modes] if rival is None else [modes, rival.columns],
+                            variance_inflation=variance_inflation,
+                            prior_weight=1 / variance_inflation)
+    system = joint.system
+    factor = DampedFactor(system.matrix, system.diagonal, 0.0, embedded_selection(
+        fit.bundle.unknowns.selection, joint.place, len(system.matrix)))
     if not factor.usable:
         return None
-    extra = np.r_[field, besides]
-    coupling = system.columns(extra)
+    coupling = system.columns(joint.shared)
     solved = factor.solve(coupling)
-    own = coupling[extra] - coupling.T @ solved
-    pull = system.gradient[extra] - solved.T @ system.gradient
+    own = coupling[joint.shared] - coupling.T @ solved
+    pull = system.gradient[joint.shared] - solved.T @ system.gradient
+    count = modes.shape[2]
     if rival is not None and _most_probable(
             *_eliminated(own, pull, count, rival.sigma), degree).gain < MIN_GAIN:
         return None
-    own, pull, solved = own[:count, :count], pull[:count], solved[:, :count]
-    spectrum = _most_probable(own, pull, degree)
+    spectrum = _most_probable(own[:count, :count], pull[:count], degree)
     if spectrum.gain < MIN_GAIN:
         return None
-    size_px, values, vectors = spectrum.size_px, spectrum.values, spectrum.vectors
-    posterior = size_px**2 / (1 + size_px**2 * values)
-    coefficients = -vectors @ (posterior * (vectors.T @ pull))
+    return _allowed_for(fit, joint, factor, solved[:, :count], spectrum,
+                        spectrum.coefficients(pull[:count]), modes, sizes)
 
+
+def _modes_of(fit: RobustFit, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the displacements (N, 2, q) of every coefficient, and their degrees (q,).
+
+    They are taken where the points project. At the measured places the modes would carry the
+    noise itself, and one that the adjustment all but absorbs would explain the residuals by it.
+    """
+    highest = _highest_degree(len(fit.bundle.xy), np.size(sizes) // 2)
+    modes = _modes_by_camera(fit.bundle.xy + fit.linearisation.residual, sizes,
+                             fit.observations.camera, highest)
+    return modes, np.tile([i + j for i, j in _powers(highest)], np.size(sizes))
+
+
+def _allowed_for(fit: RobustFit, joint: JointEquations, factor: DampedFactor, solved: np.ndarray,
+                 spectrum: _Spectrum, coefficients: np.ndarray, modes: np.ndarray,
+                 sizes: np.ndarray) -> DistortionMisfit | None:
+    """
+    Go to the mean over all fields of the size found.
+
+    Parameters
+    ----------
+    fit : RobustFit
+    joint : JointEquations
+        Of the adjustment and the field.
+    factor : DampedFactor
+        Of the adjustment's own equations.
+    solved : ndarray, shape (n, q)
+        How the adjustment's unknowns follow the coefficients, with the sign turned.
+    spectrum : _Spectrum
+    coefficients : ndarray, shape (q,)
+        The most probable ones, pixels.
+    modes : ndarray, shape (N, 2, q)
+    sizes : ndarray
+        As in `find_distortion_misfit`.
+
+    Returns
+    -------
+    DistortionMisfit or None
+        None where it lies beyond the linear range.
+
+    """
+    bundle, state, system = fit.bundle, fit.state, joint.system
     step = -factor.solve(system.gradient) - solved @ coefficients
-    step[field] = coefficients
+    step[joint.shared[:len(coefficients)]] = coefficients
     points = system.point_steps(step)
-    chosen = unknowns.free_lens
-    unit = np.zeros((len(system.matrix), len(chosen)))
-    unit[chosen, np.arange(len(chosen))] = 1
-    through = (solved[chosen] @ vectors) * posterior
-    # rows of the joint covariance of the adjustment's unknowns and the field
-    rows = np.zeros((len(state.lens), len(system.matrix)))
-    rows[chosen] = factor.solve(unit).T + through @ (solved @ vectors).T
-    rows[np.ix_(chosen, field)] = -through @ vectors.T
-    inner = rows[:, unknowns.lens]
-    found = bundle.moved(state, step[place], points)
+    found = bundle.moved(state, step[joint.place], points)
     if not (np.abs(found.lens.focal_lengths / state.lens.focal_lengths - 1) < MAX_SHIFT).all():
         return None
-    displacement = modes @ coefficients
     change = system.predict(step, points)
     system.residual = system.residual + change
+    rows = _covariance_rows(fit, joint, factor, solved, spectrum)
+    inner = rows[:, bundle.unknowns.lens]
     ratio, added = region_excess(inner, system.influence(rows),
-                                 *images_alike(bundle.xy, sizes, camera))
+                                 *images_alike(bundle.xy, sizes, fit.observations.camera))
+    displacement = modes @ coefficients
     rms_px = float(np.sqrt(np.mean(np.sum(displacement**2, 1))))
-    return DistortionMisfit(size_px, rms_px, ratio, found,
+    return DistortionMisfit(spectrum.size_px, rms_px, ratio, found,
                             (inner + inner.T) / 2 + added,
-                            linearisation.residual + change / np.maximum(root, 1e-300),
+                            fit.linearisation.residual + change / np.maximum(joint.root, 1e-300),
                             modes * spectrum.share)
+
+
+def _covariance_rows(fit: RobustFit, joint: JointEquations, factor: DampedFactor,
+                     solved: np.ndarray, spectrum: _Spectrum) -> np.ndarray:
+    """Rows (k, n) of the joint covariance of all unknowns and the field, of the lens's."""
+    count, chosen = len(joint.system.matrix), fit.bundle.unknowns.free_lens
+    unit = np.zeros((count, len(chosen)))
+    unit[chosen, np.arange(len(chosen))] = 1
+    through = (solved[chosen] @ spectrum.vectors) * spectrum.posterior
+    rows = np.zeros((len(fit.state.lens), count))
+    rows[chosen] = factor.solve(unit).T + through @ (solved @ spectrum.vectors).T
+    rows[np.ix_(chosen, joint.shared[:len(spectrum.values)])] = -through @ spectrum.vectors.T
+    return rows
 
 
 def _eliminated(information: np.ndarray, pull: np.ndarray, count: int, sigma: float,

@@ -40,6 +40,7 @@ from selfcal_ros.geometry.chain_matrix import ChainMatrix
 from selfcal_ros.geometry.levenberg_marquardt import restricted
 from selfcal_ros.geometry.rotation import (align_z, rotation_matrix, rotation_vector,
                                            swing_twist, twist_matrix)
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 
 #: Views and points of a motion that is simulated.
 VIEWS, POINTS = 12, 150
@@ -111,11 +112,8 @@ def suggest_motions(fit: RobustFit, size: tuple[int, int], names: tuple, fractio
             if seen is None:
                 continue
             total = at_hand + _information(*seen, with_facts=False)
-            known = np.diag(total)
-            scale = 1 / np.sqrt(np.maximum(known, max(1e-300, 1e-100 * float(known.max()))))
             covariance = np.zeros((len(state.lens),) * 2)
-            covariance[np.ix_(free, free)] = np.linalg.pinv(
-                total * np.outer(scale, scale), 1e-12, hermitian=True) * np.outer(scale, scale)
+            covariance[np.ix_(free, free)] = scaled_pseudo_inverse(total, 1e-12)
             variance = np.diag(to_parameters(covariance, state.lens))
             sigma = np.sqrt(np.maximum(variance, 0))
             found.append(Suggestion(name, dict(zip(every, sigma.tolist())),
@@ -156,10 +154,8 @@ def _information(bundle: Bundle, state: SceneState, with_facts: bool = True) -> 
         found: np.ndarray = coupling[lens] - coupling.T @ follows
         return found
     matrix = restricted(system.matrix, E)
-    rest = matrix[inner:, inner:]
-    scale = 1 / np.sqrt(np.maximum(np.diag(rest), 1e-300))
-    inverse = np.linalg.pinv(rest * np.outer(scale, scale), 1e-11, hermitian=True)
-    cross = matrix[:inner, inner:] * scale
+    inverse = scaled_pseudo_inverse(matrix[inner:, inner:], 1e-11)
+    cross = matrix[:inner, inner:]
     return matrix[:inner, :inner] - cross @ inverse @ cross.T
 
 

@@ -94,7 +94,7 @@ class FocalEvidence:
         return self.walk_sigma if self.beyond_gain > BEYOND else 0.0
 
 
-def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: float,
+def focal_evidence(fit: RobustFit, instants: tuple[float, ...], variance_inflation: float,
                    ) -> FocalEvidence | None:
     """
     Test whether the focal length is constant.
@@ -105,7 +105,7 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
         At its optimum, of whatever zoom.
     instants : tuple of float
         Of `ZoomModel`.
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -132,8 +132,8 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
     tied = E[:, of_zoom][every].toarray()
     coupling = system.columns(every)
     solved = factor.solve(coupling)
-    own = tied.T @ (coupling[every] - coupling.T @ solved) @ tied / dependence
-    pull = tied.T @ (system.gradient[every] - solved.T @ system.gradient) / dependence
+    own = tied.T @ (coupling[every] - coupling.T @ solved) @ tied / variance_inflation
+    pull = tied.T @ (system.gradient[every] - solved.T @ system.gradient) / variance_inflation
     # from log f of all views but the last to the steps between them, whose mean is zero
     level = np.tri(views, views - 1, -1)
     level -= level.mean(axis=0)
@@ -155,7 +155,7 @@ def focal_evidence(fit: RobustFit, instants: tuple[float, ...], dependence: floa
 
 
 def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEvidence,
-                 dependence: float) -> float:
+                 variance_inflation: float) -> float:
     """
     Tell what remains of the gain without the few tracks that say most for it, and against.
 
@@ -169,7 +169,7 @@ def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEviden
     instants : tuple of float
         Of `ZoomModel`.
     found : FocalEvidence
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -178,7 +178,7 @@ def gain_of_most(fit: RobustFit, instants: tuple[float, ...], found: FocalEviden
         Log of the probability over that of a constant focal length.
 
     """
-    less = np.sort(gains_of_tracks(fit, instants, found)) / dependence
+    less = np.sort(gains_of_tracks(fit, instants, found)) / variance_inflation
     few = max(LEAST_FEW, int(np.ceil(FEW * len(less))))
     if len(less) <= 4 * few:
         return found.gain
@@ -205,7 +205,7 @@ def _cost_of_tracks(bundle: Bundle, state: SceneState) -> np.ndarray:
     return bundle.blocks.sum_over_points(loss)
 
 
-def shape_gain(fit: RobustFit, dependence: float) -> float:
+def shape_gain(fit: RobustFit, variance_inflation: float) -> float:
     """
     Tell how probable it is that images change their shape instead of their scale.
 
@@ -216,7 +216,7 @@ def shape_gain(fit: RobustFit, dependence: float) -> float:
     ----------
     fit : RobustFit
         At its optimum.
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -230,7 +230,7 @@ def shape_gain(fit: RobustFit, dependence: float) -> float:
                'shear': np.column_stack([below, 0 * below])}
     tests = [Supposition(name, (name,), column[:, :, None], of_views=True)
              for name, column in columns.items()]
-    joint = joint_information(fit, tests, dependence)
+    joint = joint_information(fit, tests, variance_inflation)
     gains = []
     for name in columns:
         place = joint.places[name][:, 0]
@@ -249,7 +249,7 @@ def _best_walk(own: np.ndarray, pull: np.ndarray) -> tuple[float, float]:
 
 
 def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covariance: np.ndarray,
-                 dependence: float) -> FocalCourse | None:
+                 variance_inflation: float) -> FocalCourse | None:
     """
     Return the focal length of every view, with its spread.
 
@@ -262,7 +262,7 @@ def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covarian
     frames : ndarray of int, shape (V,)
     covariance : ndarray, shape (k, k)
         Of the unknowns of the lens, with all that was added to it.
-    dependence : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -282,8 +282,8 @@ def focal_course(fit: RobustFit, state: SceneState, frames: np.ndarray, covarian
         rows[:, unknowns.places((RATE_NAME,))[0]] = model.course
     else:
         rows[np.arange(len(zoom)), unknowns.of_views(VIEW_NAME)[:, 0]] = 1
-    own = dependence * np.einsum('vi,ij,vj->v', rows, fit.covariance, rows)
-    of_mean = covariance[0, 0] - dependence * fit.lens_covariance[0, 0]
+    own = variance_inflation * np.einsum('vi,ij,vj->v', rows, fit.covariance, rows)
+    of_mean = covariance[0, 0] - variance_inflation * fit.lens_covariance[0, 0]
     spread = np.sqrt(own + max(of_mean, 0.0) / f**2)
     order = np.argsort(frames)
     fx = f * zoom.scale

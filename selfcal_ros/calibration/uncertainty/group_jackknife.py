@@ -27,6 +27,7 @@ import numpy as np
 
 from selfcal_ros.calibration.bundle.model import Linearisation
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
+from selfcal_ros.calibration.uncertainty.cluster_covariance import jackknife_excess
 
 #: Stretches of views that are left out in turn, and the views that this needs.
 SEGMENTS, MIN_VIEWS = 7, 6
@@ -56,6 +57,28 @@ def delete_a_group(fit: RobustFit) -> tuple[np.ndarray, np.ndarray]:
     shifts, covariances = zip(*filter(None, found)) if any(found) else ((), ())
     count = len(fit.state.lens)
     return (np.array(shifts).reshape(-1, count), np.array(covariances).reshape(-1, count, count))
+
+
+def segment_excess(fit: RobustFit, variance_inflation: float) -> tuple[float, np.ndarray]:
+    """
+    Variance that errors shared by segments of views add to an optimum; see `jackknife_excess`.
+
+    Parameters
+    ----------
+    fit : RobustFit
+        At its optimum.
+    variance_inflation : float
+        Variance over that with independent errors which is accounted for already.
+
+    Returns
+    -------
+    ratio : float
+        Of sigmas, mean over the parameters; 1 where nothing significant was found.
+    ndarray, shape (k, k)
+        Covariance to add.
+
+    """
+    return jackknife_excess(*delete_a_group(fit), fit.lens_covariance, variance_inflation)
 
 
 def _without(fit: RobustFit, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -81,7 +81,7 @@ class HiddenDecentring:
                 if len(certain) else ())
 
 
-def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = None,
+def hidden_decentring(fit: RobustFit, variance_inflation: float, field: np.ndarray | None = None,
                       field_px: float = 1.0) -> HiddenDecentring | None:
     """
     Ask the images of an optimum for decentring that their lens models lack.
@@ -90,7 +90,7 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
     ----------
     fit : RobustFit
         At its optimum; of one camera or of a rig.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
     field : ndarray, shape (N, 2, q), optional
         Displacements by a smooth field that the calibration allows for already.
@@ -110,7 +110,7 @@ def hidden_decentring(fit: RobustFit, known: float, field: np.ndarray | None = N
     count = every.shape[2] // 2
     tested = joint_information(fit, [Supposition(_DECENTRING, ('p1', 'p2') * count,
                                                  every)],
-                               known, field, field_px).test(_DECENTRING)
+                               variance_inflation, field, field_px).test(_DECENTRING)
     widest, spread = tested.with_prior(DECENTRING[-1]**2)
     lenses = [slice(2 * k, 2 * k + 2) for k in range(count)]
     size = np.array([likely_decentring(widest[one], spread[one, one]) for one in lenses])

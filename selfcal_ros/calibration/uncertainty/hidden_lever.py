@@ -73,7 +73,7 @@ class HiddenLever:
                 if self.covariance[0, 0] > other[0, 0] else ())
 
 
-def hidden_lever(fit: RobustFit, known: float) -> HiddenLever:
+def hidden_lever(fit: RobustFit, variance_inflation: float) -> HiddenLever:
     """
     Ask the images of an optimum for a lever between the camera and the point that rests.
 
@@ -81,7 +81,7 @@ def hidden_lever(fit: RobustFit, known: float) -> HiddenLever:
     ----------
     fit : RobustFit
         By rotations alone, at its optimum.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -91,8 +91,8 @@ def hidden_lever(fit: RobustFit, known: float) -> HiddenLever:
     """
     columns = _by_lever(fit)
     tested = joint_information(fit, [Supposition(_LEVER, ('x', 'y', 'z'), columns)],
-                               known).test(_LEVER)
-    gain, points, told = _by_depths(fit, columns, known)
+                               variance_inflation).test(_LEVER)
+    gain, points, told = _by_depths(fit, columns, variance_inflation)
     shown = SPREAD**2 * told * LEVERS**2
     variance = 2 * points + 4 * shown
     size = likely_size(tested.value, tested.information, LEVERS,
@@ -112,7 +112,8 @@ def _by_lever(fit: RobustFit) -> np.ndarray:
     return Projection(state.lens, seen).by_points()
 
 
-def _by_depths(fit: RobustFit, columns: np.ndarray, known: float) -> tuple[float, int, float]:
+def _by_depths(fit: RobustFit, columns: np.ndarray, variance_inflation: float,
+               ) -> tuple[float, int, float]:
     """
     Let every point have a depth, its direction eliminated.
 
@@ -130,7 +131,7 @@ def _by_depths(fit: RobustFit, columns: np.ndarray, known: float) -> tuple[float
     linearisation, blocks = fit.linearisation, fit.bundle.blocks
     distance = np.linalg.norm(linearisation.residual, axis=1) / fit.bundle.sigma_px
     weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
-    weight = weight / (known * fit.bundle.sigma_px**2)
+    weight = weight / (variance_inflation * fit.bundle.sigma_px**2)
     H, b = blocks.point_equations(np.concatenate([linearisation.eliminated, columns], axis=2),
                                   linearisation.residual, weight)
     through = np.swapaxes(H[:, :3, 3:], 1, 2) @ np.linalg.pinv(H[:, :3, :3], hermitian=True,

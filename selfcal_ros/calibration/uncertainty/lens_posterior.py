@@ -35,6 +35,7 @@ import numpy as np
 from selfcal_ros.calibration.bundle.priors import Prior
 from selfcal_ros.calibration.bundle.robust_fit import bundle_of, RobustFit
 from selfcal_ros.calibration.bundle.state import SceneState
+from selfcal_ros.geometry.scaled_inverse import unit_diagonal
 
 #: Estimates that move by less than this share of their sigmas stay.
 LEAST_SHIFT = 0.02
@@ -167,8 +168,7 @@ def moved_lens(fit: RobustFit, state: SceneState, step: np.ndarray, residual: np
     bundle, information = fit.bundle, fit.information
     lens, covariance = bundle.unknowns.lens, information.covariance
     free = np.flatnonzero(bundle.unknowns.free[lens])
-    sigma = np.sqrt(np.diag(covariance[lens, lens])[free])
-    own = covariance[lens, lens][np.ix_(free, free)] / np.outer(sigma, sigma)
+    own, sigma = unit_diagonal(covariance[lens, lens][np.ix_(free, free)])
     along = np.linalg.lstsq(own, step[free] / sigma, rcond=None)[0]
     every = covariance[:, lens][:, free] @ (along / sigma)
     every[lens] = step

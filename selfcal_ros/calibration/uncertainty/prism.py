@@ -62,7 +62,7 @@ class PossiblePrism:
         return (Finding('lens_may_be_prism', decentring=self.decentring),)
 
 
-def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
+def possible_prism(fit: RobustFit, covariance: np.ndarray, variance_inflation: float,
                    ) -> PossiblePrism | None:
     """
     Allow for a prism where a lens is decentred by more than most.
@@ -73,7 +73,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
         At its optimum; of one camera or of a rig.
     covariance : ndarray, shape (k, k)
         Of the unknowns of the lens, with all that it allows for.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -97,7 +97,7 @@ def possible_prism(fit: RobustFit, covariance: np.ndarray, known: float,
         return None
     joint = joint_information(
         fit, [Supposition(_PRISM, ('s1', 's2') * len(columns), np.concatenate(columns, axis=2))],
-        known)
+        variance_inflation)
     tested = joint.test(_PRISM)
     found, after = tested.with_prior(np.array(sizes))
     response = tested.response * unknowns.free[unknowns.lens][:, None]

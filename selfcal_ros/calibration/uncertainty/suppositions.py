@@ -33,10 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import block_diag, csr_array, eye_array
 
-from selfcal_ros.calibration.bundle.information import HUBER_SIGMAS, inverse_information
+from selfcal_ros.calibration.bundle.information import inverse_information
 from selfcal_ros.calibration.bundle.robust_fit import RobustFit
+from selfcal_ros.calibration.uncertainty.joint_equations import joint_equations
 from selfcal_ros.geometry.distributions import chi2_sf, normal_isf
-from selfcal_ros.geometry.robust_loss import huber_weights
 from selfcal_ros.geometry.selection_matrix import embedded_selection
 
 #: Directions of which the elimination leaves less than this share are what the estimate has
@@ -256,8 +256,8 @@ class JointInformation:
                       int(kept.sum()))
 
 
-def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known: float = 1.0,
-                      nuisance: np.ndarray | None = None,
+def joint_information(fit: RobustFit, suppositions: Sequence[Supposition],
+                      variance_inflation: float = 1.0, nuisance: np.ndarray | None = None,
                       nuisance_sigma: float | np.ndarray = 1.0,
                       ) -> JointInformation:
     """
@@ -268,9 +268,9 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     fit : RobustFit
         At its optimum.
     suppositions : sequence of Supposition
-    known : float
-        Variance of the estimate over that with independent errors: the dependence that the
-        covariance of the camera allows for, too.
+    variance_inflation : float
+        Variance of the estimate over that with independent errors, which the covariance of
+        the camera allows for, too.
     nuisance : ndarray, shape (N, 2, q), optional
         Derivatives by unknowns that are eliminated with the rest, as those of a smooth field.
     nuisance_sigma : float, or ndarray of shape (q,)
@@ -281,56 +281,38 @@ def joint_information(fit: RobustFit, suppositions: Sequence[Supposition], known
     JointInformation
 
     """
-    bundle, state, linearisation = fit.bundle, fit.state, fit.linearisation
-    unknowns, views = bundle.unknowns, bundle.blocks.view_count
     common = [one for one in suppositions if not one.of_views]
     own = [one for one in suppositions if one.of_views]
     if nuisance is None:
-        nuisance = np.zeros((len(bundle.view), 2, 0))
-    shared = np.concatenate([linearisation.shared, nuisance, *(one.columns for one in common)], 2)
-    of_view = np.concatenate([linearisation.view, *(one.columns for one in own)], axis=2)
-    distance = np.linalg.norm(linearisation.residual, axis=1) / bundle.sigma_px
-    weight = huber_weights(distance, HUBER_SIGMAS) * linearisation.ahead
-    root = np.sqrt(weight / known)[:, None] / bundle.sigma_px
-    # both are copies
-    shared *= root[..., None]
-    of_view *= root[..., None]
-    system = bundle.blocks.reduce(shared, of_view, linearisation.eliminated * root[..., None],
-                                  linearisation.residual * root)
-
-    count, first = shared.shape[2], linearisation.shared.shape[2]
-    by_view = np.arange(count, len(system.matrix)).reshape(views, -1)
-    place = np.r_[:first, by_view[:, :linearisation.view.shape[2]].ravel()]
-    aside = np.arange(first, first + nuisance.shape[2])
-    bundle.add_priors(system, state, place)
-    gauge = bundle.model.gauge(state, unknowns)
-    if gauge is not None:
-        wide = np.zeros(len(system.matrix))
-        wide[place] = gauge
-        system.add_gauge(float(np.mean(system.diagonal[place])), wide)
+        nuisance = np.zeros((len(fit.bundle.view), 2, 0))
+    joint = joint_equations(fit, [nuisance, *(one.columns for one in common)],
+                            [one.columns for one in own], variance_inflation)
+    system, unknowns = joint.system, fit.bundle.unknowns
+    aside, shared = np.split(joint.shared, [nuisance.shape[2]])
     system.add_diagonal(aside, np.broadcast_to(1 / np.square(nuisance_sigma), aside.shape))
 
-    places, next_common, next_own = {}, aside.size + first, linearisation.view.shape[2]
-    for one in common:
-        places[one.name] = np.arange(next_common, next_common + one.columns.shape[2])
-        next_common += one.columns.shape[2]
-    for one in own:
-        places[one.name] = by_view[:, next_own:next_own + one.columns.shape[2]]
-        next_own += one.columns.shape[2]
+    places = {one.name: where for one, where in zip(common, _parts(shared, common))}
+    places.update((one.name, where) for one, where in zip(own, _parts(joint.of_views, own)))
     further = np.concatenate([where.ravel() for where in places.values()])
     number = np.zeros(len(system.matrix), int)
     number[further] = np.arange(len(further))
 
-    rest = np.r_[place, aside]
+    rest = np.r_[joint.place, aside]
     selection = csr_array(block_diag([unknowns.selection, eye_array(len(aside))]))
     selection = embedded_selection(selection, rest, len(system.matrix))
     inverse = inverse_information(system.matrix, selection, system.diagonal)
     coupling = system.columns(further)
     follows = -(inverse @ coupling)
     information = coupling[further] + coupling.T @ follows
-    factor, pull = bundle.loss_factors(linearisation)
+    factor, pull = fit.bundle.loss_factors(fit.linearisation)
     return JointInformation(
         tuple(suppositions), system.gradient[further] + follows.T @ system.gradient,
         (information + information.T) / 2, system.diagonal[further],
         follows[unknowns.lens], {name: number[where] for name, where in places.items()},
         factor, pull)
+
+
+def _parts(places: np.ndarray, suppositions: Sequence[Supposition]) -> list[np.ndarray]:
+    """Part places, (m,) or (V, m), among suppositions that follow each other."""
+    ends = np.cumsum([one.columns.shape[2] for one in suppositions], dtype=int)
+    return np.split(places, ends, axis=-1)

@@ -45,7 +45,7 @@ ROUNDS = 100
 _CAMERA = 'one camera'
 
 
-def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
+def two_cameras(fit: RobustFit, variance_inflation: float) -> np.ndarray | None:
     """
     Look for images of two cameras.
 
@@ -53,7 +53,7 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
     ----------
     fit : RobustFit
         At its optimum, of one camera.
-    known : float
+    variance_inflation : float
         Variance of the estimate over that with independent errors.
 
     Returns
@@ -65,8 +65,8 @@ def two_cameras(fit: RobustFit, known: float) -> np.ndarray | None:
     shared, f = fit.linearisation.shared, fit.state.lens['f']
     places = fit.state.lens.places(('f', 'cx', 'cy'))
     # in units of the focal length, all three
-    joint = joint_information(fit, [Supposition(_CAMERA, ('f', 'cx', 'cy'),
-                                                f * shared[:, :, places], True)], known)
+    own = Supposition(_CAMERA, ('f', 'cx', 'cy'), f * shared[:, :, places], True)
+    joint = joint_information(fit, [own], variance_inflation)
     views = len(joint.places[_CAMERA])
     every = joint.test_along(np.eye(len(joint.score)), _CAMERA, ('f',) * len(joint.score))
     if views < 6 or chi2_sf(every.chi2, every.freedom) > ACCIDENT:

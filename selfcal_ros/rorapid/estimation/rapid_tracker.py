@@ -20,6 +20,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
+from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
@@ -168,9 +169,8 @@ class RapidTracker:
         length = np.where(found, offset, 0.0)
         H = (rows * w[:, None]).T @ rows
         g = rows.T @ (w * length)
-        scale = np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-        determined = found.sum() >= rows.shape[1] and \
-            np.linalg.eigvalsh(H / np.outer(scale, scale))[0] > RANK_TOLERANCE
+        determined = (found.sum() >= rows.shape[1]
+                      and least_scaled_eigenvalue(H) > RANK_TOLERANCE)
         searched = max(int(view.searched.sum()), 1)
         share = float(found.sum() / searched)
         if not determined:

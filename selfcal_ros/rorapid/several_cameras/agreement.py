@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.geometry.projective import cross_matrix
+from selfcal_ros.geometry.scaled_inverse import scaled_pseudo_inverse
 
 #: Memory of the sums; images that count as one, for their errors are alike.
 _MEMORY, _ALIKE = 0.97, 4.0
@@ -160,10 +161,8 @@ class Agreement:
     def _mean(self, which: int) -> tuple[np.ndarray, np.ndarray]:
         """Shift and turn (6,) of a camera that explain its differences, and the covariance."""
         information = self._information[which] / _ALIKE
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         # a turn and a shift of the camera are alike for an object that stays where it is
-        inverse = np.linalg.pinv(information / np.outer(scale, scale), 1e-9, hermitian=True)
-        covariance = inverse / np.outer(scale, scale)
+        covariance = scaled_pseudo_inverse(information, 1e-9)
         return covariance @ self._score[which] / _ALIKE, covariance
 
     def _of(self, which: int) -> Disagreement:
@@ -171,9 +170,7 @@ class Agreement:
         score, lever = self._score[which] / _ALIKE, self._newest[which]
         difference = lever @ mean
         spread = lever @ covariance @ lever.T + self._misplaced[which]
-        scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-        square = float(difference / scale @ np.linalg.pinv(
-            spread / np.outer(scale, scale), 1e-9, hermitian=True) @ (difference / scale))
+        square = float(difference @ scaled_pseudo_inverse(spread, 1e-9) @ difference)
         known, pulled = self._size[which] / _ALIKE
         size = None
         total = float(score @ mean)

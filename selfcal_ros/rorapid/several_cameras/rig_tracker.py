@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
+from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
 from selfcal_ros.rorapid.estimation.filter_start import (
     checked_start, started_filter, TURN_LAST)
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
@@ -415,5 +416,4 @@ def check_rig_options(options: TrackerOptions) -> None:
 
 def _determined(information: np.ndarray) -> bool:
     """Whether an image determines the whole pose."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return bool(np.linalg.eigvalsh(information / np.outer(scale, scale))[0] > RANK_TOLERANCE)
+    return least_scaled_eigenvalue(information) > RANK_TOLERANCE

@@ -1,0 +1,81 @@
+# Copyright 2026 selfcal_ros contributors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""One chain of corrections: every motion has the shared ones in their order, or says why not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT
+from selfcal_ros.calibration.estimators.rotation_corrections import LEFT_OUT, rotation_corrections
+from selfcal_ros.calibration.estimators.supported_optimum import corrections
+from selfcal_ros.calibration.uncertainty.assessed_estimate import (
+    allow_for_prism, allow_for_segments, AssessedEstimate, Chain, SHARED)
+from selfcal_ros.calibration.uncertainty.cluster_covariance import ClusterCovariance
+
+CLUSTERS = ClusterCovariance({'track': 1.5, 'region': 1.2}, np.eye(2))
+
+
+def estimate(**values):
+    """Return an estimate without an adjustment behind it."""
+    return AssessedEstimate(None, (640, 480), CLUSTERS, None, CLUSTERS.covariance, None,
+                            CLUSTERS.findings(), **values)
+
+
+def test_a_chain_lacks_no_shared_correction_in_silence():
+    with pytest.raises(ValueError, match='reason'):
+        Chain(SHARED[1:])
+    with pytest.raises(ValueError, match='order'):
+        Chain(SHARED[::-1])
+    with pytest.raises(ValueError, match='reason'):
+        Chain((*SHARED, allow_for_prism))
+    assert Chain(SHARED[1:], {SHARED[0]: 'why'}).steps == SHARED[1:]
+
+
+def test_steps_run_one_after_another():
+    def doubled(found):
+        return replace(found, covariance=2 * found.covariance)
+
+    def wider(found):
+        return found.widened(np.eye(2))
+
+    lacking = dict.fromkeys(SHARED, 'a test')
+    for steps, expected in (((doubled, wider), 3.0), ((wider, doubled), 4.0)):
+        assert Chain(steps, lacking).applied_to(estimate()).covariance[0, 0] == expected
+
+
+def test_motions_add_steps_of_their_own():
+    model = SimpleNamespace(profile_excess=np.eye(2))
+    problems = [SimpleNamespace(motion=motion, is_weak=motion is PIVOT)
+                for motion in (GENERAL, PIVOT)]
+    general, pivot = (corrections(model, problem).steps for problem in problems)
+    assert len(general) == len(SHARED) + 1 and len(pivot) == len(SHARED) + 2
+    # what was chosen on the way counts as often as errors count
+    assert general[2](estimate()).covariance[0, 0] == 1 + CLUSTERS.variance_inflation
+    assert all(LEFT_OUT.values())
+    turned, missed = (rotation_corrections(may_miss, np.eye(2)).steps
+                      for may_miss in (False, True))
+    assert len(missed) == len(turned) + 1 and missed[1] is turned[1]
+
+
+def test_what_segments_were_found_to_add_is_not_sought_again():
+    found = allow_for_segments(estimate(jackknife=(1.3, 3 * np.eye(2))))
+    assert found.covariance[0, 0] == 4.0
+    assert [one.kind for one in found.findings][-1] == 'errors_within_segment'
+
+
+def test_variances_are_inflated_by_tracks_and_regions_together():
+    assert CLUSTERS.variance_inflation == pytest.approx(1 + 1.25 + 0.44)
+    assert CLUSTERS.sigma_inflation**2 == pytest.approx(CLUSTERS.variance_inflation)
