@@ -33,12 +33,13 @@ from selfcal_ros.rorapid.estimation.kalman_filter import (
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
-from selfcal_ros.rorapid.estimation.standing import leaves_turn_open, refusal, Standing
+from selfcal_ros.rorapid.estimation.standing import (
+    ALONE, GUIDED, leaves_turn_open, refusal, Standing)
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, proposed_spread, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.object_colour import ObjectColour
 from selfcal_ros.rorapid.region.region_of_interest import checked_image
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
@@ -48,10 +49,9 @@ from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Zoom is left when so many images in a row leave the focal length open by this share.
-_ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
 #: An object that was never seen is thought to be so many diameters of the image away.
 _SOUGHT = 3.0
+_NO_START = 'The tracker needs a start pose before the first image.'
 
 
 class RorapidTracker:
@@ -76,7 +76,6 @@ class RorapidTracker:
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
         self._visible = visible_of(model, *options.control_points)
-        self._camera_model = options.camera_model
         self._projection = Projection(camera, options.camera_model)
         self._allowed = AllowedMotion(self._projection, options)
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
@@ -85,7 +84,8 @@ class RorapidTracker:
         self._method = method(self._control, self._basis, options, self._rng)
         self._kalman: ConstantVelocityFilter | None = None
         self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
-        self._standing, self._led = Standing(), False
+        self._standing, self._policy = Standing(), ALONE
+        self._starting: StartSearch | None = None
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
@@ -100,8 +100,15 @@ class RorapidTracker:
     def _filter(self) -> ConstantVelocityFilter:
         """The filter, once there was a start."""
         if self._kalman is None:
-            raise ArgumentError('The tracker needs a start pose before the first image.')
+            raise ArgumentError(_NO_START)
         return self._kalman
+
+    @property
+    def _start_search(self) -> StartSearch:
+        """What confirms the start, once there was one."""
+        if self._starting is None:
+            raise ArgumentError(_NO_START)
+        return self._starting
 
     @property
     def _outlined(self) -> bool:
@@ -109,7 +116,7 @@ class RorapidTracker:
 
     @property
     def _is_perspective(self) -> bool:
-        return self._camera_model == 'perspective'
+        return self._projection.model == 'perspective'
 
     @property
     def state(self) -> TrackerState:
@@ -121,13 +128,13 @@ class RorapidTracker:
         self._method.reset()
         self._allowed.reset()
         self._colour.forget()
-        if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
-            self._camera_model = self.options.camera_model
-            self._projection.become(self._camera_model)
+        camera_model = self.options.camera_model
+        if self._projection.model != camera_model or self.options.motion == 'planar':
+            self._projection.become(camera_model)
             self._allowed.lay()
-            self._method.switch(self._basis, self._camera_model)
-        self._kalman = self.measured = self._stamp_ns = None
-        self._led = False
+            self._method.switch(self._basis, camera_model)
+        self._kalman = self.measured = self._stamp_ns = self._starting = None
+        self._policy = ALONE
         self._standing.begin(lost=True)
 
     def adopt(self, options: TrackerOptions) -> bool:
@@ -187,11 +194,12 @@ class RorapidTracker:
         spread = start_spread(rotation, centred, self._control.centre, self.model.diameter_m,
                               covariance)
         state = self._projection.from_pose(rotation, centred)
-        if focal_px is not None and self._camera_model == 'zoom':
+        if focal_px is not None and self._projection.model == 'zoom':
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
         self._start_filter(state, spread)
         self._standing.begin(lost)
-        self._open, self._stamp_ns = 0, None
+        self._allowed.begin()
+        self._stamp_ns = None
         self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
         self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
                                      self._outlined, self.model.free_turns)
@@ -218,6 +226,43 @@ class RorapidTracker:
             self._control.image_size)
         self.start(np.eye(3), [0, 0, away] - self._control.centre, lost=True)
         method.placed = False
+
+    def search_around(self, state: ObjectPose, stamp_ns: int | None) -> None:
+        """Seek the object around a pose (of its middle) that other cameras tell, by itself."""
+        self._told_by_others(state, stamp_ns)
+        self._policy = ALONE
+        self._standing.lose()
+        self._filter.restart(state, self._wide(state))
+
+    def follow(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray,
+               stamp_ns: int | None) -> None:
+        """
+        Go on from where other cameras see the object: it is measured there, not sought.
+
+        Parameters
+        ----------
+        state : ObjectPose
+            Of the object's middle, at `stamp_ns`.
+        velocity, covariance : ndarray, shape (6,) and (12, 12)
+            As of `ConstantVelocityFilter`.
+        stamp_ns : int or None
+
+        """
+        self._told_by_others(state, stamp_ns)
+        self._policy = GUIDED
+        self._filter.take_over(state, velocity, covariance)
+        self._standing.follow()
+
+    def _told_by_others(self, state: ObjectPose, stamp_ns: int | None) -> None:
+        """Take a start from other cameras, where there was none."""
+        if self._kalman is None:
+            self.start(state.rotation, state.translation - state.rotation @ self.centre, lost=True)
+        self._stamp_ns = stamp_ns
+
+    @property
+    def doubt_covariance(self) -> np.ndarray:
+        """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
+        return self._doubts.covariance(self._filter.state, self._basis)
 
     @property
     def centre(self) -> np.ndarray:
@@ -262,7 +307,7 @@ class RorapidTracker:
         self._stamp_ns = stamp_ns
         lost = self.state is TrackerState.LOST
         first = self.state is TrackerState.INITIALISING
-        fresh = first and not (self._starting.tries and self.options.doubts)
+        fresh = first and not (self._start_search.tries and self.options.doubts)
         if not lost and not fresh:
             kalman.predict(seconds, DAMPING if self._standing.misses >= 1 else 0.0)
         predicted, spread = kalman.state, kalman.spread
@@ -278,8 +323,8 @@ class RorapidTracker:
             measured = self._method.measure(image, predicted, spread)
         if first and self.options.doubts and isinstance(self._method, RobustTracker):
             return self._confirm(self._method, image, measured, stamp_ns)
-        if not first and self.options.seeks and not self._led and not measured.recognised and (
-                lost or measured.share < self.options.tracking_share):
+        if not first and self.options.seeks and self._policy.relocalises and not (
+                measured.recognised) and (lost or measured.share < self.options.tracking_share):
             measured = relocalised(self._method, image, measured, self._filter.state, lost,
                                    self._wide)
         if lost and measured.recognised and self.options.doubts and isinstance(
@@ -300,7 +345,7 @@ class RorapidTracker:
     def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
                  stamp_ns) -> TrackedFrame:
         """Take a start for a pose once an independent test confirms it; else say what lacks."""
-        starting, wide = self._starting, self._wide(measured.state)
+        starting, wide = self._start_search, self._wide(measured.state)
         measured, other = starting.look(method, image, measured, wide)
         if other:
             self._filter.restart(measured.state, wide)
@@ -315,7 +360,7 @@ class RorapidTracker:
         else:
             self._standing.misses += 1
         if starting.given_up or self._standing.misses >= self.options.frames_to_lost:
-            self._standing.state = TrackerState.LOST
+            self._standing.lose()
             self._filter.restart(starting.guess, self._wide(starting.guess))
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
@@ -327,17 +372,14 @@ class RorapidTracker:
     def _adapt(self, measured: PoseMeasurement) -> None:
         """Learn the plane of motion; leave a zoom that the images leave open."""
         if self._allowed.learns(self._filter.state, self._filter.spread):
-            self._switch(self._camera_model)
-        if self._camera_model == 'zoom':
-            self._open = self._open + 1 if measured.focal_sigma > _ZOOM_OPEN else 0
-            if self._open >= _ZOOM_FRAMES:
-                self._switch('weak')
+            self._switch(self._projection.model)
+        if self._allowed.leaves_zoom(measured.focal_sigma):
+            self._switch('weak')
 
     def _switch(self, camera_model: str) -> None:
         """Go on from the same pose with another basis of corrections."""
         kalman, old = self._filter, self._basis
         full, velocity = old @ kalman.spread @ old.T, old @ kalman.velocity
-        self._camera_model = camera_model
         self._projection.become(camera_model)
         self._allowed.lay()
         self._method.switch(self._basis, camera_model)
@@ -353,9 +395,9 @@ class RorapidTracker:
         """Accept or refuse a measurement, and say what the state is."""
         options, standing = self.options, self._standing
         lost = self.state is TrackerState.LOST
-        open_turn = not self._led and leaves_turn_open(
+        open_turn = self._policy.needs_whole_pose and leaves_turn_open(
             self._basis, measured, self._control.free(measured.state))
-        accepted, innovation = standing.weighs(measured, open_turn, self._led, options), np.nan
+        accepted, innovation = standing.weighs(measured, open_turn, self._policy, options), np.nan
         if accepted:
             self.measured = measured
             innovation = self._filter.innovation_share(measured.state, measured.covariance)
@@ -366,15 +408,14 @@ class RorapidTracker:
             else:
                 self._filter.update(measured.state, measured.covariance)
             tracking = measured.share >= options.tracking_share and not open_turn
-            if tracking or measured.recognised or not self._led:
-                # where others say where to look, little may be something else
+            if tracking or measured.recognised or self._policy.learns_from_little:
                 self._method.remember(measured, tracking or measured.recognised)
             self._adapt(measured)
             if tracking and isinstance(self._method, RobustTracker):
                 self._doubts.look(image, measured, self._method.check)
             doubt = self._doubts.text()
             reason = standing.confirm(measured, tracking, doubt, options)
-            if tracking and not doubt and self._camera_model != options.camera_model:
+            if tracking and not doubt and self._projection.model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:

@@ -75,6 +75,10 @@ class ConstantVelocityFilter:
         self.covariance[:m, :m] = covariance
         self.covariance[m:, m:] = np.diag(self._velocity)
 
+    def take_over(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray) -> None:
+        """Go on from another filter's state, velocity (m,) and covariance (2 m, 2 m)."""
+        self.state, self.velocity, self.covariance = state, velocity, covariance
+
     @property
     def spread(self) -> np.ndarray:
         """Covariance of the mean, shape (m, m)."""

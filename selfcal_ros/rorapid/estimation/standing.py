@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from selfcal_ros.rorapid.estimation.free_turn import without_free
@@ -30,6 +32,34 @@ _OPEN_TURN = 'What is seen fits poses that are turned by some degrees: a rotatio
 #: What is said while an object that was never seen is sought.
 _SEEKING = ('The object was not seen yet: nothing that stands out from a plain background, or '
             'comes in before a still camera, has its silhouette.')
+
+
+@dataclass(frozen=True)
+class SearchPolicy:
+    """
+    What is asked of an image, by who says where the object is.
+
+    Attributes
+    ----------
+    relocalises : bool
+        An object that is not seen where it was expected is sought around there.
+    needs_whole_pose : bool
+        An image must determine all of a pose to be accepted.
+    learns_from_little : bool
+        The appearance is learned from an image that confirms little of the object, too.
+
+    """
+
+    relocalises: bool
+    needs_whole_pose: bool
+    learns_from_little: bool
+
+
+#: The camera finds the object by itself.
+ALONE = SearchPolicy(relocalises=True, needs_whole_pose=True, learns_from_little=True)
+#: Other cameras see the object and say where it is: a part of a pose is of use, but what little is
+#: seen there may be something else.
+GUIDED = SearchPolicy(relocalises=False, needs_whole_pose=False, learns_from_little=False)
 
 
 class Standing:
@@ -61,7 +91,11 @@ class Standing:
         if self.state is TrackerState.LOST:
             self.state, self.misses = TrackerState.DEGRADED, 0.0
 
-    def weighs(self, measured: PoseMeasurement, open_turn: bool, led: bool,
+    def lose(self) -> None:
+        """Seek it: it is not where it was thought to be."""
+        self.state = TrackerState.LOST
+
+    def weighs(self, measured: PoseMeasurement, open_turn: bool, policy: SearchPolicy,
                options: TrackerOptions) -> bool:
         """
         Accept or refuse a measurement, and count misses.
@@ -71,8 +105,7 @@ class Standing:
         measured : PoseMeasurement
         open_turn : bool
             It leaves a rotation open.
-        led : bool
-            Other cameras say where to look: part of a pose is of use, too.
+        policy : SearchPolicy
         options : TrackerOptions
 
         Returns
@@ -81,7 +114,7 @@ class Standing:
             Whether it is accepted.
 
         """
-        accepted = (measured.determined or led) and (
+        accepted = (measured.determined or not policy.needs_whole_pose) and (
             measured.recognised if self.state is TrackerState.LOST
             else measured.share >= options.lost_share)
         if accepted and (open_turn or not measured.recognised

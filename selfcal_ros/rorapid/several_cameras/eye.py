@@ -27,8 +27,8 @@ import numpy as np
 
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.several_cameras.led_tracker import LedTracker
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.values.camera_rig import PlacedCamera
 
 #: A camera that sees nothing where the others see the object searches by itself in these images
@@ -84,7 +84,7 @@ class Eye:
 
     Attributes
     ----------
-    tracker : LedTracker
+    tracker : RorapidTracker
     placed : PlacedCamera
     is_apart : bool
         It contradicts the others, and follows what it sees by itself until it loses that.
@@ -94,7 +94,7 @@ class Eye:
     def __init__(self, model, placed: PlacedCamera, options: TrackerOptions, rng):
         """Prepare the camera."""
         self.placed = placed
-        self.tracker = LedTracker(model, placed.camera, options, rng)
+        self.tracker = RorapidTracker(model, placed.camera, options, rng)
         self._turn = placed.T_rig_camera[:3, :3]
         self._shift = placed.T_rig_camera[:3, 3]
         self._both = np.kron(np.eye(2), self._turn)
@@ -155,10 +155,12 @@ class Eye:
         searches = self._blind in _SEARCHES or (
             self._blind > 0 and self._blind % _SEARCH_EVERY == 0)
         self._started = True
-        back = self._both.T
-        twice = np.kron(np.eye(2), back)
-        tracker.follow_from(place, twice[:6, :6] @ kalman.velocity,
-                            twice @ kalman.covariance @ twice.T, stamp_ns, searches)
+        if searches:
+            tracker.search_around(place, stamp_ns)
+            return
+        twice = np.kron(np.eye(2), self._both.T)
+        tracker.follow(place, twice[:6, :6] @ kalman.velocity,
+                       twice @ kalman.covariance @ twice.T, stamp_ns)
 
     def look(self, image: np.ndarray, stamp_ns: int | None) -> TrackedFrame | None:
         """Find the object in an image (H, W) of uint8; None where it is behind the camera."""
@@ -190,7 +192,7 @@ class Eye:
         place = self._here(state)
         self.is_apart = False
         if self._started and place.translation[2] > 0:
-            self.tracker.follow_from(place, np.zeros(6), np.zeros((12, 12)), None, True)
+            self.tracker.search_around(place, None)
 
     def glimpse(self) -> Glimpse | None:
         """Return what the last image said; None where it did not confirm a pose."""
@@ -222,7 +224,7 @@ class Eye:
 
     def doubted(self) -> np.ndarray:
         """Covariance (6, 6) that a doubt of model or camera adds in the rig."""
-        return self._both @ self.tracker.doubted() @ self._both.T
+        return self._both @ self.tracker.doubt_covariance @ self._both.T
 
     def _here(self, state: ObjectPose) -> ObjectPose:
         return ObjectPose(self._turn.T @ state.rotation,
