@@ -178,7 +178,6 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
     from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_objects
     from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
     from selfcal_ros.report.poses_csv import PosesTable
-    from selfcal_ros.values.mesh import MeshModel
     tables = [PosesTable() for _ in targets]
 
     def add(frame, tracked):
@@ -188,7 +187,7 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
     with ExitStack() as stack:
         source = stack.enter_context(open_source(
             path, topic, colour=overlay is not None or any(
-                isinstance(target.model, MeshModel) for target in targets),
+                target.model.is_outlined for target in targets),
             excerpt=excerpt or Excerpt()))
         listeners = [add, *listeners]
         if overlay:

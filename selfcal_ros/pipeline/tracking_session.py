@@ -31,7 +31,7 @@ from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
-from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: In place of a start pose: the object is sought.
 AUTO = 'auto'
@@ -90,8 +90,8 @@ class TrackingSession:
 
     """
 
-    def __init__(self, model, options: TrackerOptions | None = None, camera: Camera | None = None,
-                 seed: int = 0):
+    def __init__(self, model: WireframeModel, options: TrackerOptions | None = None,
+                 camera: Camera | None = None, seed: int = 0):
         self.model = model
         self.options = TrackerOptions() if options is None else options
         check_size(model, *self.options.control_points)
@@ -226,7 +226,7 @@ class TrackingSession:
     @property
     def wants_colour(self) -> bool:
         """Whether colours help: an outline stands out in the grey that they choose."""
-        return isinstance(self.model, MeshModel)
+        return self.model.is_outlined
 
     def add(self, image: np.ndarray, stamp_ns: int | None = None,
             depth: np.ndarray | None = None) -> TrackedFrame:

@@ -97,7 +97,7 @@ class Arrival:
                 control = search.control
                 self._sampled = SampledViews(control.visible_model, control.centre)
             states = self._sampled.poses(piece, self._K, _TURNS * _SILHOUETTES)
-            if not search.outlined:
+            if not search.control.is_outlined:
                 # the likest first, others in the next images
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
@@ -105,7 +105,7 @@ class Arrival:
             if not ranked or not search.check.stands_out(ranked[0][1], was_seen):
                 continue
             best, support = ranked[0]
-            if not search.outlined:
+            if not search.control.is_outlined:
                 ranked += search.ranked(image, quartered(best), spread)
             free = search.control.free_turns
             yield [best] + [
@@ -128,7 +128,7 @@ class Arrival:
 
         """
         vertices = self._search.control.visible_model.model.vertices - self._search.control.centre
-        if self._search.outlined or not len(vertices):
+        if self._search.control.is_outlined or not len(vertices):
             return []
         first = poses[0]
         tree = cKDTree(vertices)

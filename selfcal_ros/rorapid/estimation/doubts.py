@@ -25,7 +25,6 @@ from selfcal_ros.rorapid.estimation.size_check import SizeCheck
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.values.mesh import MeshModel
 
 
 class Doubts:
@@ -55,9 +54,8 @@ class Doubts:
     def adopt(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
               perspective: bool) -> None:
         """Go on by other settings, or another camera model; what was found is found anew."""
-        round_parts = isinstance(control.visible_model.model, MeshModel)
         self._model = ModelDoubt(control, basis, options.least_contrast) if (
-            options.doubts and perspective and not round_parts) else None
+            options.doubts and perspective and control.visible_model.faceted is not None) else None
         self.depths = DepthImages(control, options.depth_scale_sigma)
 
     def begin(self, distance_m: float, sigma_m: float | None, sure: bool) -> None:

@@ -23,7 +23,6 @@ from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.start_check import quartered, StartCheck, Support, turned
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.values.mesh import MeshModel
 
 #: Rounds of the search from each start, the first of them wide; range of the others, pixels.
 _START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
@@ -48,18 +47,12 @@ class PoseSearch:
     edges : EdgeSearch
     check : StartCheck
 
-    Attributes
-    ----------
-    outlined : bool
-        The object is known by the outline of its round parts.
-
     """
 
     def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
                  edges: EdgeSearch, check: StartCheck):
         """Take what measures and what judges."""
         self.basis, self._edges = basis, edges
-        self.outlined = isinstance(control.visible_model.model, MeshModel)
         self.adopt(options, control, check)
 
     def switch(self, basis: np.ndarray) -> None:
@@ -117,7 +110,7 @@ class PoseSearch:
             The best first. What was found may be among them.
 
         """
-        if self.outlined:
+        if self.control.is_outlined:
             # the outline of a round part looks much the same from other sides: nearby ones only
             starts = turned(guess)
             return self.ranked(image, starts[:len(starts) // 2], spread)

@@ -15,10 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
@@ -88,10 +87,12 @@ class RapidTracker:
         """Measure from a first guess as from a prediction."""
         return self.measure(image, guess, spread)
 
-    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  spread) -> Iterator[ObjectPose]:
-        """Propose nothing: the thesis's trackers do not search for a lost object."""
-        return iter(())
+    #: The thesis's trackers neither test a pose nor search for a lost object.
+    placed, verifier, seeker = True, None, None
+
+    def seek(self) -> None:
+        """Refuse to begin without a place to search around."""
+        raise ArgumentError('A start without a pose needs the method modern.')
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
         """Learn nothing of the object's appearance."""

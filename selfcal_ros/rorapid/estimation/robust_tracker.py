@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
@@ -31,11 +33,9 @@ from selfcal_ros.rorapid.estimation.track_quality import (
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
+from selfcal_ros.rorapid.texture.appearance import appearance_of
 from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, MIN_TEXTURE
-from selfcal_ros.rorapid.texture.surface_views import SurfaceViews
-from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
 from selfcal_ros.rorapid.texture.view_memory import ViewMemory
-from selfcal_ros.values.mesh import MeshModel
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
@@ -69,16 +69,11 @@ class RobustTracker:
         """Start without memory."""
         self.control, self.basis, self.options = control, basis, options
         self.projection = control.projection
-        model = control.visible_model.model
-        faces = [model.vertices[list(face.indices)] - control.centre for face in model.faces]
-        corners = model.vertices[model.triangles] - control.centre
         # texture lives in parts of the image without distortion; edges in the image as it is
         self._lens = Undistorter(self.projection.camera)
         self._pinhole = Projection(self._lens.pinhole, self.projection.model)
-        self.texture = SurfaceViews(
-            control.visible_model, control.centre, self._pinhole, options.texture_points
-        ) if isinstance(model, MeshModel) else TextureMemory(
-            faces, corners, self._pinhole, options.texture_points)
+        self.texture = appearance_of(control.visible_model, control.centre, self._pinhole,
+                                     options.texture_points)
         self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._lost_images = 0
@@ -86,13 +81,27 @@ class RobustTracker:
         self.placed = True
         #: Whether much of the object is hidden by other things: then more corners are followed.
         self._much_hidden = False
-        self._outline = np.asarray(model.extent, float) - control.centre
+        self._outline = np.asarray(control.visible_model.model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._edges = EdgeSearch(control, basis, options, self._corners)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
         self.check = StartCheck(control, options.least_contrast)
         self.search = PoseSearch(control, basis, options, self._edges, self.check)
         self._arrival = Arrival(self.search, self._lens.pinhole.K)
+
+    @property
+    def verifier(self) -> RobustTracker | None:
+        """What tests starts, and what was found again: itself, if the options ask for it."""
+        return self if self.options.doubts else None
+
+    @property
+    def seeker(self) -> RobustTracker | None:
+        """What seeks an object that is lost: itself, if the options ask for it."""
+        return self if self.options.seeks else None
+
+    def seek(self) -> None:
+        """Begin without any place to search around."""
+        self.placed = False
 
     def reset(self) -> None:
         """Forget what the object looks like."""
@@ -120,7 +129,8 @@ class RobustTracker:
         self.search.adopt(options, control, self.check)
         self._use_texture = options.texture and options.camera_model != 'affine'
 
-    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool, spread):
+    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
+                  spread: np.ndarray) -> Iterator[ObjectPose]:
         """
         Propose other states, one at a time, the cheapest first.
 
@@ -153,7 +163,7 @@ class RobustTracker:
             size = np.array(image.shape[::-1])
             whole = self._lens.part(image, 0 * size, size)
             yield from self._views.recognised(whole)
-            if not (self.search.outlined and self.texture.patterned):
+            if not (self.control.is_outlined and self.texture.patterned):
                 # what is patterned shows edges where a wrong outline would have them
                 for poses in self._arrival.poses(image, whole, spread, self.placed):
                     yield from poses if len(poses) == 1 else self._told_apart(

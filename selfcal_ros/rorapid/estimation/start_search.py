@@ -20,13 +20,14 @@ not confirm it, other poses around are tried in some of them; after `TRIES` imag
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE
-from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
@@ -92,14 +93,14 @@ class StartSearch:
         """Whether there were images enough."""
         return self.tries >= TRIES
 
-    def look(self, method: RobustTracker, image: np.ndarray, measured: PoseMeasurement,
+    def look(self, method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
              wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
         """
         Look at a pose in an image, and at others around it where it is not seen well.
 
         Parameters
         ----------
-        method : RobustTracker
+        method : SearchingEstimator
         image : ndarray, shape (H, W), uint8
         measured : PoseMeasurement
         wide : ndarray, shape (m, m)
@@ -136,7 +137,7 @@ class StartSearch:
         self.support = support
         return measured, other
 
-    def confirmed(self, method: RobustTracker) -> bool:
+    def confirmed(self, method: SearchingEstimator) -> bool:
         """Whether the last pose is confirmed; asked once an image where it was determined."""
         if not method.check.confirms(self.support, self._rival, self._turned):
             return False
@@ -164,14 +165,15 @@ def proposed_spread(projection: Projection, basis: np.ndarray, diameter_m: float
     return (basis.T * sigma**2) @ basis
 
 
-def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: ObjectPose,
-                lost: bool, wide) -> PoseMeasurement:
+def relocalised(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
+                expected: ObjectPose, lost: bool,
+                wide: Callable[[ObjectPose], np.ndarray]) -> PoseMeasurement:
     """
     Try other places for an object; return the measurement that is confirmed best.
 
     Parameters
     ----------
-    method : RapidTracker or RobustTracker
+    method : SearchingEstimator
     image : ndarray, shape (H, W), uint8
     measured : PoseMeasurement
         Where it was expected.
@@ -199,7 +201,7 @@ def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: 
     return measured
 
 
-def confirmed_again(method: RobustTracker, image: np.ndarray,
+def confirmed_again(method: SearchingEstimator, image: np.ndarray,
                     measured: PoseMeasurement) -> PoseMeasurement:
     """Return what was found of a lost object, recognised only if its lines are seen."""
     check = method.check
