@@ -75,6 +75,7 @@ class MeshModel(WireframeModel):
     def __post_init__(self):
         """Take what `build` has checked."""
 
+    # a constructor by another name: it is called on a class that is named, never on a variable
     @classmethod
     def build(cls, vertices, triangles, name='', **_):  # type: ignore[override]
         """

@@ -19,6 +19,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
+from selfcal_ros.rorapid.estimation.edge_fit import PosePrior, SearchRound
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.start_check import quartered, StartCheck, Support, turned
 from selfcal_ros.rorapid.options import TrackerOptions
@@ -82,11 +83,11 @@ class PoseSearch:
         values, vectors = np.linalg.eigh(spread)
         shifts = vectors * np.sqrt(values)
         starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
-        prior = np.linalg.inv(spread)
+        prior = PosePrior.of(guess, spread)
         best, best_score = guess, -1.0
         for start in starts:
             state = self.control.projection.moved(guess, self.basis @ start)
-            state = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
+            state = self._drawn_in(image, state, prior, _START_ROUNDS)
             score = self._edges.score(image, self.control.view(state))
             if score > best_score:
                 best, best_score = state, score
@@ -147,10 +148,11 @@ class PoseSearch:
             What was drawn in wholly, the best first.
 
         """
-        prior = np.linalg.inv(spread)
+        information = np.linalg.inv(spread)
 
-        def drawn(states, rounds):
-            poses = [self._drawn_in(image, state, state, prior, rounds) for state in states]
+        def drawn(states: list[ObjectPose], rounds: int) -> list[tuple[ObjectPose, Support]]:
+            poses = [self._drawn_in(image, state, PosePrior(state, spread, information), rounds)
+                     for state in states]
             found = [(pose, self.check.support(image, pose)) for pose in poses]
             return sorted(found, key=lambda pair: -pair[1].length)
 
@@ -161,14 +163,15 @@ class PoseSearch:
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
-    def _drawn_in(self, image, state, guess, prior, rounds: int) -> ObjectPose:
+    def _drawn_in(self, image: np.ndarray, state: ObjectPose, prior: PosePrior,
+                  rounds: int) -> ObjectPose:
         """Let the edges draw a start to themselves."""
         reach = int(np.ceil(self.options.search_most_px))
         for turn in range(rounds):
             wide, view = turn < _WIDE_ROUNDS, self.control.view(state)
-            state = self._edges.fit(
-                image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
-                self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
+            state = self._edges.fit(image, prior, SearchRound(
+                state, view, reach if wide else _GUESS_REACH_PX,
+                self._edges.limits(reach, wide, not wide), clutter_weight(view))).state
         return state
 
 
