@@ -27,7 +27,9 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
+from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
@@ -266,6 +268,13 @@ class TrackingSession:
         frame = self._tracker.track(image, stamp_ns, depth)
         self._count(frame)
         return frame
+
+    def look_at(self, instant: Instant) -> RigFrame:
+        """Find the object at an instant of a recording; see `add`."""
+        frame = instant.first
+        bgr = frame.bgr if self.wants_colour else None
+        tracked = self.add(frame.image if bgr is None else bgr, instant.stamp_ns, instant.depth)
+        return RigFrame(tracked, (tracked,), (bool(tracked),))
 
     def _count(self, frame: TrackedFrame) -> None:
         """Note how an image went."""

@@ -247,8 +247,7 @@ class EdgeSearch:
         weight, end_px = around.weights[at], view.end_px[at]
         if not len(at):
             none = np.zeros((0, options.candidates))
-            return EdgeCandidates(at, none, none, none, none, weight, end_px,
-                                  np.zeros((0, 1)))
+            return EdgeCandidates(at, none, none, none, none, weight, end_px, np.zeros((0, 1)))
         wanted, pixels = self.contrast[view.ids[at]], view.projected.pixels[at]
         profiles = sample_normals(image, pixels, view.normal[at], around.reach)
         edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
@@ -264,7 +263,8 @@ class EdgeSearch:
         if self._greys is not None:
             penalty += self._greys.penalty(profiles, pixels, view.inside[at], offset)
         offset = np.where(np.isfinite(offset), offset, NOWHERE_PX)
-        return EdgeCandidates(at, offset, edgels.contrast, penalty, worse, weight, end_px, profiles)
+        return EdgeCandidates(at, offset, edgels.contrast, penalty, worse, weight, end_px,
+                              profiles)
 
     def _chosen(self, found: EdgeCandidates, along: np.ndarray, limit: float, narrow: bool,
                 last: bool) -> EdgeChoice:
