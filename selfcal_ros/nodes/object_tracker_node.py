@@ -52,7 +52,7 @@ from selfcal_ros.rorapid.visibility.visible_model import check_size
 from sensor_msgs.msg import Image
 
 
-class RorapidNode(Node):
+class ObjectTrackerNode(Node):
     """Follows objects through `image` or `image/compressed` and publishes each one's `pose`."""
 
     def __init__(self):
