@@ -26,7 +26,7 @@ from selfcal_ros.pipeline.tracking_loop import (
     begin_sessions, check_source, follow_through, Target)
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.values.camera_rig import PlacedCamera
 
 

@@ -24,8 +24,8 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.tracking_session import check_image, check_in_image, TrackingSession
-from selfcal_ros.rorapid.several_cameras.rig_tracker import (
-    check_rig_options, RigFrame, RigTracker)
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_tracker import check_rig_options, RigTracker
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.values.camera_rig import PlacedCamera
 

@@ -28,7 +28,7 @@ from selfcal_ros.pipeline.frame_source import FrameSource
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.pipeline.tracking_session import TrackingSession
-from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.values.wireframe import WireframeModel
 
 _LOGGER = logging.getLogger(__name__)

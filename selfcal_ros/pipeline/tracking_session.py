@@ -29,7 +29,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
-from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST

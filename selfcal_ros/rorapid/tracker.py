@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.estimation.doubts import Doubts
-from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_spread
+from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
+from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
 from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
 from selfcal_ros.rorapid.estimation.pose_estimator import PoseEstimator, SearchingEstimator
@@ -31,8 +31,8 @@ from selfcal_ros.rorapid.estimation.pose_filter import PoseFilter
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
-from selfcal_ros.rorapid.estimation.standing import (
-    ALONE, GUIDED, leaves_turn_open, refusal, Standing)
+from selfcal_ros.rorapid.estimation.track_state import (
+    ALONE, GUIDED, leaves_turn_open, rejection_reason, TrackStateMachine)
 from selfcal_ros.rorapid.estimation.start_search import (
     confirmed_again, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
@@ -78,17 +78,13 @@ class RorapidTracker:
                                      self._projection, size)
         method = RobustTracker if options.method == 'modern' else RapidTracker
         self._method: PoseEstimator = method(self._control, self._pose.basis, options, self._rng)
-        self._doubts = Doubts(self._control, self._pose.basis, options, self._is_perspective)
-        self._standing, self._policy = Standing(), ALONE
+        self._plausibility = PlausibilityChecks(self._control, self._pose.basis, options)
+        self._track_state, self._policy = TrackStateMachine(), ALONE
         self._starting: StartSearch | None = None
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
         self.measured: PoseMeasurement | None = None
-
-    @property
-    def _is_perspective(self) -> bool:
-        return self._projection.model == 'perspective'
 
     @property
     def _unconfirmed(self) -> StartSearch | None:
@@ -98,7 +94,7 @@ class RorapidTracker:
     @property
     def state(self) -> TrackerState:
         """State after the last image; LOST before any start."""
-        return self._standing.state
+        return self._track_state.state
 
     def reset(self) -> None:
         """Forget pose, texture and plane; a new start is needed."""
@@ -112,7 +108,7 @@ class RorapidTracker:
             self._method.switch(self._pose.basis, camera_model)
         self.measured = self._stamp_ns = self._starting = None
         self._policy = ALONE
-        self._standing.begin(lost=True)
+        self._track_state.begin(lost=True)
 
     def adopt(self, options: TrackerOptions) -> bool:
         """
@@ -135,7 +131,7 @@ class RorapidTracker:
             self._control = ControlModel(visible_of(self.model, *options.control_points),
                                          self._projection, self._control.image_size)
         self.options = options
-        self._doubts.adopt(self._control, self._pose.basis, options, self._is_perspective)
+        self._plausibility.adopt(self._control, self._pose.basis, options)
         self._method.adopt(options, self._control)
         return True
 
@@ -168,16 +164,17 @@ class RorapidTracker:
         """
         rotation, translation = checked_start(rotation, translation)
         centred = translation + rotation @ self._control.centre
-        spread = start_spread(rotation, centred, self._control.centre, self.model.diameter_m,
-                              covariance)
+        guessed = start_covariance(rotation, centred, self._control.centre,
+                                   self.model.diameter_m, covariance)
         state = self._projection.from_pose(rotation, centred)
         if focal_px is not None and self._projection.model == 'zoom':
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
-        self._pose.begin(state, spread)
-        self._standing.begin(lost)
+        self._pose.begin(state, guessed)
+        self._track_state.begin(lost)
         self._stamp_ns = None
-        self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
-        self._starting = StartSearch(self._pose.kalman.state, self._pose.kalman.spread.copy(),
+        self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
+        kalman = self._pose.kalman
+        self._starting = StartSearch(kalman.state, kalman.pose_covariance.copy(),
                                      self.model.is_outlined, self.model.free_turns)
         if lost:
             self._pose.restart_wide(state)
@@ -204,7 +201,7 @@ class RorapidTracker:
         """Seek the object around a pose (of its middle) that other cameras tell, by itself."""
         self._told_by_others(state, stamp_ns)
         self._policy = ALONE
-        self._standing.lose()
+        self._track_state.lose()
         self._pose.restart_wide(state)
 
     def follow(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray,
@@ -224,7 +221,7 @@ class RorapidTracker:
         self._told_by_others(state, stamp_ns)
         self._policy = GUIDED
         self._pose.kalman.take_over(state, velocity, covariance)
-        self._standing.follow()
+        self._track_state.follow()
 
     def _told_by_others(self, state: ObjectPose, stamp_ns: int | None) -> None:
         """Take a start from other cameras, where there was none."""
@@ -235,7 +232,7 @@ class RorapidTracker:
     @property
     def doubt_covariance(self) -> np.ndarray:
         """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
-        return self._doubts.covariance(self._pose.kalman.state, self._pose.basis)
+        return self._plausibility.covariance(self._pose.kalman.state, self._pose.basis)
 
     @property
     def centre(self) -> np.ndarray:
@@ -277,22 +274,22 @@ class RorapidTracker:
         starting, verifier = self._unconfirmed, self._method.verifier
         fresh = starting is not None and not (starting.tries and verifier)
         if not fresh and self.state is not TrackerState.LOST:
-            kalman.predict(seconds, DAMPING if self._standing.misses >= 1 else 0.0)
+            kalman.predict(seconds, DAMPING if self._track_state.misses >= 1 else 0.0)
         mask = None if starting is None else self._control.mask(kalman.state, picture.shape)
         if mask is not None:
             # in which grey an outline stands out
             self._colour.learn(picture, mask)
         image = self._colour.grey(picture)
         look = self._method.initialise if fresh else self._method.measure
-        measured = look(image, kalman.state, kalman.spread)
+        measured = look(image, kalman.state, kalman.pose_covariance)
         if starting is None:
             measured = self._sought(image, measured)
             starting = self._unconfirmed
         if starting is not None and verifier is not None:
             return self._confirm(starting, verifier, image, measured, stamp_ns)
-        if depth is not None and self._is_perspective and (
+        if depth is not None and self._projection.model == 'perspective' and (
                 measured.share >= self.options.lost_share):
-            measured = self._doubts.depths.improved(measured, depth, self._pose.basis)
+            measured = self._plausibility.depths.improved(measured, depth, self._pose.basis)
         return self._judge(measured, image, stamp_ns)
 
     def _sought(self, image: np.ndarray, measured: PoseMeasurement) -> PoseMeasurement:
@@ -306,12 +303,12 @@ class RorapidTracker:
         if not lost or not measured.recognised or verifier is None:
             return measured
         measured = confirmed_again(verifier, image, measured)
-        if measured.recognised and self._standing.good is None and self.model.is_outlined:
+        if measured.recognised and self._track_state.good is None and self.model.is_outlined:
             # an outline that was never confirmed is a start, not a return
             self._starting = StartSearch.again(
                 measured.state, self._pose.proposed_covariance(measured.state),
                 self.model.free_turns)
-            self._standing.begin(lost=False)
+            self._track_state.begin(lost=False)
             self._pose.kalman.restart(measured.state, measured.covariance)
         return measured
 
@@ -324,16 +321,12 @@ class RorapidTracker:
             self._pose.kalman.restart(measured.state, wide)
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            self._doubts.confirmed(starting.sure, measured.state.translation[2])
+            self._plausibility.confirmed(starting.sure, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
-            self._standing.misses = 0.0
             method.glance(image, measured.state)
             self._pose.kalman.absorb(measured.state, measured.covariance)
-        else:
-            self._standing.misses += 1
-        if starting.given_up or self._standing.misses >= self.options.frames_to_lost:
-            self._standing.lose()
+        if self._track_state.gives_up(good, starting.given_up, self.options):
             self._pose.restart_wide(starting.guess)
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
@@ -342,15 +335,15 @@ class RorapidTracker:
         """Go on from the same pose with another basis of corrections."""
         self._pose.switch(camera_model)
         self._method.switch(self._pose.basis, camera_model)
-        self._doubts.adopt(self._control, self._pose.basis, self.options, self._is_perspective)
+        self._plausibility.adopt(self._control, self._pose.basis, self.options)
 
     def _judge(self, measured: PoseMeasurement, image, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
-        options, standing = self.options, self._standing
+        options, track = self.options, self._track_state
         lost = self.state is TrackerState.LOST
         open_turn = self._policy.needs_whole_pose and leaves_turn_open(
             self._pose.basis, measured, self._control.free(measured.state))
-        accepted, innovation = standing.weighs(measured, open_turn, self._policy, options), np.nan
+        accepted, innovation = track.accepts(measured, open_turn, self._policy, options), np.nan
         if accepted:
             self.measured = measured
             innovation = self._pose.kalman.innovation_share(measured.state, measured.covariance)
@@ -368,28 +361,28 @@ class RorapidTracker:
             if self._pose.allowed.leaves_zoom(measured.focal_sigma):
                 self._switch('weak')
             if tracking and self._method.verifier is not None:
-                self._doubts.look(image, measured, self._method.verifier.check)
-            doubt = self._doubts.text()
-            reason = standing.confirm(measured, tracking, doubt, options)
+                self._plausibility.look(image, measured, self._method.verifier.check)
+            doubt = self._plausibility.text()
+            reason = track.confirm(measured, tracking, doubt, options)
             if tracking and not doubt and self._projection.model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:
-            if standing.refuse(options):
-                self._pose.restart_wide(standing.good or self._pose.kalman.state)
-            reason = refusal(measured, not self._method.placed, open_turn, options)
+            if track.rejects(options):
+                self._pose.restart_wide(track.good or self._pose.kalman.state)
+            reason = rejection_reason(measured, not self._method.placed, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Say what the state is, with what a doubt adds to the covariance."""
         state, B = self._pose.kalman.state, self._pose.basis
-        full = B @ self._pose.kalman.spread @ B.T
+        full = B @ self._pose.kalman.pose_covariance @ B.T
         free = self._control.free(state)
         if free.size and measured.details is not None:
             hold_free(self._pose.kalman, free, measured.details.fit.measured)
             full = with_any_turn(full, free)
         if accepted and len(full) == 6:
-            full = full + self._doubts.covariance(state, B)
+            full = full + self._plausibility.covariance(state, B)
         return told_frame(self._control, measured, state, full, accepted, told=self.state,
-                          reason=reason, doubt=self._doubts.text() if accepted else '',
+                          reason=reason, doubt=self._plausibility.text() if accepted else '',
                           innovation=innovation, stamp_ns=stamp_ns)

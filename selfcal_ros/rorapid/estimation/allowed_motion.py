@@ -74,14 +74,14 @@ class AllowedMotion:
             # what the motion does not change is estimated all the same, from all images
             self.basis = completed(self.basis)
 
-    def learns(self, state: ObjectPose, spread: np.ndarray) -> bool:
+    def learns(self, state: ObjectPose, covariance: np.ndarray) -> bool:
         """
         Learn the plane of motion from a pose.
 
         Parameters
         ----------
         state : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
 
         Returns
         -------
@@ -92,7 +92,7 @@ class AllowedMotion:
         if self._options.motion != 'planar' or self._axis is not None:
             return False
         B = self.basis
-        self._plane.add(state.rotation, state.translation, (B @ spread @ B.T)[:6, :6])
+        self._plane.add(state.rotation, state.translation, (B @ covariance @ B.T)[:6, :6])
         plane = self._plane.plane()
         if plane.sigma_rad < _PLANE_RAD and self._plane.count >= _PLANE_POSES:
             self._axis = plane.axis

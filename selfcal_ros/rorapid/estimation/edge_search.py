@@ -167,10 +167,10 @@ class EdgeSearch:
             profiles = sample_normals(image, pixels, view.normal[at], _GLANCE_PX)
             self._greys.learn(profiles, pixels, view.inside[at], anew=True)
 
-    def reach(self, state: ObjectPose, view: ControlView, spread: np.ndarray) -> int:
+    def reach(self, state: ObjectPose, view: ControlView, covariance: np.ndarray) -> int:
         """Search range from the covariance (m, m) of the prediction, pixels."""
         rows = self._control.rows(state, view) @ self.basis
-        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
+        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, covariance, rows).max(initial=0.0))
         options = self.options
         return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
 

@@ -37,7 +37,7 @@ class PoseMeter(Protocol):
     """Measures a pose in an image."""
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
-                spread: np.ndarray) -> PoseMeasurement:
+                covariance: np.ndarray) -> PoseMeasurement:
         """Find the object near a prediction of covariance (m, m), in an image (H, W) of uint8."""
 
 
@@ -57,7 +57,7 @@ class PoseEstimator(PoseMeter, Protocol):
         """What seeks an object that is lost; None where nothing does."""
 
     def initialise(self, image: np.ndarray, guess: ObjectPose,
-                   spread: np.ndarray) -> PoseMeasurement:
+                   covariance: np.ndarray) -> PoseMeasurement:
         """Find the object from a guess of covariance (m, m)."""
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
@@ -87,11 +87,11 @@ class SearchingEstimator(PoseMeter, Protocol):
         """Whether there ever was a place to search around."""
 
     def measured_anew(self, image: np.ndarray, state: ObjectPose,
-                      spread: np.ndarray) -> PoseMeasurement:
+                      covariance: np.ndarray) -> PoseMeasurement:
         """Measure without regard to what edges looked like."""
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  spread: np.ndarray) -> Iterator[ObjectPose]:
+                  covariance: np.ndarray) -> Iterator[ObjectPose]:
         """Propose other poses, one at a time, the cheapest first."""
 
     def glance(self, image: np.ndarray, state: ObjectPose) -> None:

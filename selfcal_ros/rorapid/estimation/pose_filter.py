@@ -21,7 +21,7 @@ from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
 from selfcal_ros.rorapid.estimation.filter_start import started_filter
 from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
-from selfcal_ros.rorapid.estimation.start_search import proposed_spread
+from selfcal_ros.rorapid.estimation.start_search import proposed_covariance
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
@@ -82,7 +82,7 @@ class PoseFilter:
 
     def proposed_covariance(self, state: ObjectPose) -> np.ndarray:
         """Covariance (m, m) of a state that is only proposed."""
-        return proposed_spread(self._projection, self.basis, self._diameter_m, state)
+        return proposed_covariance(self._projection, self.basis, self._diameter_m, state)
 
     def restart_wide(self, state: ObjectPose) -> None:
         """Begin again at a state that is only proposed."""
@@ -90,12 +90,12 @@ class PoseFilter:
 
     def learns_motion(self) -> bool:
         """Whether the plane of motion has become known by the pose: then `switch`."""
-        return self.allowed.learns(self.kalman.state, self.kalman.spread)
+        return self.allowed.learns(self.kalman.state, self.kalman.pose_covariance)
 
     def switch(self, camera_model: str) -> None:
         """Go on from the same pose with another basis of corrections, or camera model."""
         kalman, old = self.kalman, self.basis
-        full, velocity = old @ kalman.spread @ old.T, old @ kalman.velocity
+        full, velocity = old @ kalman.pose_covariance @ old.T, old @ kalman.velocity
         self._projection.become(camera_model)
         self.allowed.lay()
         self._start(kalman.state, full[:6, :6])

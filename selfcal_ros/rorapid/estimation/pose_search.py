@@ -64,7 +64,7 @@ class PoseSearch:
         """Go on by other settings."""
         self.options, self.control, self.check = options, control, check
 
-    def nearby(self, image: np.ndarray, guess: ObjectPose, spread: np.ndarray) -> ObjectPose:
+    def nearby(self, image: np.ndarray, guess: ObjectPose, covariance: np.ndarray) -> ObjectPose:
         """
         Try starts around a guess, one sigma away; return the pose with the strongest edges.
 
@@ -72,7 +72,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         guess : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -80,10 +80,10 @@ class PoseSearch:
         ObjectPose
 
         """
-        values, vectors = np.linalg.eigh(spread)
+        values, vectors = np.linalg.eigh(covariance)
         shifts = vectors * np.sqrt(values)
-        starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
-        prior = PosePrior.of(guess, spread)
+        starts = np.concatenate([np.zeros((1, len(covariance))), shifts.T, -shifts.T])
+        prior = PosePrior.of(guess, covariance)
         best, best_score = guess, -1.0
         for start in starts:
             state = self.control.projection.moved(guess, self.basis @ start)
@@ -94,7 +94,7 @@ class PoseSearch:
         return best
 
     def rivals(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
-               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
+               covariance: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
         Find poses from starts that are turned from a guess, or by quarters from what was found.
 
@@ -102,7 +102,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         guess, found : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -114,24 +114,24 @@ class PoseSearch:
         if self.control.is_outlined:
             # the outline of a round part looks much the same from other sides: nearby ones only
             starts = turned(guess)
-            return self.ranked(image, starts[:len(starts) // 2], spread)
-        poses = self.ranked(image, turned(guess) + quartered(found), spread)
+            return self.ranked(image, starts[:len(starts) // 2], covariance)
+        poses = self.ranked(image, turned(guess) + quartered(found), covariance)
         state, support = poses[0]
         if not self.check.plain(support):
             # what looks nearly right may be right but for a quarter of a turn
-            other = self.ranked(image, quartered(state), spread)[0]
+            other = self.ranked(image, quartered(state), covariance)[0]
             if other[1].length > support.length:
                 return [other, *poses]
         return poses
 
-    def turned_rival(self, image: np.ndarray, found: ObjectPose, spread: np.ndarray) -> float:
+    def turned_rival(self, image: np.ndarray, found: ObjectPose, covariance: np.ndarray) -> float:
         """Share of the length seen of the best pose that is turned from what was found."""
         starts = turned(found)
-        return best_turned(self.ranked(image, starts[:len(starts) // 2], spread), found,
+        return best_turned(self.ranked(image, starts[:len(starts) // 2], covariance), found,
                            self.control.free_turns).length
 
     def ranked(self, image: np.ndarray, starts: list[ObjectPose],
-               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
+               covariance: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
         Draw all starts in a little and the best ones wholly.
 
@@ -139,7 +139,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         starts : list of ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of each start.
 
         Returns
@@ -148,11 +148,11 @@ class PoseSearch:
             What was drawn in wholly, the best first.
 
         """
-        information = np.linalg.inv(spread)
+        information = np.linalg.inv(covariance)
 
         def drawn(states: list[ObjectPose], rounds: int) -> list[tuple[ObjectPose, Support]]:
-            poses = [self._drawn_in(image, state, PosePrior(state, spread, information), rounds)
-                     for state in states]
+            poses = [self._drawn_in(image, state, PosePrior(state, covariance, information),
+                                    rounds) for state in states]
             found = [(pose, self.check.support(image, pose)) for pose in poses]
             return sorted(found, key=lambda pair: -pair[1].length)
 

@@ -83,9 +83,10 @@ class RapidTracker:
         self._weight = self._weight[nearest]
         self._reach = self._reach.clip(options.search_least_px, options.search_most_px)
 
-    def initialise(self, image: np.ndarray, guess: ObjectPose, spread=None) -> PoseMeasurement:
+    def initialise(self, image: np.ndarray, guess: ObjectPose,
+                   covariance: np.ndarray | None = None) -> PoseMeasurement:
         """Measure from a first guess as from a prediction."""
-        return self.measure(image, guess, spread)
+        return self.measure(image, guess, covariance)
 
     #: The thesis's trackers neither test a pose nor search for a lost object.
     placed, verifier, seeker = True, None, None
@@ -97,7 +98,8 @@ class RapidTracker:
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
         """Learn nothing of the object's appearance."""
 
-    def measure(self, image: np.ndarray, predicted: ObjectPose, spread=None) -> PoseMeasurement:
+    def measure(self, image: np.ndarray, predicted: ObjectPose,
+                covariance: np.ndarray | None = None) -> PoseMeasurement:
         """Search from the predicted state and correct it once."""
         options, control = self.options, self.control
         view = control.view(predicted)

@@ -96,7 +96,7 @@ class RobustTracker:
     @property
     def verifier(self) -> RobustTracker | None:
         """What tests starts, and what was found again: itself, if the options ask for it."""
-        return self if self.options.doubts else None
+        return self if self.options.verifies else None
 
     @property
     def seeker(self) -> RobustTracker | None:
@@ -134,7 +134,7 @@ class RobustTracker:
         self._use_texture = options.texture and options.camera_model != 'affine'
 
     def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  spread: np.ndarray) -> Iterator[ObjectPose]:
+                  covariance: np.ndarray) -> Iterator[ObjectPose]:
         """
         Propose other states, one at a time, the cheapest first.
 
@@ -145,7 +145,7 @@ class RobustTracker:
             Expected.
         everywhere : bool
             Search the whole image, not only around the expected state.
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of where it may be.
 
         Yields
@@ -169,16 +169,16 @@ class RobustTracker:
             yield from self._views.recognised(whole)
             if not (self.control.is_outlined and self.texture.patterned):
                 # what is patterned shows edges where a wrong outline would have them
-                for poses in self._arrival.poses(image, whole, spread, self.placed):
+                for poses in self._arrival.poses(image, whole, covariance, self.placed):
                     yield from poses if len(poses) == 1 else self._told_apart(
-                        image, poses, spread, state)
+                        image, poses, covariance, state)
             # without texture there are the edges alone; a slow search, and not in every image
             self._lost_images += 1
             if self.placed and self._lost_images % _EDGE_SEARCH_EVERY == 0:
-                yield self.search.nearby(image, state, spread)
+                yield self.search.nearby(image, state, covariance)
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
-                spread: np.ndarray) -> PoseMeasurement:
+                covariance: np.ndarray) -> PoseMeasurement:
         """
         Find the object near a predicted state.
 
@@ -186,7 +186,7 @@ class RobustTracker:
         ----------
         image : ndarray, shape (H, W), uint8
         predicted : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the prediction.
 
         Returns
@@ -194,7 +194,7 @@ class RobustTracker:
         PoseMeasurement
 
         """
-        prior = PosePrior.of(predicted, spread)
+        prior = PosePrior.of(predicted, covariance)
         outline = self._pinhole.project(predicted, self._outline).pixels
         region = region_of_interest(image, outline, 40.0, self._lens)
         corners = AgreeingCorners(predicted, None, np.zeros(0, bool))
@@ -213,20 +213,20 @@ class RobustTracker:
                 measured = by_edges
         return measured
 
-    def _told_apart(self, image: np.ndarray, poses: list[ObjectPose], spread: np.ndarray,
+    def _told_apart(self, image: np.ndarray, poses: list[ObjectPose], covariance: np.ndarray,
                     expected: ObjectPose) -> list[ObjectPose]:
         """Return that of several poses which the texture alone recognises, if there is any."""
         if not (self._use_texture and self.texture.patterned):
             return self._arrival.nearest(poses, expected)
-        known = [pose for pose in poses if self.measure(image, pose, spread).by_texture]
+        known = [pose for pose in poses if self.measure(image, pose, covariance).by_texture]
         return known if len(known) == 1 else []
 
     def measured_anew(self, image: np.ndarray, state: ObjectPose,
-                      spread: np.ndarray) -> PoseMeasurement:
+                      covariance: np.ndarray) -> PoseMeasurement:
         """Measure without regard to what edges looked like: before another background."""
         remembered = self._edges.contrast.copy()
         self._edges.contrast[:] = 0
-        measured = self.measure(image, state, spread)
+        measured = self.measure(image, state, covariance)
         if not measured.recognised:
             self._edges.contrast[:] = remembered
         return measured
@@ -295,7 +295,7 @@ class RobustTracker:
         return best
 
     def initialise(self, image: np.ndarray, guess: ObjectPose,
-                   spread: np.ndarray) -> PoseMeasurement:
+                   covariance: np.ndarray) -> PoseMeasurement:
         """
         Find the object from a guess: from many starts around it, the one with the best edges.
 
@@ -303,7 +303,7 @@ class RobustTracker:
         ----------
         image : ndarray, shape (H, W), uint8
         guess : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -312,7 +312,7 @@ class RobustTracker:
 
         """
         self._edges.glance(image, self.control.view(guess))
-        return self.measure(image, self.search.nearby(image, guess, spread), spread)
+        return self.measure(image, self.search.nearby(image, guess, covariance), covariance)
 
     def glance(self, image: np.ndarray, state: ObjectPose) -> None:
         """Learn anew what object and background look like, from a state that is not confirmed."""

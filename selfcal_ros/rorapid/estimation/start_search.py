@@ -50,7 +50,7 @@ class StartSearch:
     Parameters
     ----------
     guess : ObjectPose
-    spread : ndarray, shape (m, m)
+    covariance : ndarray, shape (m, m)
         Covariance of the guess.
     outline : bool
         The object is a mesh, known by its outline.
@@ -68,12 +68,12 @@ class StartSearch:
 
     """
 
-    def __init__(self, guess: ObjectPose, spread: np.ndarray, outline: bool,
+    def __init__(self, guess: ObjectPose, covariance: np.ndarray, outline: bool,
                  free: np.ndarray = NOT_FREE):
         """Begin."""
         self._free = free
         self.guess, self.tries, self.support = guess, 0, Support()
-        self._spread, self._outline = spread, outline
+        self._covariance, self._outline = covariance, outline
         self._searches, self._held, self.sure = 0, 0, False
         # before a search nothing is known of poses that are turned
         self._rival, self._turned = Support(), Support(1.0, 1.0)
@@ -81,10 +81,10 @@ class StartSearch:
         self._images = 1
 
     @classmethod
-    def again(cls, guess: ObjectPose, spread: np.ndarray,
+    def again(cls, guess: ObjectPose, covariance: np.ndarray,
               free: np.ndarray = NOT_FREE) -> StartSearch:
         """Confirm an outline that was found; it must be sure in several images in a row."""
-        search = cls(guess, spread, True, free)
+        search = cls(guess, covariance, True, free)
         search._images = _OUTLINE_IMAGES
         return search
 
@@ -119,7 +119,7 @@ class StartSearch:
         fair = check.fair(support) and self._searches < len(_SEARCHES)
         if not check.plain(support) and (fair or self.tries in _SEARCHES):
             self._searches += 1
-            poses = method.search.rivals(image, self.guess, measured.state, self._spread)
+            poses = method.search.rivals(image, self.guess, measured.state, self._covariance)
             state, self._rival = poses[0]
             # of nearly equal poses (a box turned by half a turn) that next to the guess is right
             if self._rival.length > support.length + _BETTER:
@@ -152,8 +152,8 @@ class StartSearch:
         return f'The image does not confirm the start pose: {seen}.'
 
 
-def proposed_spread(projection: Projection, basis: np.ndarray, diameter_m: float,
-                    state: ObjectPose) -> np.ndarray:
+def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: float,
+                        state: ObjectPose) -> np.ndarray:
     """Covariance (m, m) of a state that is only proposed."""
     sigma = np.full(projection.size, 0.1)
     if projection.size == 8:

@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A refusal names its cause: too little, an open turn, or edges that are not found."""
+"""A rejection names its cause: too little, an open turn, or edges that are not found."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from selfcal_ros.rorapid.estimation.standing import refusal, Standing
+from selfcal_ros.rorapid.estimation.track_state import rejection_reason, TrackStateMachine
 from selfcal_ros.rorapid.options import TrackerOptions
 
 
@@ -33,11 +33,11 @@ def measured(share, determined=True, found=40):
     (measured(1.0), False, 'too little of the object to recognise'),
     (measured(0.1), True, 'Only 10 %'), (measured(0.1, False), False, 'Only 10 %')))
 def test_a_refusal_names_its_cause(what, open_turn, words):
-    said = refusal(what, False, open_turn, TrackerOptions())
+    said = rejection_reason(what, False, open_turn, TrackerOptions())
     assert words in said and '100 %' not in said and said.endswith('.')
 
 
 def test_what_is_degraded_by_an_open_turn_is_said_to_be():
-    said = Standing().confirm(measured(0.95), False, '', TrackerOptions())
+    said = TrackStateMachine().confirm(measured(0.95), False, '', TrackerOptions())
     assert 'a rotation stays open' in said
-    assert 'Only 40 %' in Standing().confirm(measured(0.4), False, '', TrackerOptions())
+    assert 'Only 40 %' in TrackStateMachine().confirm(measured(0.4), False, '', TrackerOptions())

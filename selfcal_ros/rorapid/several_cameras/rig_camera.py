@@ -37,7 +37,7 @@ _SEARCHES, _SEARCH_EVERY = range(3, 9), 3
 
 
 @dataclass(frozen=True)
-class Glimpse:
+class PoseInformation:
     """
     What one image says of the pose of the object in the rig.
 
@@ -71,7 +71,7 @@ class Glimpse:
         return pull
 
 
-class Eye:
+class RigCamera:
     """
     A camera of a rig.
 
@@ -194,7 +194,7 @@ class Eye:
         if self._started and place.translation[2] > 0:
             self.tracker.search_around(place, None)
 
-    def glimpse(self) -> Glimpse | None:
+    def pose_information(self) -> PoseInformation | None:
         """Return what the last image said; None where it did not confirm a pose."""
         measured = self.tracker.measured
         if measured is None or measured.details is None:
@@ -219,8 +219,8 @@ class Eye:
         misplaced = lever @ self.placed.covariance @ lever.T
         less = np.linalg.inv(np.eye(6) + own @ misplaced)
         known = less @ own
-        return Glimpse(there, own, 0.5 * (known + known.T), less @ self._both @ pull, misplaced,
-                       good)
+        return PoseInformation(there, own, 0.5 * (known + known.T), less @ self._both @ pull,
+                               misplaced, good)
 
     def doubted(self) -> np.ndarray:
         """Covariance (6, 6) that a doubt of model or camera adds in the rig."""

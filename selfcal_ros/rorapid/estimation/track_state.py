@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How an object that is followed stands: what confirms it, and what speaks against it."""
+"""The state of an object that is followed: when a measurement is accepted, and what then."""
 
 from __future__ import annotations
 
@@ -62,9 +62,13 @@ ALONE = SearchPolicy(relocalises=True, needs_whole_pose=True, learns_from_little
 GUIDED = SearchPolicy(relocalises=False, needs_whole_pose=False, learns_from_little=False)
 
 
-class Standing:
+class TrackStateMachine:
     """
-    State of an object.
+    State of an object that is followed, and what each image makes of it.
+
+    A measurement is accepted or not (`accepts`). What was accepted confirms the object
+    (`confirm`); what was not may lose it (`rejects`), as may a start that nothing confirms
+    (`gives_up`).
 
     Attributes
     ----------
@@ -91,12 +95,36 @@ class Standing:
         if self.state is TrackerState.LOST:
             self.state, self.misses = TrackerState.DEGRADED, 0.0
 
+    def gives_up(self, found: bool, given_up: bool, options: TrackerOptions) -> bool:
+        """
+        Take note of an image of a start that is not confirmed yet.
+
+        Parameters
+        ----------
+        found : bool
+            Whether enough was found near it.
+        given_up : bool
+            There were images enough.
+        options : TrackerOptions
+
+        Returns
+        -------
+        bool
+            Whether the object is lost now.
+
+        """
+        self.misses = 0.0 if found else self.misses + 1
+        lost_now = given_up or self.misses >= options.frames_to_lost
+        if lost_now:
+            self.lose()
+        return lost_now
+
     def lose(self) -> None:
         """Seek it: it is not where it was thought to be."""
         self.state = TrackerState.LOST
 
-    def weighs(self, measured: PoseMeasurement, open_turn: bool, policy: SearchPolicy,
-               options: TrackerOptions) -> bool:
+    def accepts(self, measured: PoseMeasurement, open_turn: bool, policy: SearchPolicy,
+                options: TrackerOptions) -> bool:
         """
         Accept or refuse a measurement, and count misses.
 
@@ -135,7 +163,7 @@ class Standing:
         return doubt if tracking else (
             f'Only {100 * measured.share:.0f} % of what should be visible is found.')
 
-    def refuse(self, options: TrackerOptions) -> bool:
+    def rejects(self, options: TrackerOptions) -> bool:
         """Take note of an image that did not confirm the pose; returns whether it is lost now."""
         if self.state is TrackerState.LOST:
             return False
@@ -147,8 +175,8 @@ class Standing:
         return lost_now
 
 
-def refusal(measured: PoseMeasurement, seeking: bool, open_turn: bool,
-            options: TrackerOptions) -> str:
+def rejection_reason(measured: PoseMeasurement, seeking: bool, open_turn: bool,
+                     options: TrackerOptions) -> str:
     """
     Say why a measurement is refused.
 
