@@ -148,16 +148,31 @@ def run(args: argparse.Namespace) -> int:
         for remark in getattr(model, 'remarks', ()):
             print(f'{path}: {remark}', file=sys.stderr)
     written = [table.write(output) for table, output in zip(tables, outputs)]
-    written += overlays
+    tell(names, runs, [*written, *overlays], args.quiet)
+    return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
+
+
+def tell(names, runs, written, quiet: bool) -> None:
+    """
+    Print how it went; if quiet, only what was lost.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the objects.
+    runs : sequence of TrackingRun
+    written : sequence of Path
+    quiet : bool
+
+    """
     for name, run in zip(names, runs):
         text = run.text() if len(runs) == 1 else f'{name}: {run.text()}'
-        if not args.quiet:
+        if not quiet:
             print(text)
         elif not run.followed:
             print(text, file=sys.stderr)
-    if not args.quiet:
+    if not quiet:
         print(f'Written: {", ".join(map(str, written))}.')
-    return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 
 
 def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,

@@ -11,20 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A rejection names its cause: too little, an open turn, or edges that are not found."""
+"""What a measurement does to the state of an object, and what is said where it is rejected."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from selfcal_ros.rorapid.estimation.track_state import rejection_reason, TrackStateMachine
+from selfcal_ros.rorapid.estimation.track_state import (
+    ALONE, GUIDED, rejection_reason, TrackStateMachine)
 from selfcal_ros.rorapid.options import TrackerOptions
+from selfcal_ros.rorapid.tracked_frame import TrackerState
 
 
 def measured(share, determined=True, found=40):
     return SimpleNamespace(share=share, determined=determined, reason='', state=None,
-                           found=np.arange(60) < found)
+                           recognised=True, found=np.arange(60) < found)
 
 
 @pytest.mark.parametrize('what, open_turn, words', (
@@ -41,3 +43,26 @@ def test_what_is_degraded_by_an_open_turn_is_said_to_be():
     said = TrackStateMachine().confirm(measured(0.95), False, '', TrackerOptions())
     assert 'a rotation stays open' in said
     assert 'Only 40 %' in TrackStateMachine().confirm(measured(0.4), False, '', TrackerOptions())
+
+
+def followed():
+    track = TrackStateMachine()
+    track.begin(lost=False)
+    track.confirm(measured(0.9), True, '', TrackerOptions())
+    return track
+
+
+def test_a_part_of_a_pose_is_accepted_only_where_other_cameras_guide():
+    part, options = measured(0.9, determined=False), TrackerOptions()
+    assert followed().accepts(part, False, GUIDED, options)
+    assert not followed().accepts(part, False, ALONE, options)
+
+
+def test_a_start_that_nothing_confirms_is_given_up_after_some_images():
+    track, options = TrackStateMachine(), TrackerOptions(frames_to_lost=3)
+    track.begin(lost=False)
+    assert [track.gives_up(False, False, options) for _ in range(2)] == [False, False]
+    # what is near counts anew
+    assert not track.gives_up(True, False, options) and track.misses == 0
+    assert track.state is TrackerState.INITIALISING
+    assert track.gives_up(True, True, options) and track.state is TrackerState.LOST

@@ -21,15 +21,19 @@ turned to the rig and added, and so is M (z - x), which pulls a pose x towards t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.values.camera_rig import PlacedCamera
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: A camera that sees nothing where the others see the object searches by itself in these images
 #: after it did, and then in every so many.
@@ -65,7 +69,8 @@ class PoseInformation:
     misplaced: np.ndarray
     good: bool
 
-    def about(self, place: ObjectPose, difference) -> np.ndarray:
+    def about(self, place: ObjectPose,
+              difference: Callable[[ObjectPose, ObjectPose], np.ndarray]) -> np.ndarray:
         """Pull (6,) on another pose near by."""
         pull: np.ndarray = self.pull + self.information @ difference(self.state, place)
         return pull
@@ -91,7 +96,8 @@ class RigCamera:
 
     """
 
-    def __init__(self, model, placed: PlacedCamera, options: TrackerOptions, rng):
+    def __init__(self, model: WireframeModel, placed: PlacedCamera, options: TrackerOptions,
+                 rng: np.random.Generator):
         """Prepare the camera."""
         self.placed = placed
         self.tracker = RorapidTracker(model, placed.camera, options, rng)
@@ -106,8 +112,8 @@ class RigCamera:
         self._started, self._blind = False, 0
         self.is_apart = False
 
-    def start(self, rotation: np.ndarray, translation: np.ndarray, covariance, lost: bool,
-              distance_sigma_m: float | None) -> bool:
+    def start(self, rotation: np.ndarray, translation: np.ndarray,
+              covariance: ArrayLike | None, lost: bool, distance_sigma_m: float | None) -> bool:
         """
         Take a guess of the pose in the rig; see `RorapidTracker.start`.
 
@@ -133,7 +139,7 @@ class RigCamera:
         self.tracker.seek()
         self._started = True
 
-    def expect(self, kalman, stamp_ns: int | None) -> None:
+    def expect(self, kalman: ConstantVelocityFilter, stamp_ns: int | None) -> None:
         """
         Go on from where all cameras together saw the object.
 
