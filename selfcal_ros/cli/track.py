@@ -148,16 +148,31 @@ def run(args: argparse.Namespace) -> int:
         for remark in getattr(model, 'remarks', ()):
             print(f'{path}: {remark}', file=sys.stderr)
     written = [table.write(output) for table, output in zip(tables, outputs)]
-    written += overlays
+    tell(names, runs, [*written, *overlays], args.quiet)
+    return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
+
+
+def tell(names, runs, written, quiet: bool) -> None:
+    """
+    Print how it went; if quiet, only what was lost.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the objects.
+    runs : sequence of TrackingRun
+    written : sequence of Path
+    quiet : bool
+
+    """
     for name, run in zip(names, runs):
         text = run.text() if len(runs) == 1 else f'{name}: {run.text()}'
-        if not args.quiet:
+        if not quiet:
             print(text)
         elif not run.followed:
             print(text, file=sys.stderr)
-    if not args.quiet:
+    if not quiet:
         print(f'Written: {", ".join(map(str, written))}.')
-    return EXIT_DONE if all(run.followed for run in runs) else EXIT_NOT_CALIBRATED
 
 
 def track_recording(path, targets, camera, options=None, *, topic=None, overlay=None, seed=0,
@@ -178,7 +193,6 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
     from selfcal_ros.pipeline.tracking_run import playing_rate_hz, track_objects
     from selfcal_ros.report.overlay_video import drawing_into, OverlayVideo
     from selfcal_ros.report.poses_csv import PosesTable
-    from selfcal_ros.values.mesh import MeshModel
     tables = [PosesTable() for _ in targets]
 
     def add(frame, tracked):
@@ -188,7 +202,7 @@ def track_recording(path, targets, camera, options=None, *, topic=None, overlay=
     with ExitStack() as stack:
         source = stack.enter_context(open_source(
             path, topic, colour=overlay is not None or any(
-                isinstance(target.model, MeshModel) for target in targets),
+                target.model.is_outlined for target in targets),
             excerpt=excerpt or Excerpt()))
         listeners = [add, *listeners]
         if overlay:

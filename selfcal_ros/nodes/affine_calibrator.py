@@ -22,9 +22,9 @@ from selfcal_ros.nodes.entry_point import run_node
 
 def make_node(**options):
     """Return the node; its imports take a second, hence not before they are wanted."""
-    from selfcal_ros.nodes.calibrator_node import Calibrator
+    from selfcal_ros.nodes.calibrator_node import CalibratorNode
     from selfcal_ros.nodes.parameters import AffineCalibratorParameters
-    return Calibrator('affine_calibrator', AffineCalibratorParameters, **options)
+    return CalibratorNode('affine_calibrator', AffineCalibratorParameters, **options)
 
 
 def main(args=None) -> int:

@@ -61,7 +61,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 
-class Calibrator(Node):
+class CalibratorNode(Node):
     """
     Turns `tracks` into `camera_info`, `~/result`, diagnostics and the scene.
 

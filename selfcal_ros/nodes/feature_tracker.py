@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""feature_tracker: images in, tracks out; see `selfcal_ros.nodes.tracker_node`."""
+"""feature_tracker: images in, tracks out; see `selfcal_ros.nodes.feature_tracker_node`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from selfcal_ros.nodes.entry_point import run_node
 
 def make_node():
     """Return the node; its imports take a second, hence not before they are wanted."""
-    from selfcal_ros.nodes.tracker_node import FeatureTracker
-    return FeatureTracker()
+    from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
+    return FeatureTrackerNode()
 
 
 def main(args=None) -> int:

@@ -58,7 +58,7 @@ class ObjectTopics:
 
     Parameters
     ----------
-    node : RorapidNode
+    node : ObjectTrackerNode
         Its `parameters`, and `image_frame` of the images.
     model : WireframeModel
     name : str

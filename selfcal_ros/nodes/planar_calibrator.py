@@ -22,9 +22,9 @@ from selfcal_ros.nodes.entry_point import run_node
 
 def make_node(**options):
     """Return the node; its imports take a second, hence not before they are wanted."""
-    from selfcal_ros.nodes.calibrator_node import Calibrator
+    from selfcal_ros.nodes.calibrator_node import CalibratorNode
     from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
-    return Calibrator('planar_calibrator', PlanarCalibratorParameters, **options)
+    return CalibratorNode('planar_calibrator', PlanarCalibratorParameters, **options)
 
 
 def main(args=None) -> int:

@@ -16,26 +16,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import compress
-import time
 import traceback
 
-from msg_adapters.image import image_message, ImageDecoder
+from msg_adapters.image import ImageDecoder
 from msg_adapters.stamps import stamp_ns
 import numpy as np
 
 from selfcal_ros.errors import SelfcalError
-from selfcal_ros.nodes.tracking_worker import fault, ObjectInImage, TrackedImage, TrackingWorker
+from selfcal_ros.nodes.tracking_worker import (
+    DecodedImages, fault, InstantMessages, ObjectInImage, TrackingWorker)
 from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.report.overlay import draw_overlay
+from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 
 
 class RigWorker(TrackingWorker):
     """
     Runs sessions of several cameras in a thread of its own.
-
-    What is submitted is (header, images): the header that poses get, and an image message or None
-    of each camera; with it, of which cameras a picture is to be drawn.
 
     Parameters
     ----------
@@ -53,10 +50,11 @@ class RigWorker(TrackingWorker):
         self._decoders = [ImageDecoder() for _ in cameras]
         super().__init__(sessions, ready, names)
 
-    def _track(self, msg, with_overlay, depth, current: np.ndarray) -> TrackedImage:
-        began, (header, messages) = time.perf_counter(), msg
-        pictures, problems = [], []
-        for name, decoder, one in zip(self._cameras, self._decoders, messages):
+    def _decoded(self, seen: InstantMessages) -> DecodedImages:
+        """Decode the images that are there, each for itself."""
+        pictures: list[np.ndarray | None] = []
+        problems = []
+        for name, decoder, one in zip(self._cameras, self._decoders, seen.images):
             picture = None
             try:
                 picture = None if one is None else decoder.grey(one)
@@ -66,42 +64,23 @@ class RigWorker(TrackingWorker):
                 traceback.print_exc()
                 problems.append(fault(error))
             pictures.append(picture)
-        stamp = stamp_ns(header.stamp)
+        return DecodedImages(tuple(pictures), stamp_ns(seen.header.stamp), ' '.join(problems))
 
-        def look(session: RigSession) -> ObjectInImage:
-            tracked, wrong, sees = None, ' '.join(problems), {}
-            if any(picture is not None for picture in pictures):
-                try:
-                    found = session.look(pictures, stamp)
-                    tracked, sees = found.tracked, dict(zip(self._cameras, found.sees))
-                except SelfcalError as error:
-                    wrong = str(error)
-                except Exception as error:  # as above
-                    traceback.print_exc()
-                    wrong = fault(error)
-            return ObjectInImage(tracked, session.camera, wrong, time.perf_counter() - began,
-                                 session.snapshot(), sees)
+    def _look(self, session: RigSession,
+              pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
+        """Find one object; and which of the cameras see it."""
+        found = session.look(pictures.grey, pictures.stamp_ns)
+        return found.tracked, dict(zip(self._cameras, found.sees))
 
-        objects = tuple(look(session) if is_current else None
-                        for session, is_current in zip(self._sessions, current))
-        overlays = tuple(self._picture(k, pictures[k], messages[k], objects) if wanted else None
-                         for k, wanted in enumerate(with_overlay))
-        return TrackedImage(header, objects, None, overlays)
-
-    def _picture(self, which: int, picture, message, objects):
-        """Draw all objects over the image of one camera."""
-        if picture is None:
-            return None
-        try:
-            line = 0
-            for session, one, name in compress(zip(self._sessions, objects, self._names), objects):
-                # without a pose of this instant there is one of an earlier image
-                newest = session.newest_of_rig if one.tracked is not None else None
-                if newest is not None and newest.views[which] is not None:
-                    picture = draw_overlay(picture, newest.views[which], session.model,
-                                           session.cameras[which].camera, one.problem, line, name)
-                line += 1
-            return image_message(picture, message.header, self._types)
-        except Exception:  # a pose must not be lost to its picture
-            traceback.print_exc()
-            return None
+    def _drawn(self, which: int, picture: np.ndarray,
+               objects: Sequence[ObjectInImage | None]) -> np.ndarray:
+        """Draw all objects over the image (H, W) of one camera."""
+        shown = ((session, one, name) for session, one, name in zip(
+            self._sessions, objects, self._names) if one is not None)
+        for line, (session, one, name) in enumerate(shown):
+            # without a pose of this instant there is one of an earlier image
+            newest = session.newest_of_rig if one.tracked is not None else None
+            if newest is not None and newest.views[which] is not None:
+                picture = draw_overlay(picture, newest.views[which], session.model,
+                                       session.cameras[which].camera, one.problem, line, name)
+        return picture

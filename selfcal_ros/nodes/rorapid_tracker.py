@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""rorapid_tracker: images in, poses of an object out; see `selfcal_ros.nodes.rorapid_node`."""
+"""rorapid_tracker: images in, poses of an object out; see `nodes.object_tracker_node`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from selfcal_ros.nodes.entry_point import run_node
 
 def make_node():
     """Return the node; its imports take a second, hence not before they are wanted."""
-    from selfcal_ros.nodes.rorapid_node import RorapidNode
-    return RorapidNode()
+    from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
+    return ObjectTrackerNode()
 
 
 def main(args=None) -> int:

@@ -35,6 +35,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.tracking_session import TrackingSession, TrackingSnapshot
 from selfcal_ros.report.overlay import draw_overlay
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
+from std_msgs.msg import Header
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,55 @@ class ObjectInImage:
 
 
 @dataclass(frozen=True)
+class InstantMessages:
+    """
+    What came of one instant, from one camera or several.
+
+    Attributes
+    ----------
+    header : std_msgs/Header
+        That poses get.
+    images : tuple of sensor_msgs/Image or None
+        Of each camera; or sensor_msgs/CompressedImage.
+    drawn : sequence of bool
+        Of which cameras an overlay is wanted.
+    depth : ndarray, shape (H, W), or None
+        Of a single camera, metres.
+
+    """
+
+    header: Header
+    images: tuple
+    drawn: Sequence[bool]
+    depth: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class DecodedImages:
+    """
+    The same as arrays.
+
+    Attributes
+    ----------
+    grey : tuple of ndarray, shape (H, W), or None
+        Of each camera.
+    stamp_ns : int
+    problem : str
+        Why an image is missing.
+    bgr : ndarray, shape (H, W, 3), or None
+        Of a single camera, where an object asks for colour.
+    depth : ndarray, shape (H, W), or None
+
+    """
+
+    grey: tuple[np.ndarray | None, ...]
+    stamp_ns: int
+    problem: str
+    bgr: np.ndarray | None = None
+    depth: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class TrackedImage:
     """
     What became of one image.
@@ -76,16 +126,14 @@ class TrackedImage:
         That of the image.
     objects : tuple of ObjectInImage or None
         None where an object began anew since.
-    overlay : sensor_msgs/Image or None
     overlays : tuple of sensor_msgs/Image or None
-        Of several cameras.
+        Of each camera.
 
     """
 
-    header: object
+    header: Header
     objects: tuple[ObjectInImage | None, ...]
-    overlay: object
-    overlays: tuple = ()
+    overlays: tuple
 
 
 class TrackingWorker:
@@ -115,7 +163,7 @@ class TrackingWorker:
         self._types = rclpy_types()
         self._wake = threading.Condition()
         self._commands: deque[Callable] = deque()
-        self._image: tuple[Any, Any, Any, tuple[int, ...]] | None = None
+        self._image: tuple[InstantMessages, tuple[int, ...]] | None = None
         self._results: deque[tuple[TrackedImage, tuple[int, ...]] | str] = deque()
         #: How often each object began anew.
         self._begun = (0,) * len(self._sessions)
@@ -143,16 +191,16 @@ class TrackingWorker:
             self._commands.extend(partial(action, self._sessions[k]) for k in chosen)
             if anew:
                 self._begun = tuple(count + (k in chosen) for k, count in enumerate(self._begun))
-                if self._image is not None and not self._current(self._image[3]).any():
+                if self._image is not None and not self._current(self._image[1]).any():
                     self.dropped += 1
                     self._image = None
             self._wake.notify()
 
-    def submit(self, msg, with_overlay, depth: np.ndarray | None = None) -> None:
-        """Hand over an image, and its depths (H, W) in metres; one that waits is dropped."""
+    def submit(self, seen: InstantMessages) -> None:
+        """Hand over the images of an instant; what waits is dropped."""
         with self._wake:
             self.dropped += self._image is not None
-            self._image = msg, with_overlay, depth, self._begun
+            self._image = seen, self._begun
             self._wake.notify()
 
     def _current(self, begun: tuple[int, ...]) -> np.ndarray:
@@ -192,8 +240,8 @@ class TrackingWorker:
             for action in commands:
                 self._do(action)
             if job is not None:
-                msg, with_overlay, depth, begun = job
-                done = self._track(msg, with_overlay, depth, self._current(begun))
+                seen, begun = job
+                done = self._track(seen, self._current(begun))
                 self._tell((done, begun))
             if not self._stopped:
                 self._ready()
@@ -212,54 +260,74 @@ class TrackingWorker:
             traceback.print_exc()
             self._tell(fault(error))
 
-    def _track(self, msg, with_overlay, depth, current: np.ndarray) -> TrackedImage:
-        began, problem, picture, bgr, stamp = time.perf_counter(), '', None, None, 0
+    def _track(self, seen: InstantMessages, current: np.ndarray) -> TrackedImage:
+        """Follow the objects of which an image is still wanted, (N,) bool, and draw them."""
+        began = time.perf_counter()
+        pictures = self._decoded(seen)
+        objects = tuple(self._found(session, pictures, began) if is_current else None
+                        for session, is_current in zip(self._sessions, current))
+        overlays = tuple(self._overlay(which, pictures, objects, seen) if wanted else None
+                         for which, wanted in enumerate(seen.drawn))
+        return TrackedImage(seen.header, objects, overlays)
+
+    def _decoded(self, seen: InstantMessages) -> DecodedImages:
+        """Decode the image; in colour where an object asks for it."""
+        problem, grey, bgr, stamp, (msg,) = '', None, None, 0, seen.images
         try:
             stamp = stamp_ns(msg.header.stamp)
             if any(session.wants_colour for session in self._sessions):
                 bgr = self._decoder.colour(msg)
-            picture = self._decoder.grey(msg) if bgr is None else cv2.cvtColor(
+            grey = self._decoder.grey(msg) if bgr is None else cv2.cvtColor(
                 bgr, cv2.COLOR_BGR2GRAY)
         except SelfcalError as error:
             problem = str(error)
         except Exception as error:  # as above
             traceback.print_exc()
             problem = fault(error)
+        return DecodedImages((grey,), stamp, problem, bgr, seen.depth)
 
-        def track(session: TrackingSession, is_current: bool) -> ObjectInImage | None:
-            if not is_current:
-                return None
-            tracked, wrong = None, problem
-            if picture is not None:
-                try:
-                    coloured = bgr if session.wants_colour else None
-                    tracked = session.add(picture if coloured is None else coloured, stamp, depth)
-                except SelfcalError as error:
-                    wrong = str(error)
-                except Exception as error:  # as above
-                    traceback.print_exc()
-                    wrong = fault(error)
-            return ObjectInImage(tracked, session.camera, wrong, time.perf_counter() - began,
-                                 session.snapshot())
+    def _found(self, session, pictures: DecodedImages, began: float) -> ObjectInImage:
+        """Find one object, or say why not; `began` is when the images were taken up, seconds."""
+        sees: dict[str, bool] = {}
+        tracked, problem = None, pictures.problem
+        if any(picture is not None for picture in pictures.grey):
+            try:
+                tracked, sees = self._look(session, pictures)
+            except SelfcalError as error:
+                problem = str(error)
+            except Exception as error:  # as above
+                traceback.print_exc()
+                problem = fault(error)
+        return ObjectInImage(tracked, session.camera, problem, time.perf_counter() - began,
+                             session.snapshot(), sees)
 
-        objects = tuple(map(track, self._sessions, current))
-        return TrackedImage(msg.header, objects,
-                            self._drawn(picture, objects, msg.header) if with_overlay else None)
+    def _look(self, session, pictures: DecodedImages) -> tuple[TrackedFrame, dict[str, bool]]:
+        """Find one object; and which of several cameras see it."""
+        grey, = pictures.grey
+        image = pictures.bgr if session.wants_colour and pictures.bgr is not None else grey
+        return session.add(image, pictures.stamp_ns, pictures.depth), {}
 
-    def _drawn(self, picture, objects, header):
-        """Draw all objects over the image."""
+    def _overlay(self, which: int, pictures: DecodedImages,
+                 objects: Sequence[ObjectInImage | None], seen: InstantMessages):
+        """Draw all objects over the image of one camera; None where that cannot be done."""
+        picture = pictures.grey[which]
         if picture is None:
             return None
         try:
-            for line, (session, one, name) in enumerate(zip(self._sessions, objects,
-                                                            self._names)):
-                if one is not None:
-                    picture = draw_overlay(picture, one.tracked, session.model, session.camera,
-                                           one.problem, line, name)
-            return image_message(picture, header, self._types)
+            return image_message(self._drawn(which, picture, objects), seen.images[which].header,
+                                 self._types)
         except Exception:  # a pose must not be lost to its picture
             traceback.print_exc()
             return None
+
+    def _drawn(self, which: int, picture: np.ndarray,
+               objects: Sequence[ObjectInImage | None]) -> np.ndarray:
+        """Draw all objects over an image (H, W); each has a line of text of its own."""
+        for line, (session, one, name) in enumerate(zip(self._sessions, objects, self._names)):
+            if one is not None:
+                picture = draw_overlay(picture, one.tracked, session.model, session.camera,
+                                       one.problem, line, name)
+        return picture
 
 
 def fault(error: Exception) -> str:

@@ -15,21 +15,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-import logging
-import time
 
-from selfcal_ros.errors import InputError
 from selfcal_ros.pipeline.frame_source import Frame, FrameSource
+from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.pipeline.simultaneous import simultaneous
-from selfcal_ros.pipeline.tracking_run import check_source, count_image, Target, TrackingRun
+from selfcal_ros.pipeline.tracking_loop import (
+    begin_sessions, check_source, follow_through, Target)
+from selfcal_ros.pipeline.tracking_outcome import TrackingRun
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.values.camera_rig import PlacedCamera
-
-_LOGGER = logging.getLogger(__name__)
 
 
 def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
@@ -72,38 +70,25 @@ def track_in_rig(sources: Sequence[FrameSource], targets: Sequence[Target],
     runs = [TrackingRun(description=description, distance_stated=True,
                         cameras={one.name: 0 for one in cameras}) for _ in targets]
     sessions = [RigSession(target.model, cameras, options, seed) for target in targets]
-    for session, target in zip(sessions, targets):
-        if target.start is None:
-            session.seek()
-        else:
-            session.start(*target.start, target.distance_sigma_m)
+    begin_sessions(sessions, targets)
     for source, one in zip(sources, cameras):
         check_source(source, one.camera)
-    listeners = tuple(listeners)
-    timed = all(source.clock != 'nominal' for source in sources)
     counts = [source.count for source in sources if source.count is not None]
-    for instant, heads in enumerate(simultaneous(sources)):
-        frames = [head and replace(head, index=instant) for head in heads]
-        first = next(frame for frame in frames if frame is not None)
-        images = [None if frame is None else frame.image for frame in frames]
-        found = []
-        try:
-            for run, session in zip(runs, sessions):
-                began = time.perf_counter()
-                found.append(session.look(images, first.stamp_ns if timed else None))
-                run.seconds += time.perf_counter() - began
-        except InputError as error:
-            remark = f'{first.name or f"Instant {instant}"} was passed over: {error}'
-            for run in runs:
-                run.remarks.append(remark)
-            _LOGGER.info(remark)
-            continue
-        for run, now in zip(runs, found):
-            count_image(run, instant, now.tracked)
-            for camera, sees in zip(cameras, now.sees):
-                run.cameras[camera.name] += sees
-        for listener in listeners:
-            listener(frames, found)
-        if progress:
-            progress('Tracking', instant + 1, max(counts) if counts else None)
+
+    def of_frames(listener: Callable[[Sequence[Frame | None], Sequence[RigFrame]], object],
+                  ) -> Callable:
+        return lambda instant, found: listener(instant.frames, found)
+
+    follow_through(_instants(sources), sessions, runs, word='Instant',
+                   count=max(counts) if counts else None, progress=progress,
+                   listeners=map(of_frames, listeners))
     return runs
+
+
+def _instants(sources: Sequence[FrameSource]) -> Iterator[Instant]:
+    """Bring the images of several cameras together; all are numbered by the instant."""
+    timed = all(source.clock != 'nominal' for source in sources)
+    for index, heads in enumerate(simultaneous(sources)):
+        frames = tuple(head and replace(head, index=index) for head in heads)
+        first = next(frame for frame in frames if frame is not None)
+        yield Instant(index, frames, first.stamp_ns if timed else None)

@@ -22,9 +22,10 @@ import numpy as np
 
 from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.tracking_session import check_image, check_in_image, TrackingSession
-from selfcal_ros.rorapid.several_cameras.rig_tracker import (
-    check_rig_options, RigFrame, RigTracker)
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_tracker import check_rig_options, RigTracker
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.values.camera_rig import PlacedCamera
 
@@ -107,6 +108,11 @@ class RigSession(TrackingSession):
             except InputError as error:
                 problems.append(error)
         raise problems[0]
+
+    def look_at(self, instant: Instant) -> RigFrame:
+        """Find the object at an instant of several recordings; see `look`."""
+        return self.look([None if frame is None else frame.image for frame in instant.frames],
+                         instant.stamp_ns)
 
     def look(self, images: Sequence[np.ndarray | None], stamp_ns: int | None = None) -> RigFrame:
         """

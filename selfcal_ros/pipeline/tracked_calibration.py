@@ -43,7 +43,6 @@ from selfcal_ros.pipeline.tracking_run import read_start
 from selfcal_ros.pipeline.tracking_session import TrackingSession
 from selfcal_ros.rorapid.tracker import TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
-from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.tracks import Tracks
 from selfcal_ros.version import __version__
 
@@ -127,7 +126,7 @@ def calibrate_tracked_object(path, model, facts: CameraFacts, *, init: str | Non
         if start is not None and start.width and (start.width, start.height) != size:
             raise InputError(f'The images are {size[0]}x{size[1]}, the calibration to begin with '
                              f'is for {start.width}x{start.height} pixels.')
-        if isinstance(model, MeshModel):
+        if model.is_outlined:
             raise InputError('A mesh cannot calibrate a camera yet; give a wireframe of the '
                              'object (.cao or .yaml).')
         camera, pose = _begin(source, model, facts, init, clicks, start, seed)

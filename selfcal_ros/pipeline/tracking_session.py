@@ -27,11 +27,13 @@ import numpy as np
 
 from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.pipeline.instant import Instant
 from selfcal_ros.pipeline.stamp_order import stamp_order, StampOrder
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackedFrame, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_model import check_size
 from selfcal_ros.values.known_object import FARTHEST
-from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: In place of a start pose: the object is sought.
 AUTO = 'auto'
@@ -90,8 +92,8 @@ class TrackingSession:
 
     """
 
-    def __init__(self, model, options: TrackerOptions | None = None, camera: Camera | None = None,
-                 seed: int = 0):
+    def __init__(self, model: WireframeModel, options: TrackerOptions | None = None,
+                 camera: Camera | None = None, seed: int = 0):
         self.model = model
         self.options = TrackerOptions() if options is None else options
         check_size(model, *self.options.control_points)
@@ -226,7 +228,7 @@ class TrackingSession:
     @property
     def wants_colour(self) -> bool:
         """Whether colours help: an outline stands out in the grey that they choose."""
-        return isinstance(self.model, MeshModel)
+        return self.model.is_outlined
 
     def add(self, image: np.ndarray, stamp_ns: int | None = None,
             depth: np.ndarray | None = None) -> TrackedFrame:
@@ -266,6 +268,13 @@ class TrackingSession:
         frame = self._tracker.track(image, stamp_ns, depth)
         self._count(frame)
         return frame
+
+    def look_at(self, instant: Instant) -> RigFrame:
+        """Find the object at an instant of a recording; see `add`."""
+        frame = instant.first
+        bgr = frame.bgr if self.wants_colour else None
+        tracked = self.add(frame.image if bgr is None else bgr, instant.stamp_ns, instant.depth)
+        return RigFrame(tracked, (tracked,), (bool(tracked),))
 
     def _count(self, frame: TrackedFrame) -> None:
         """Note how an image went."""

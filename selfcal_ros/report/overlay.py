@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.values.mesh import MeshModel
-from selfcal_ros.values.wireframe import across_axes
+from selfcal_ros.values.wireframe import across_axes, WireframeModel
 
 #: Pieces of the net that is drawn over a mesh, at the most.
 MESH_PIECES = 1000
@@ -39,7 +38,8 @@ _SHIFT = 4
 _PIECES = 12
 
 
-def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
+def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None,
+                 model: WireframeModel | None = None,
                  camera: Camera | None = None, text: str = '', line: int = 0, name: str = ''
                  ) -> np.ndarray:
     """
@@ -74,7 +74,7 @@ def draw_overlay(image: np.ndarray, tracked: TrackedFrame | None, model=None,
     thick = max(1, round(min(drawn.shape[:2]) / 480))
     if tracked is not None:
         _draw_points(drawn, tracked, thick, 0 if model is None else len(model.lines),
-                     isinstance(model, MeshModel))
+                     model is not None and model.is_outlined)
         if model is not None and camera is not None and tracked.state is not TrackerState.LOST \
                 and tracked.camera_model in ('perspective', 'zoom'):
             _draw_axes(drawn, tracked, model, camera, thick)
@@ -159,7 +159,7 @@ def zoomed_camera(camera: Camera, tracked: TrackedFrame) -> Camera:
     return Camera(K, camera.distortion, camera.width, camera.height, camera.model)
 
 
-def wireframe_segments(model, pieces: int = 24) -> np.ndarray:
+def wireframe_segments(model: WireframeModel, pieces: int = 24) -> np.ndarray:
     """
     Return a model as straight pieces, to be drawn in space.
 
@@ -177,9 +177,9 @@ def wireframe_segments(model, pieces: int = 24) -> np.ndarray:
     """
     angles = np.linspace(0, 2 * np.pi, pieces + 1)
     parts = [model.edges()]
-    if isinstance(model, MeshModel):
-        # a net over the round parts, not finer than can be seen
-        net = model.smooth_points[model.smooth_edges]
+    net = model.surface_net
+    if len(net):
+        # not finer than can be seen
         parts.append(net[::-(-len(net) // MESH_PIECES)])
     parts += [_chain(conic.points(angles)) for conic in model.conics]
     for cylinder in model.cylinders:

@@ -27,7 +27,7 @@ from selfcal_ros.errors import InputError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.pipeline.frame_source import Frame
 from selfcal_ros.report.overlay import draw_overlay
-from selfcal_ros.rorapid.several_cameras.rig_tracker import RigFrame
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame
 from selfcal_ros.values.output_files import check_writable
 from selfcal_ros.values.wireframe import WireframeModel

@@ -176,7 +176,7 @@ class TrackerOptions:
                 self.doubt, self.acceleration_m_s2, self.acceleration_rad_s2, self.zoom_rate_s)
 
     @property
-    def doubts(self) -> bool:
+    def verifies(self) -> bool:
         """Whether starts are confirmed, and models and cameras doubted."""
         return self.method == 'modern' and self.doubt
 

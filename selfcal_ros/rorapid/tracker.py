@@ -20,36 +20,32 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.rorapid.edges.control_points import ControlModel
-from selfcal_ros.rorapid.estimation.allowed_motion import AllowedMotion
-from selfcal_ros.rorapid.estimation.doubts import Doubts
-from selfcal_ros.rorapid.estimation.filter_start import (
-    checked_start, start_spread, started_filter)
+from selfcal_ros.rorapid.estimation.plausibility import PlausibilityChecks
+from selfcal_ros.rorapid.estimation.filter_start import checked_start, start_covariance
 from selfcal_ros.rorapid.estimation.free_turn import hold_free, with_any_turn
-from selfcal_ros.rorapid.estimation.kalman_filter import (
-    ConstantVelocityFilter, DAMPING, seconds_between)
+from selfcal_ros.rorapid.estimation.kalman_filter import DAMPING, seconds_between
+from selfcal_ros.rorapid.estimation.pose_estimator import PoseEstimator, SearchingEstimator
+from selfcal_ros.rorapid.estimation.pose_filter import PoseFilter
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.rapid_tracker import RapidTracker
 from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
-from selfcal_ros.rorapid.estimation.standing import leaves_turn_open, refusal, Standing
+from selfcal_ros.rorapid.estimation.track_state import (
+    ALONE, GUIDED, leaves_turn_open, rejection_reason, TrackStateMachine)
 from selfcal_ros.rorapid.estimation.start_search import (
-    confirmed_again, proposed_spread, relocalised, StartSearch)
+    confirmed_again, relocalised, StartSearch)
 from selfcal_ros.rorapid.estimation.told_frame import told_frame
 from selfcal_ros.rorapid.options import TrackerOptions
-from selfcal_ros.rorapid.projection.camera_models import Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.object_colour import ObjectColour
 from selfcal_ros.rorapid.region.region_of_interest import checked_image
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
-from selfcal_ros.rorapid.visibility.visible_mesh import visible_of, VisibleMesh
-from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
 from selfcal_ros.values.wireframe import WireframeModel
 
 __all__ = ['RorapidTracker', 'TrackedFrame', 'TrackerOptions', 'TrackerState']
 
-#: Zoom is left when so many images in a row leave the focal length open by this share.
-_ZOOM_OPEN, _ZOOM_FRAMES = 0.1, 10
 #: An object that was never seen is thought to be so many diameters of the image away.
 _SOUGHT = 3.0
 
@@ -75,60 +71,44 @@ class RorapidTracker:
         self.model, self.camera = model, camera
         self.options = options = TrackerOptions() if options is None else options
         self._rng = np.random.default_rng(0) if rng is None else rng
-        self._visible = visible_of(model, *options.control_points)
-        self._camera_model = options.camera_model
         self._projection = Projection(camera, options.camera_model)
-        self._allowed = AllowedMotion(self._projection, options)
+        self._pose = PoseFilter(self._projection, options, model.diameter_m)
         size = (camera.width or 1 << 30, camera.height or 1 << 30)
-        self._control = ControlModel(self._visible, self._projection, size)
+        self._control = ControlModel(visible_of(model, *options.control_points),
+                                     self._projection, size)
         method = RobustTracker if options.method == 'modern' else RapidTracker
-        self._method = method(self._control, self._basis, options, self._rng)
-        self._kalman: ConstantVelocityFilter | None = None
-        self._doubts = Doubts(self._control, self._basis, options, self._is_perspective)
-        self._standing, self._led = Standing(), False
+        self._method: PoseEstimator = method(self._control, self._pose.basis, options, self._rng)
+        self._plausibility = PlausibilityChecks(self._control, self._pose.basis, options)
+        self._track_state, self._policy = TrackStateMachine(), ALONE
+        self._starting: StartSearch | None = None
         self._colour = ObjectColour()
         self._stamp_ns: int | None = None
         #: What the last image said of the pose; None where it did not confirm one.
         self.measured: PoseMeasurement | None = None
 
     @property
-    def _basis(self) -> np.ndarray:
-        """Corrections that motion and camera model allow, (size, m)."""
-        return self._allowed.basis
-
-    @property
-    def _filter(self) -> ConstantVelocityFilter:
-        """The filter, once there was a start."""
-        if self._kalman is None:
-            raise ArgumentError('The tracker needs a start pose before the first image.')
-        return self._kalman
-
-    @property
-    def _outlined(self) -> bool:
-        return isinstance(self.model, MeshModel)
-
-    @property
-    def _is_perspective(self) -> bool:
-        return self._camera_model == 'perspective'
+    def _unconfirmed(self) -> StartSearch | None:
+        """What confirms the start, while no image has."""
+        return self._starting if self.state is TrackerState.INITIALISING else None
 
     @property
     def state(self) -> TrackerState:
         """State after the last image; LOST before any start."""
-        return self._standing.state
+        return self._track_state.state
 
     def reset(self) -> None:
         """Forget pose, texture and plane; a new start is needed."""
         self._method.reset()
-        self._allowed.reset()
+        self._pose.forget()
         self._colour.forget()
-        if self._camera_model != self.options.camera_model or self.options.motion == 'planar':
-            self._camera_model = self.options.camera_model
-            self._projection.become(self._camera_model)
-            self._allowed.lay()
-            self._method.switch(self._basis, self._camera_model)
-        self._kalman = self.measured = self._stamp_ns = None
-        self._led = False
-        self._standing.begin(lost=True)
+        camera_model = self.options.camera_model
+        if self._projection.model != camera_model or self.options.motion == 'planar':
+            self._projection.become(camera_model)
+            self._pose.allowed.lay()
+            self._method.switch(self._pose.basis, camera_model)
+        self.measured = self._stamp_ns = self._starting = None
+        self._policy = ALONE
+        self._track_state.begin(lost=True)
 
     def adopt(self, options: TrackerOptions) -> bool:
         """
@@ -148,10 +128,10 @@ class RorapidTracker:
         if options.built_in != self.options.built_in:
             return False
         if options.control_points != self.options.control_points:
-            self._visible = visible_of(self.model, *options.control_points)
-            self._control = ControlModel(self._visible, self._projection, self._control.image_size)
+            self._control = ControlModel(visible_of(self.model, *options.control_points),
+                                         self._projection, self._control.image_size)
         self.options = options
-        self._doubts.adopt(self._control, self._basis, options, self._is_perspective)
+        self._plausibility.adopt(self._control, self._pose.basis, options)
         self._method.adopt(options, self._control)
         return True
 
@@ -184,19 +164,20 @@ class RorapidTracker:
         """
         rotation, translation = checked_start(rotation, translation)
         centred = translation + rotation @ self._control.centre
-        spread = start_spread(rotation, centred, self._control.centre, self.model.diameter_m,
-                              covariance)
+        guessed = start_covariance(rotation, centred, self._control.centre,
+                                   self.model.diameter_m, covariance)
         state = self._projection.from_pose(rotation, centred)
-        if focal_px is not None and self._camera_model == 'zoom':
+        if focal_px is not None and self._projection.model == 'zoom':
             state = replace(state, zoom=focal_px / self.camera.K[0, 0])
-        self._start_filter(state, spread)
-        self._standing.begin(lost)
-        self._open, self._stamp_ns = 0, None
-        self._doubts.begin(centred[2], distance_sigma_m, lost or not self.options.doubts)
-        self._starting = StartSearch(self._filter.state, self._filter.spread.copy(),
-                                     self._outlined, self.model.free_turns)
+        self._pose.begin(state, guessed)
+        self._track_state.begin(lost)
+        self._stamp_ns = None
+        self._plausibility.begin(centred[2], distance_sigma_m, lost or not self.options.verifies)
+        kalman = self._pose.kalman
+        self._starting = StartSearch(kalman.state, kalman.pose_covariance.copy(),
+                                     self.model.is_outlined, self.model.free_turns)
         if lost:
-            self._filter.restart(state, self._wide(state))
+            self._pose.restart_wide(state)
 
     def seek(self) -> None:
         """
@@ -211,23 +192,52 @@ class RorapidTracker:
             If the method is one of the thesis's: they do not search.
 
         """
-        method = self._method
-        if not isinstance(method, RobustTracker):
-            raise ArgumentError('A start without a pose needs the method modern.')
+        self._method.seek()
         away = _SOUGHT * self.model.diameter_m * self.camera.K[0, 0] / min(
             self._control.image_size)
         self.start(np.eye(3), [0, 0, away] - self._control.centre, lost=True)
-        method.placed = False
+
+    def search_around(self, state: ObjectPose, stamp_ns: int | None) -> None:
+        """Seek the object around a pose (of its middle) that other cameras tell, by itself."""
+        self._told_by_others(state, stamp_ns)
+        self._policy = ALONE
+        self._track_state.lose()
+        self._pose.restart_wide(state)
+
+    def follow(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray,
+               stamp_ns: int | None) -> None:
+        """
+        Go on from where other cameras see the object: it is measured there, not sought.
+
+        Parameters
+        ----------
+        state : ObjectPose
+            Of the object's middle, at `stamp_ns`.
+        velocity, covariance : ndarray, shape (6,) and (12, 12)
+            As of `ConstantVelocityFilter`.
+        stamp_ns : int or None
+
+        """
+        self._told_by_others(state, stamp_ns)
+        self._policy = GUIDED
+        self._pose.kalman.take_over(state, velocity, covariance)
+        self._track_state.follow()
+
+    def _told_by_others(self, state: ObjectPose, stamp_ns: int | None) -> None:
+        """Take a start from other cameras, where there was none."""
+        if not self._pose.is_started:
+            self.start(state.rotation, state.translation - state.rotation @ self.centre, lost=True)
+        self._stamp_ns = stamp_ns
+
+    @property
+    def doubt_covariance(self) -> np.ndarray:
+        """Covariance (6, 6) of (theta, Delta) that a doubt of model or camera adds."""
+        return self._plausibility.covariance(self._pose.kalman.state, self._pose.basis)
 
     @property
     def centre(self) -> np.ndarray:
         """Middle of the object in its own frame, (3,): what states are about."""
         return self._control.centre
-
-    def _start_filter(self, state, spread) -> None:
-        """Start the Kalman filter at a state with a covariance of (theta, Delta)."""
-        self._kalman = started_filter(self._projection, self._basis, self._allowed.free,
-                                      self.options, self.model.diameter_m, state, spread)
 
     def track(self, image: np.ndarray, stamp_ns: int | None = None,
               depth: np.ndarray | None = None) -> TrackedFrame:
@@ -255,146 +265,124 @@ class RorapidTracker:
             If the image is not of the camera's size or type.
 
         """
-        self.measured, kalman = None, self._filter
+        self.measured, kalman = None, self._pose.kalman
         picture = checked_image(image, self.camera)
         self._control.resize(picture.shape[1::-1])
         seconds = seconds_between(self._stamp_ns, stamp_ns, self.options.frame_rate_hz)
         self._stamp_ns = stamp_ns
-        lost = self.state is TrackerState.LOST
-        first = self.state is TrackerState.INITIALISING
-        fresh = first and not (self._starting.tries and self.options.doubts)
-        if not lost and not fresh:
-            kalman.predict(seconds, DAMPING if self._standing.misses >= 1 else 0.0)
-        predicted, spread = kalman.state, kalman.spread
-        if first and isinstance(self._visible, VisibleMesh):
-            self._colour.learn(picture, self._visible.mask(
-                predicted.rotation, predicted.translation - predicted.rotation @ self.centre,
-                picture.shape[:2], lambda points: self._projection.project(
-                    predicted, points - self.centre).pixels))
+        # what is lost stays where it was; a start is looked at more than once where it is tested
+        starting, verifier = self._unconfirmed, self._method.verifier
+        fresh = starting is not None and not (starting.tries and verifier)
+        if not fresh and self.state is not TrackerState.LOST:
+            kalman.predict(seconds, DAMPING if self._track_state.misses >= 1 else 0.0)
+        mask = None if starting is None else self._control.mask(kalman.state, picture.shape)
+        if mask is not None:
+            # in which grey an outline stands out
+            self._colour.learn(picture, mask)
         image = self._colour.grey(picture)
-        if fresh:
-            measured = self._method.initialise(image, predicted, spread)
-        else:
-            measured = self._method.measure(image, predicted, spread)
-        if first and self.options.doubts and isinstance(self._method, RobustTracker):
-            return self._confirm(self._method, image, measured, stamp_ns)
-        if not first and self.options.seeks and not self._led and not measured.recognised and (
-                lost or measured.share < self.options.tracking_share):
-            measured = relocalised(self._method, image, measured, self._filter.state, lost,
-                                   self._wide)
-        if lost and measured.recognised and self.options.doubts and isinstance(
-                self._method, RobustTracker):
-            measured = confirmed_again(self._method, image, measured)
-            if measured.recognised and self._standing.good is None and self._outlined:
-                # an outline that was never confirmed is a start, not a return
-                self._starting = StartSearch.again(
-                    measured.state, self._wide(measured.state), self.model.free_turns)
-                self._standing.begin(lost=False)
-                self._filter.restart(measured.state, measured.covariance)
-                return self._confirm(self._method, image, measured, stamp_ns)
-        if depth is not None and self._is_perspective and (
+        look = self._method.initialise if fresh else self._method.measure
+        measured = look(image, kalman.state, kalman.pose_covariance)
+        if starting is None:
+            measured = self._sought(image, measured)
+            starting = self._unconfirmed
+        if starting is not None and verifier is not None:
+            return self._confirm(starting, verifier, image, measured, stamp_ns)
+        if depth is not None and self._projection.model == 'perspective' and (
                 measured.share >= self.options.lost_share):
-            measured = self._doubts.depths.improved(measured, depth, self._basis)
+            measured = self._plausibility.depths.improved(measured, depth, self._pose.basis)
         return self._judge(measured, image, stamp_ns)
 
-    def _confirm(self, method: RobustTracker, image, measured: PoseMeasurement,
-                 stamp_ns) -> TrackedFrame:
+    def _sought(self, image: np.ndarray, measured: PoseMeasurement) -> PoseMeasurement:
+        """Seek what is not seen as expected; what is found again is tested, or a new start."""
+        lost, seeker, verifier = (self.state is TrackerState.LOST, self._method.seeker,
+                                  self._method.verifier)
+        if seeker is not None and self._policy.relocalises and not measured.recognised and (
+                lost or measured.share < self.options.tracking_share):
+            measured = relocalised(seeker, image, measured, self._pose.kalman.state, lost,
+                                   self._pose.proposed_covariance)
+        if not lost or not measured.recognised or verifier is None:
+            return measured
+        measured = confirmed_again(verifier, image, measured)
+        if measured.recognised and self._track_state.good is None and self.model.is_outlined:
+            # an outline that was never confirmed is a start, not a return
+            self._starting = StartSearch.again(
+                measured.state, self._pose.proposed_covariance(measured.state),
+                self.model.free_turns)
+            self._track_state.begin(lost=False)
+            self._pose.kalman.restart(measured.state, measured.covariance)
+        return measured
+
+    def _confirm(self, starting: StartSearch, method: SearchingEstimator, image: np.ndarray,
+                 measured: PoseMeasurement, stamp_ns: int | None) -> TrackedFrame:
         """Take a start for a pose once an independent test confirms it; else say what lacks."""
-        starting, wide = self._starting, self._wide(measured.state)
+        wide = self._pose.proposed_covariance(measured.state)
         measured, other = starting.look(method, image, measured, wide)
         if other:
-            self._filter.restart(measured.state, wide)
+            self._pose.kalman.restart(measured.state, wide)
         good = measured.determined and measured.share >= self.options.lost_share
         if good and starting.confirmed(method):
-            self._doubts.confirmed(starting.sure, measured.state.translation[2])
+            self._plausibility.confirmed(starting.sure, measured.state.translation[2])
             return self._judge(measured, image, stamp_ns)
         if good:
-            self._standing.misses = 0.0
             method.glance(image, measured.state)
-            self._filter.absorb(measured.state, measured.covariance)
-        else:
-            self._standing.misses += 1
-        if starting.given_up or self._standing.misses >= self.options.frames_to_lost:
-            self._standing.state = TrackerState.LOST
-            self._filter.restart(starting.guess, self._wide(starting.guess))
+            self._pose.kalman.absorb(measured.state, measured.covariance)
+        if self._track_state.gives_up(good, starting.given_up, self.options):
+            self._pose.restart_wide(starting.guess)
         reason = measured.reason or starting.reason()
         return self._frame(measured, False, reason, float('nan'), stamp_ns)
 
-    def _wide(self, state) -> np.ndarray:
-        """Covariance (m, m) of a state that is only proposed."""
-        return proposed_spread(self._projection, self._basis, self.model.diameter_m, state)
-
-    def _adapt(self, measured: PoseMeasurement) -> None:
-        """Learn the plane of motion; leave a zoom that the images leave open."""
-        if self._allowed.learns(self._filter.state, self._filter.spread):
-            self._switch(self._camera_model)
-        if self._camera_model == 'zoom':
-            self._open = self._open + 1 if measured.focal_sigma > _ZOOM_OPEN else 0
-            if self._open >= _ZOOM_FRAMES:
-                self._switch('weak')
-
     def _switch(self, camera_model: str) -> None:
         """Go on from the same pose with another basis of corrections."""
-        kalman, old = self._filter, self._basis
-        full, velocity = old @ kalman.spread @ old.T, old @ kalman.velocity
-        self._camera_model = camera_model
-        self._projection.become(camera_model)
-        self._allowed.lay()
-        self._method.switch(self._basis, camera_model)
-        self._doubts.adopt(self._control, self._basis, self.options, self._is_perspective)
-        self._start_filter(kalman.state, full[:6, :6])
-        B, size = self._basis, self._projection.size
-        moving = B.T @ velocity[:size]
-        moving[self._allowed.free:] = 0
-        self._filter.restart(kalman.state, B.T @ full[:size, :size] @ B
-                             + 1e-12 * np.eye(B.shape[1]), moving)
+        self._pose.switch(camera_model)
+        self._method.switch(self._pose.basis, camera_model)
+        self._plausibility.adopt(self._control, self._pose.basis, self.options)
 
     def _judge(self, measured: PoseMeasurement, image, stamp_ns) -> TrackedFrame:
         """Accept or refuse a measurement, and say what the state is."""
-        options, standing = self.options, self._standing
+        options, track = self.options, self._track_state
         lost = self.state is TrackerState.LOST
-        open_turn = not self._led and leaves_turn_open(
-            self._basis, measured, self._control.free(measured.state))
-        accepted, innovation = standing.weighs(measured, open_turn, self._led, options), np.nan
+        open_turn = self._policy.needs_whole_pose and leaves_turn_open(
+            self._pose.basis, measured, self._control.free(measured.state))
+        accepted, innovation = track.accepts(measured, open_turn, self._policy, options), np.nan
         if accepted:
             self.measured = measured
-            innovation = self._filter.innovation_share(measured.state, measured.covariance)
+            innovation = self._pose.kalman.innovation_share(measured.state, measured.covariance)
             if lost:
-                self._filter.restart(measured.state, measured.covariance)
+                self._pose.kalman.restart(measured.state, measured.covariance)
             elif measured.with_prior:
-                self._filter.absorb(measured.state, measured.covariance)
+                self._pose.kalman.absorb(measured.state, measured.covariance)
             else:
-                self._filter.update(measured.state, measured.covariance)
+                self._pose.kalman.update(measured.state, measured.covariance)
             tracking = measured.share >= options.tracking_share and not open_turn
-            if tracking or measured.recognised or not self._led:
-                # where others say where to look, little may be something else
+            if tracking or measured.recognised or self._policy.learns_from_little:
                 self._method.remember(measured, tracking or measured.recognised)
-            self._adapt(measured)
-            if tracking and isinstance(self._method, RobustTracker):
-                self._doubts.look(image, measured, self._method.check)
-            doubt = self._doubts.text()
-            reason = standing.confirm(measured, tracking, doubt, options)
-            if tracking and not doubt and self._camera_model != options.camera_model:
+            if self._pose.learns_motion():
+                self._switch(self._projection.model)
+            if self._pose.allowed.leaves_zoom(measured.focal_sigma):
+                self._switch('weak')
+            if tracking and self._method.verifier is not None:
+                self._plausibility.look(image, measured, self._method.verifier.check)
+            doubt = self._plausibility.text()
+            reason = track.confirm(measured, tracking, doubt, options)
+            if tracking and not doubt and self._projection.model != options.camera_model:
                 reason = ('Focal length and distance cannot be told apart in these views; weak '
                           'perspective is used with the last focal length.')
         else:
-            if standing.refuse(options):
-                place = self._filter.state if standing.good is None else standing.good
-                self._filter.restart(place, self._wide(place))
-            reason = refusal(measured, isinstance(self._method, RobustTracker)
-                             and not self._method.placed, open_turn, options)
+            if track.rejects(options):
+                self._pose.restart_wide(track.good or self._pose.kalman.state)
+            reason = rejection_reason(measured, not self._method.placed, open_turn, options)
         return self._frame(measured, accepted, reason, innovation, stamp_ns)
 
     def _frame(self, measured, accepted, reason, innovation, stamp_ns) -> TrackedFrame:
         """Say what the state is, with what a doubt adds to the covariance."""
-        state, B = self._filter.state, self._basis
-        full = B @ self._filter.spread @ B.T
+        state, B = self._pose.kalman.state, self._pose.basis
+        full = B @ self._pose.kalman.pose_covariance @ B.T
         free = self._control.free(state)
         if free.size and measured.details is not None:
-            hold_free(self._filter, free, measured.details.fit.measured)
+            hold_free(self._pose.kalman, free, measured.details.fit.measured)
             full = with_any_turn(full, free)
         if accepted and len(full) == 6:
-            full = full + self._doubts.covariance(state, B)
+            full = full + self._plausibility.covariance(state, B)
         return told_frame(self._control, measured, state, full, accepted, told=self.state,
-                          reason=reason, doubt=self._doubts.text() if accepted else '',
+                          reason=reason, doubt=self._plausibility.text() if accepted else '',
                           innovation=innovation, stamp_ns=stamp_ns)

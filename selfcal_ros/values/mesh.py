@@ -33,7 +33,8 @@ from selfcal_ros.values.mesh_orientation import (
     borders, edges_of, face_normals, oriented, unit)
 from selfcal_ros.values.mesh_simplified import simplified
 from selfcal_ros.values.mesh_symmetry import free_turns
-from selfcal_ros.values.wireframe import LARGEST_M, same_place, WireframeModel
+from selfcal_ros.values.same_place import LARGEST_M, same_place
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: Faces that meet under more than this angle meet in a crease.
 CREASE_RAD = np.deg2rad(30.0)
@@ -74,6 +75,7 @@ class MeshModel(WireframeModel):
     def __post_init__(self):
         """Take what `build` has checked."""
 
+    # a constructor by another name: it is called on a class that is named, never on a variable
     @classmethod
     def build(cls, vertices, triangles, name='', **_):  # type: ignore[override]
         """
@@ -142,6 +144,16 @@ class MeshModel(WireframeModel):
         except QhullError:
             return used
 
+    @property
+    def is_outlined(self) -> bool:
+        """Whether it is known by the outline of a curved surface."""
+        return True
+
+    @cached_property
+    def surface_net(self) -> np.ndarray:
+        """Edges (N, 2, 3) between smooth vertices, metres."""
+        return self.smooth_points[self.smooth_edges]
+
     @cached_property
     def smooth_normals(self) -> np.ndarray:
         """Unit normals (S, 3) of the smooth vertices, weighed by the angles of their corners."""
@@ -162,7 +174,7 @@ class MeshModel(WireframeModel):
         return points
 
     @cached_property
-    def free_turns(self) -> np.ndarray:           # type: ignore[override]
+    def free_turns(self) -> np.ndarray:
         """Turns (k, 6) about the middle that do not change it: see `mesh_symmetry`."""
         area = 0.5 * np.linalg.norm(face_normals(self.vertices, self.triangles), axis=1)
         share = np.bincount(self.smooth.ravel(), np.repeat(area / 3, 3))

@@ -26,18 +26,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.polygon import cut_into_triangles, newell_normal
+from selfcal_ros.values.same_place import LARGEST_M, same_place
 
 #: No model may have more vertices, lines or faces than this, and no face more corners.
 LIMIT = 10_000
 FACE_LIMIT = 250
-#: Largest coordinate that makes sense, metres.
-LARGEST_M = 1e6
 #: Faces that meet under less than this angle are one plane: their common edge is no edge.
 FLAT_RAD = np.deg2rad(0.5)
 
@@ -310,6 +306,16 @@ class WireframeModel:
         return float(np.linalg.norm(np.ptp(self.extent, axis=0)))
 
     @property
+    def is_outlined(self) -> bool:
+        """Whether it is known by the outline of a curved surface: a mesh is, a wireframe not."""
+        return False
+
+    @cached_property
+    def surface_net(self) -> np.ndarray:
+        """Pieces (N, 2, 3) of a net over its curved surface, metres; a wireframe has none."""
+        return np.zeros((0, 2, 3))
+
+    @cached_property
     def free_turns(self) -> np.ndarray:
         """Turns (k, 6) about the middle that change nothing; none are known of a wireframe."""
         return np.zeros((0, 6))
@@ -326,23 +332,6 @@ def across_axes(cylinder: Cylinder) -> tuple[np.ndarray, np.ndarray]:
     u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
-
-
-def same_place(vertices: np.ndarray, share: float = 1e-6) -> np.ndarray:
-    """For each vertex (V, 3) the first one within a share of the extent of it, (V,) int."""
-    if not len(vertices) or not (np.abs(vertices) < LARGEST_M).all():
-        return np.arange(len(vertices))
-    near = share * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    # one of each cell of a finer grid: of many in one place not each is compared with each
-    cell = np.rint((vertices - vertices.min(axis=0)) / (0.25 * near)).astype(np.int64)
-    _, first, inverse = np.unique(cell, axis=0, return_index=True, return_inverse=True)
-    places = vertices[first]
-    pairs = cKDTree(places).query_pairs(near, output_type='ndarray')
-    _, group = connected_components(coo_matrix(
-        (np.ones(len(pairs)), tuple(pairs.T)), shape=2 * (len(places),)), directed=False)
-    lowest = np.full(len(places), len(vertices))
-    np.minimum.at(lowest, group, first)
-    return lowest[group[inverse.ravel()]]
 
 
 def _check_faces(vertices, faces):

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from selfcal_ros.cli.demo import read_truth
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.parameters import AffineCalibratorParameters
 from selfcal_ros.nodes.replay_supervisor import replay
 from selfcal_ros.report.camera_yaml import read_camera_yaml
@@ -45,7 +45,7 @@ def test_the_recorded_moves_through_three_processes_give_the_true_camera(tmp_pat
 
 def test_it_has_the_services_of_its_sister_under_its_own_name(graph):
     graph = graph()
-    node = graph.add(Calibrator('affine_calibrator', AffineCalibratorParameters))
+    node = graph.add(CalibratorNode('affine_calibrator', AffineCalibratorParameters))
     assert node.parameters.motion == 'general'
     for service in ('calibrate', 'save'):
         assert not graph.call(f'affine_calibrator/{service}').success

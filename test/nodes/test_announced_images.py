@@ -19,7 +19,7 @@ from msg_adapters.stamps import header_message
 from msg_adapters.tracks import tracks_message
 import numpy as np
 import pytest
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_support import image_stream
@@ -34,7 +34,7 @@ class Images:
 
     def __init__(self, graph):
         self.graph = graph
-        graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+        graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 60)
         self.announced = graph.probe.create_publisher(CameraInfo, 'tracks/announced', 60)

@@ -24,7 +24,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml, write_camera_yaml
@@ -71,7 +71,7 @@ class Drive:
     def __init__(self, graph, window=ImageWindow(), full=(0, 0)):
         self.graph = graph
         self.scene = drive(np.random.default_rng(11), noise_px=0.1, views=20, tracks=700)
-        self.node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+        self.node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)
         self.driver = graph.probe.create_publisher(CameraInfo, 'driver/camera_info', 10)

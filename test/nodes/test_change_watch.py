@@ -28,7 +28,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from selfcal_ros.calibration.monitoring.camera_change import MonitorSettings
 from selfcal_ros.calibration.monitoring.mount_monitor import MountChange
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.change_watch import ChangeWatch
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.pipeline.monitoring import MonitoringSnapshot, MountSnapshot
@@ -61,7 +61,7 @@ class ZoomedDrive:
         self.tracks = [observe(rng, self.after if k >= ZOOMED_AT else self.before,
                                sequence.cam_from_world[k:k + 1], sequence.points, 0.1, True,
                                seen[k:k + 1]).tracks for k in range(VIEWS)]
-        self.node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+        self.node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 100)
         self.infos = graph.listen(CameraInfo, 'camera_info', 100)
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)

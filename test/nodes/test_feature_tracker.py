@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 STEP_PX = 4
@@ -79,7 +79,7 @@ def play(graph, publisher, make, frames):
                                                    compressed)])
 def test_points_follow_the_wall(graph, reliability, topic, message, make):
     graph = graph()
-    graph.add(FeatureTracker())
+    graph.add(FeatureTrackerNode())
     publisher = graph.probe.create_publisher(message, topic,
                                              QoSProfile(depth=5, reliability=reliability))
     sent, tracks = play(graph, publisher, make, range(5))
@@ -94,7 +94,7 @@ def test_points_follow_the_wall(graph, reliability, topic, message, make):
 
 def test_images_are_subscribed_to_only_while_somebody_listens(graph):
     graph = graph()
-    graph.add(FeatureTracker())
+    graph.add(FeatureTrackerNode())
     publisher = graph.probe.create_publisher(Image, 'image', 5)
     graph.wait_for(lambda: graph.probe.count_publishers('tracks') > 0)
     graph.spin_for(0.5)
@@ -107,7 +107,7 @@ def test_images_are_subscribed_to_only_while_somebody_listens(graph):
 
 def test_time_that_jumps_back_gives_new_points_only(graph):
     graph = graph()
-    graph.add(FeatureTracker())
+    graph.add(FeatureTrackerNode())
     publisher = graph.probe.create_publisher(Image, 'image', 5)
     _, tracks = play(graph, publisher, image, range(3))
     before = tracks_from_message(tracks[-1])
@@ -119,7 +119,7 @@ def test_time_that_jumps_back_gives_new_points_only(graph):
 
 def test_an_image_that_cannot_be_read_is_dropped_and_the_next_is_used(graph):
     graph = graph()
-    graph.add(FeatureTracker())
+    graph.add(FeatureTrackerNode())
     publisher = graph.probe.create_publisher(Image, 'image', 5)
     _, tracks = play(graph, publisher, image, range(2))
     count = len(tracks)
@@ -143,7 +143,7 @@ def test_no_point_is_followed_behind_a_mask_which_may_change(graph, tmp_path):
     cv2.imwrite(str(tmp_path / 'upper.png'), usable)
     cv2.imwrite(str(tmp_path / 'small.png'), usable[:100])
     graph = graph()
-    node = graph.add(FeatureTracker())
+    node = graph.add(FeatureTrackerNode())
     publisher = graph.probe.create_publisher(Image, 'image', 5)
     _, tracks = play(graph, publisher, image, range(2))
     assert (tracks_from_message(tracks[-1]).xy[:, 1] > 130).sum() > 20

@@ -24,7 +24,7 @@ from rclpy.task import Future
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.nodes.calibration_file import CalibrationFile
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.entry_point import spin_until
 from selfcal_ros.nodes.file_url import path_of
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
@@ -73,7 +73,7 @@ def test_a_calibrator_begins_with_its_own_file_until_it_is_reset(graph, tmp_path
     camera = Camera.from_parameters([500, 500, 320, 240, 0, 0, 0, 0, 0], 640, 480)
     write_camera_yaml(path, camera, 'front')
     graph = graph('-p', 'camera_name:=front', '-p', f'output:={path}')
-    node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
     infos = graph.listen(CameraInfo, 'camera_info')
     tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
 

@@ -22,12 +22,12 @@ import sys
 import numpy as np
 import pytest
 
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.parameters_table import (interface_table, main, PARAMETERS,
                                                 parameters_table, updated)
 from selfcal_ros.nodes.player_node import BagPlayer
-from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from selfcal_ros.pipeline.bag_writer import write_image_bag
 from selfcal_ros.pipeline.frame_source import Frame
 from test_support.node_interfaces import has, written
@@ -38,12 +38,12 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize('name', ['planar_calibrator', 'affine_calibrator'])
 def test_calibrators_have_what_is_written(graph, name):
     # in TF it speaks where it is asked to
-    assert has(graph().add(Calibrator(name, PARAMETERS[name]))) == {
+    assert has(graph().add(CalibratorNode(name, PARAMETERS[name]))) == {
         end for end in written(name) if end[1] != '/tf_static'}
 
 
 def test_the_tracker_has_what_is_written(graph):
-    assert has(graph('-p', 'lazy:=false').add(FeatureTracker())) == written('feature_tracker')
+    assert has(graph('-p', 'lazy:=false').add(FeatureTrackerNode())) == written('feature_tracker')
 
 
 def test_the_player_has_what_is_written_for_the_type_of_its_bag(graph, tmp_path):
@@ -56,7 +56,7 @@ def test_a_service_is_called_as_the_page_says(graph, tmp_path):
     text = (ROOT / 'docs' / 'nodes.md').read_text(encoding='utf-8')
     program, = re.findall(r'```python\n(.*?)```', text, re.S)
     world = graph()
-    world.add(Calibrator('planar_calibrator', PARAMETERS['planar_calibrator']))
+    world.add(CalibratorNode('planar_calibrator', PARAMETERS['planar_calibrator']))
     caller = subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE, text=True,
                               cwd=tmp_path, env=dict(os.environ))
     try:

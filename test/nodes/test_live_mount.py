@@ -31,7 +31,7 @@ from selfcal_ros.calibration.mount import Mount, mount_rotation, NAMES
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes import mount_publisher
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -167,7 +167,7 @@ def test_odometry_and_tracks_through_a_process_give_the_mount(graph, launch, sou
 
 def test_a_topic_that_is_not_there_lists_those_that_are(graph):
     graph = graph('-p', 'robot:=/odometry')
-    graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
     diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
     graph.probe.create_publisher(Odometry, '/wheels/odom', 10)
     graph.probe.create_publisher(PoseStamped, '/mocap', 10)
@@ -185,13 +185,13 @@ def test_a_topic_that_is_not_there_lists_those_that_are(graph):
 def test_parameters_that_cannot_be_are_refused(graph, given, words):
     graph(*(word for one in given for word in ('-p', one)))
     with pytest.raises(ArgumentError, match=words):
-        Calibrator('planar_calibrator', PlanarCalibratorParameters)
+        CalibratorNode('planar_calibrator', PlanarCalibratorParameters)
 
 
 @pytest.mark.skipif(find_spec('tf2_msgs') is not None, reason='tf2_msgs is installed')
 def test_tf_without_its_messages_is_refused_at_run_time(graph):
     graph = graph('-p', 'robot:=/odom')
-    graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
     refused, = graph.set_parameters('planar_calibrator', publish_tf=True)
     assert refused.startswith('publish_tf needs the package tf2_msgs')
 

@@ -34,10 +34,10 @@ from rclpy.serialization import serialize_message
 from selfcal_ros.cli import watch
 from selfcal_ros.cli.main import main
 from selfcal_ros.nodes import page_node
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.page_node import CalibrationPage, TRACKS_HZ
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
-from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from selfcal_ros.synthetic.special_scenes import drive
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
@@ -75,8 +75,8 @@ class Stage:
 
     def __init__(self, graph, browser):
         self.graph = graph
-        for node in (FeatureTracker(),
-                     Calibrator('planar_calibrator', PlanarCalibratorParameters)):
+        for node in (FeatureTrackerNode(),
+                     CalibratorNode('planar_calibrator', PlanarCalibratorParameters)):
             graph.add(node)
         self.node = graph.add(CalibrationPage())
         self.tracks = graph.probe.create_publisher(PointCloud2, 'tracks', 30)

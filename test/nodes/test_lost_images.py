@@ -18,10 +18,10 @@ from msg_adapters.tracks import tracks_from_message
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from selfcal_ros.nodes import image_topics
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.loss_count import LossCount, WINDOW
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
-from selfcal_ros.nodes.tracker_node import FeatureTracker, MOST_WAITING
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode, MOST_WAITING
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from test_support import image_stream
 
@@ -71,8 +71,8 @@ def test_a_loss_is_said_once_and_again_only_after_a_quiet_time():
 
 def test_images_without_time_get_their_camera_info_and_the_cause_is_said(graph, monkeypatch):
     graph = graph()
-    tracker = graph.add(FeatureTracker())
-    graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+    tracker = graph.add(FeatureTrackerNode())
+    graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
     said = []
     monkeypatch.setattr(type(tracker.get_logger()), 'warning',
                         lambda self, text, **_: said.append(text))
@@ -103,7 +103,7 @@ def test_images_without_time_get_their_camera_info_and_the_cause_is_said(graph, 
 
 def test_who_is_followed_by_auto_is_left_when_it_falls_silent(graph, monkeypatch):
     graph, now = graph(), [0.0]
-    tracker = graph.add(FeatureTracker())
+    tracker = graph.add(FeatureTrackerNode())
     monkeypatch.setattr(image_topics, 'time', type('Clock', (), {
         'monotonic': staticmethod(lambda: now[0])}))
     tracks = graph.listen(PointCloud2, 'tracks')

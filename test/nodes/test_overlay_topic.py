@@ -16,14 +16,14 @@
 from msg_adapters.image import image_to_bgr
 from msg_adapters.tracks import tracks_from_message
 import numpy as np
-from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from sensor_msgs.msg import Image, PointCloud2
 from test_support import image_stream
 
 
 def test_the_overlay_has_colour_at_the_points_and_the_header_of_its_image(graph):
     graph = graph()
-    graph.add(FeatureTracker())
+    graph.add(FeatureTrackerNode())
     camera = graph.probe.create_publisher(Image, 'image', 5)
     overlays = graph.listen(Image, 'feature_tracker/overlay')
     # the overlay alone wakes the tracker up

@@ -25,7 +25,7 @@ from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.report.camera_yaml import read_camera_yaml
 from selfcal_ros.synthetic.hard_scenes import one_curve, vehicle
@@ -49,7 +49,7 @@ class Drive:
         self.graph = graph
         self.sequence = sequence or drive(np.random.default_rng(11), noise_px=0.1, views=20,
                                           tracks=700)
-        graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters))
+        graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters))
         self.publisher = graph.probe.create_publisher(PointCloud2, 'tracks', 10)
         self.infos = graph.listen(CameraInfo, 'camera_info')
         self.results = graph.listen(String, 'planar_calibrator/result', LATCHED)

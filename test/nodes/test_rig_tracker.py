@@ -28,7 +28,7 @@ from selfcal_ros.errors import ArgumentError, InputError
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes import rig_inputs
 from selfcal_ros.nodes.quality_of_service import LATCHED
-from selfcal_ros.nodes.rorapid_node import RorapidNode
+from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
 from selfcal_ros.report.camera_files.kalibr_chain import kalibr_text
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.objects import pose_errors
@@ -73,7 +73,7 @@ class Station:
                      for name in NAMES]
 
     def add_node(self):
-        node = self.graph.add(RorapidNode())
+        node = self.graph.add(ObjectTrackerNode())
         self.graph.wait_for(lambda: all(one.get_subscription_count() for one in (
             *self.image, *self.info)), what='subscriptions of the node')
         self.graph.wait_for(lambda: self.graph.probe.count_publishers('pose') > 0)
@@ -214,7 +214,7 @@ def test_places_come_from_a_publisher_of_tf_that_spoke_before(station, rig):
 def test_places_without_a_file_need_the_messages_of_tf(station):
     station('cameras:=left,right')
     with pytest.raises(InputError, match='cameras needs the package tf2_msgs'):
-        RorapidNode()
+        ObjectTrackerNode()
 
 
 def test_topics_of_one_camera_are_those_of_each_with_its_name(station, rig, tmp_path):
@@ -258,4 +258,4 @@ def test_a_wrong_transform_makes_it_degraded_and_is_in_the_diagnostics(station, 
 def test_parameters_that_do_not_fit_are_one_sentence(station, parameters, error, sentence):
     station(*parameters)
     with pytest.raises(error, match=sentence):
-        RorapidNode()
+        ObjectTrackerNode()

@@ -18,7 +18,7 @@ import pytest
 from rclpy.node import Node
 from selfcal_ros.nodes.camera_info_node import CameraInfoPublisher
 from selfcal_ros.nodes.diagnostic_name import diagnostic_name
-from selfcal_ros.nodes.tracker_node import FeatureTracker
+from selfcal_ros.nodes.feature_tracker_node import FeatureTrackerNode
 from selfcal_ros.pipeline.size_guard import MIXED_S, PATIENCE_S, SizeGuard
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from test_support import image_stream
@@ -71,7 +71,7 @@ def test_a_second_publisher_of_our_camera_info_is_named(graph, monkeypatch):
 
 def test_two_cameras_on_one_topic_are_named_once_and_one_is_followed(graph, monkeypatch):
     graph = graph()
-    tracker, said = graph.add(FeatureTracker()), []
+    tracker, said = graph.add(FeatureTrackerNode()), []
     for level in ('info', 'warning'):
         monkeypatch.setattr(type(tracker.get_logger()), level,
                             lambda self, text, **_: said.append(text))

@@ -28,7 +28,7 @@ from selfcal_ros.geometry.camera import Camera
 from selfcal_ros.geometry.rotation import rotation_vector
 from selfcal_ros.nodes.interfaces import INTERFACES
 from selfcal_ros.nodes.quality_of_service import LATCHED
-from selfcal_ros.nodes.rorapid_node import RorapidNode
+from selfcal_ros.nodes.object_tracker_node import ObjectTrackerNode
 from selfcal_ros.report.camera_yaml import write_camera_yaml
 from selfcal_ros.rorapid.model import write_model
 from selfcal_ros.synthetic.depth_scenes import depth_of
@@ -71,7 +71,7 @@ class Station:
         self.start = probe.create_publisher(PoseWithCovarianceStamped, 'initialpose', 10)
 
     def add_node(self):
-        node = self.graph.add(RorapidNode())
+        node = self.graph.add(ObjectTrackerNode())
         self.graph.wait_for(lambda: all(p.get_subscription_count() for p in (
             self.image, self.info, self.start)), what='subscriptions of the node')
         self.graph.wait_for(lambda: self.graph.probe.count_publishers('pose') > 0)
@@ -299,13 +299,13 @@ def test_a_node_that_cannot_work_says_why(graph, model, tmp_path, parameters, er
                    for parameter in parameters for word in ('-p', parameter)]
     graph(*words_given)
     with pytest.raises(error, match=words):
-        RorapidNode()
+        ObjectTrackerNode()
 
 
 def test_interface_is_what_is_written(graph, model):
     from test_support.node_interfaces import has, written
     node = graph('-p', f'model:={model}', '-p', 'camera_model:=zoom', '-p',
-                 'depth:=true').add(RorapidNode())
+                 'depth:=true').add(ObjectTrackerNode())
     expected = {end for end in written('rorapid_tracker') if end[1] != '/tf'}
     assert has(node) == expected
     assert any(end.name == '/tf' for end in INTERFACES['rorapid_tracker'])
@@ -353,7 +353,7 @@ def test_two_objects_have_topics_of_their_own(graph, tmp_path):
     diagnostics = graph.listen(DiagnosticArray, '/diagnostics')
     images = probe.create_publisher(Image, 'image', 10)
     begin = probe.create_publisher(PoseWithCovarianceStamped, 'bracket/initialpose', 10)
-    graph.add(RorapidNode())
+    graph.add(ObjectTrackerNode())
     graph.wait_for(lambda: images.get_subscription_count() and begin.get_subscription_count())
 
     def send(index, frame):

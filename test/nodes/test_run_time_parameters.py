@@ -24,7 +24,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from selfcal_ros.calibration.result import NotCalibrated
 from selfcal_ros.geometry.camera import Camera
-from selfcal_ros.nodes.calibrator_node import Calibrator
+from selfcal_ros.nodes.calibrator_node import CalibratorNode
 from selfcal_ros.nodes.estimation_job import JobResult
 from selfcal_ros.nodes.parameters import PlanarCalibratorParameters
 from selfcal_ros.pipeline.bag_writer import write_image_bag
@@ -242,7 +242,7 @@ class Waiting:
 
 def test_who_asks_while_an_estimate_is_dropped_is_told_so_and_gets_the_next(graph):
     graph = graph('-p', 'keyframe_parallax:=0.001', '-p', 'idle_s:=600.0')
-    node = graph.add(Calibrator('planar_calibrator', PlanarCalibratorParameters, Waiting))
+    node = graph.add(CalibratorNode('planar_calibrator', PlanarCalibratorParameters, Waiting))
     worker = node._worker
 
     def calibrate():

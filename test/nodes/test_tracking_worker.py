@@ -18,7 +18,7 @@ from types import SimpleNamespace
 
 import pytest
 from selfcal_ros.errors import InputError
-from selfcal_ros.nodes.tracking_worker import TrackingWorker
+from selfcal_ros.nodes.tracking_worker import InstantMessages, TrackingWorker
 from test_support import image_stream
 
 
@@ -51,7 +51,8 @@ def worker():
 
 
 def submit(worker, number):
-    worker.submit(image_stream.image(number), False)
+    msg = image_stream.image(number)
+    worker.submit(InstantMessages(msg.header, (msg,), (False,)))
 
 
 def test_of_images_from_before_a_reset_nothing_comes_out(worker):

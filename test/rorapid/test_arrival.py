@@ -24,8 +24,8 @@ from selfcal_ros.geometry.rotation import rotation_matrix, rotation_vector
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.projection.camera_models import Projection
-from selfcal_ros.rorapid.region.newcomer import Newcomer
-from selfcal_ros.rorapid.region.standing_out import what_stands_out
+from selfcal_ros.rorapid.region.background_change import BackgroundChange
+from selfcal_ros.rorapid.region.foreground_blob import foreground_blobs
 from selfcal_ros.rorapid.tracker import RorapidTracker, TrackerOptions, TrackerState
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
 from selfcal_ros.synthetic.mesh_scenes import bean, handle, MeshRenderer, ring
@@ -54,14 +54,14 @@ def with_box(x, y, side=40):
 
 
 def test_what_is_new_in_a_scene_is_in_one_piece_where_it_is():
-    newcomer = Newcomer()
-    assert not any(newcomer.look(noisy(SCENE, k)) for k in range(6))
-    piece, = newcomer.look(noisy(with_box(100, 80), 6))
+    change = BackgroundChange()
+    assert not any(change.look(noisy(SCENE, k)) for k in range(6))
+    piece, = change.look(noisy(with_box(100, 80), 6))
     inside = np.zeros(SCENE.shape, bool)
     inside[80:120, 100:140] = True
     assert np.mean((piece > 0) != inside) < 0.002
     # it does not become part of the scene while it stays
-    assert all(len(newcomer.look(noisy(with_box(100, 80), k))) == 1 for k in range(7, 60))
+    assert all(len(change.look(noisy(with_box(100, 80), k))) == 1 for k in range(7, 60))
 
 
 @pytest.mark.parametrize('scenes', (
@@ -72,15 +72,15 @@ def test_what_is_new_in_a_scene_is_in_one_piece_where_it_is():
     [np.roll(with_box(100, 80), 8 * k, axis=1) for k in range(8)]),
     ids=('at the border', 'speck', 'large', 'light', 'moving camera'))
 def test_nothing_is_new_where_it_cannot_be_told(scenes):
-    newcomer = Newcomer()
-    assert not any(newcomer.look(noisy(scene, k)) for k, scene in enumerate(scenes))
+    change = BackgroundChange()
+    assert not any(change.look(noisy(scene, k)) for k, scene in enumerate(scenes))
 
 
 def test_images_of_another_size_begin_another_scene():
-    newcomer = Newcomer()
+    change = BackgroundChange()
     for k in range(6):
-        newcomer.look(noisy(SCENE, k))
-    assert not newcomer.look(noisy(np.zeros((120, 160)), 7))
+        change.look(noisy(SCENE, k))
+    assert not change.look(noisy(np.zeros((120, 160)), 7))
 
 
 @pytest.mark.parametrize('shape', ('step_block', 'spool'))
@@ -217,7 +217,7 @@ def test_what_stands_out_from_a_shaded_background_is_one_piece_without_holes():
     scene[80:140, 100:170] = 30
     # a side as grey as the background behind it
     scene[95:125, 120:150] = SCENE[95:125, 120:150]
-    piece, = what_stands_out(noisy(scene, 1))
+    piece, = foreground_blobs(noisy(scene, 1))
     inside = np.zeros(SCENE.shape, bool)
     inside[80:140, 100:170] = True
     assert np.mean((piece > 0) != inside) < 0.003
@@ -225,7 +225,7 @@ def test_what_stands_out_from_a_shaded_background_is_one_piece_without_holes():
 
 def test_nothing_stands_out_from_a_background_full_of_things():
     made, scene, images = sequence('l_block', 60)
-    assert not what_stands_out(images[0]) and not what_stands_out(noisy(SCENE, 2))
+    assert not foreground_blobs(images[0]) and not foreground_blobs(noisy(SCENE, 2))
 
 
 def sought(model, camera, images):

@@ -55,7 +55,7 @@ def test_absorbing_a_posterior_equals_updating():
     for kalman in (one, other):
         kalman.predict(0.04)
     measured = PROJECTION.moved(one.state, np.array([1e-3, 0, 2e-3, 1e-3, -2e-3, 1e-3]))
-    prior = other.spread.copy()
+    prior = other.pose_covariance.copy()
     information = np.linalg.inv(prior) + np.linalg.inv(noise)
     step = np.linalg.solve(information, np.linalg.solve(
         noise, PROJECTION.difference(measured, other.state)))
@@ -95,7 +95,7 @@ def test_covariance_is_consistent():
             kalman.update(PROJECTION.moved(truth, rng.multivariate_normal(np.zeros(6), noise)),
                           noise)
         error = PROJECTION.difference(truth, kalman.state)
-        squares.append(error @ np.linalg.solve(kalman.spread, error))
+        squares.append(error @ np.linalg.solve(kalman.pose_covariance, error))
     assert 5.0 < np.mean(squares) < 7.2
 
 
@@ -112,7 +112,7 @@ def test_what_does_not_move_is_found_out_from_all_measurements():
         kalman.predict(0.04)
         kalman.update(PROJECTION.moved(truth, 0.01 * rng.normal(size=6)), 1e-4 * np.eye(6))
     assert np.abs(PROJECTION.difference(truth, kalman.state)[:3]).max() < 0.004
-    full = basis @ kalman.spread @ basis.T
+    full = basis @ kalman.pose_covariance @ basis.T
     assert np.sqrt(full[0, 0]) < 0.0015 and still @ np.diag(full) > 0
 
 
@@ -120,4 +120,4 @@ def test_a_restart_forgets():
     kalman = new()
     kalman.velocity[:] = 3
     kalman.restart(kalman.state, 1e-3 * np.eye(6))
-    assert not kalman.velocity.any() and np.allclose(kalman.spread, 1e-3 * np.eye(6))
+    assert not kalman.velocity.any() and np.allclose(kalman.pose_covariance, 1e-3 * np.eye(6))

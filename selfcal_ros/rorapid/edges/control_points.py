@@ -21,6 +21,7 @@ import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
 from selfcal_ros.rorapid.projection.free_directions import apart_from, free_at
+from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
 
 #: Control points must be so far inside the image to be searched, pixels.
 _BORDER_PX = 3.0
@@ -84,18 +85,21 @@ class ControlModel:
 
     Parameters
     ----------
-    visible_model : VisibleModel
+    visible_model : VisibleGeometry
     projection : Projection
     image_size : (int, int)
         Width and height.
 
     """
 
-    def __init__(self, visible_model, projection: Projection, image_size):
+    def __init__(self, visible_model: VisibleGeometry, projection: Projection,
+                 image_size: tuple[int, int]):
         """Centre the model."""
         self.visible_model, self.projection = visible_model, projection
         self.centre = np.asarray(visible_model.model.centre, float)
         self.image_size = image_size
+        #: Whether the object is known by the outline of its round parts.
+        self.is_outlined = visible_model.model.is_outlined
         self._step = 1e-3 * visible_model.model.diameter_m
         conic = np.array([kind == 'conic' for kind in visible_model.kind], bool)
         self.is_conic = conic
@@ -119,6 +123,14 @@ class ControlModel:
         points = seen.object_points - self.centre
         return self._place(points, seen.tangents, seen.primitive, seen.ids, seen.visible,
                            seen.inward, state)
+
+    def mask(self, state: ObjectPose, shape: tuple[int, ...]) -> np.ndarray | None:
+        """Mask (rows, columns) of a curved surface in a state, 255 on it; None of plane faces."""
+        surface = self.visible_model.surface
+        return None if surface is None else surface.mask(
+            state.rotation, state.translation - state.rotation @ self.centre,
+            (shape[0], shape[1]),
+            lambda points: self.projection.project(state, points - self.centre).pixels)
 
     def free(self, state: ObjectPose) -> np.ndarray:
         """Corrections (size, k) that a body of revolution does not show, at a state."""

@@ -33,8 +33,8 @@ from selfcal_ros.rorapid.estimation.pose_search import OTHER_RAD, PoseSearch, tu
 from selfcal_ros.rorapid.estimation.sampled_views import SampledViews
 from selfcal_ros.rorapid.estimation.start_check import quartered
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.region.newcomer import Newcomer
-from selfcal_ros.rorapid.region.standing_out import what_stands_out
+from selfcal_ros.rorapid.region.background_change import BackgroundChange
+from selfcal_ros.rorapid.region.foreground_blob import foreground_blobs
 
 #: Poses with a like silhouette that are tried in one image; in so many images all are.
 _SILHOUETTES, _TURNS = 16, 4
@@ -59,16 +59,16 @@ class Arrival:
     def __init__(self, search: PoseSearch, K: np.ndarray):
         """Begin without a scene; silhouettes are drawn when they are first needed."""
         self._search, self._K = search, K
-        self._newcomer = Newcomer()
+        self._change = BackgroundChange()
         self._sampled: SampledViews | None = None
         self._images = 0
 
     def forget(self) -> None:
         """Forget the scene."""
-        self._newcomer.forget()
+        self._change.forget()
 
     def poses(self, image: np.ndarray, undistorted: np.ndarray,
-              spread: np.ndarray, was_seen: bool) -> Iterator[list[ObjectPose]]:
+              covariance: np.ndarray, was_seen: bool) -> Iterator[list[ObjectPose]]:
         """
         Propose poses of each thing that is new or stands out, if any is seen well.
 
@@ -76,7 +76,7 @@ class Arrival:
         ----------
         image, undistorted : ndarray, shape (H, W), uint8
             As it is, and without distortion.
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of a pose that is only proposed.
         was_seen : bool
             The object was followed before.
@@ -89,24 +89,24 @@ class Arrival:
         """
         search = self._search
         self._images += 1
-        pieces = self._newcomer.look(undistorted)
+        pieces = self._change.look(undistorted)
         if not pieces and self._images % _STANDING_EVERY == 1:
-            pieces = what_stands_out(undistorted)
+            pieces = foreground_blobs(undistorted)
         for piece in pieces:
             if self._sampled is None:
                 control = search.control
                 self._sampled = SampledViews(control.visible_model, control.centre)
             states = self._sampled.poses(piece, self._K, _TURNS * _SILHOUETTES)
-            if not search.outlined:
+            if not search.control.is_outlined:
                 # the likest first, others in the next images
                 first = self._images % _TURNS * _SILHOUETTES
                 states = states[first:first + _SILHOUETTES]
-            ranked = search.ranked(image, states, spread)
+            ranked = search.ranked(image, states, covariance)
             if not ranked or not search.check.stands_out(ranked[0][1], was_seen):
                 continue
             best, support = ranked[0]
-            if not search.outlined:
-                ranked += search.ranked(image, quartered(best), spread)
+            if not search.control.is_outlined:
+                ranked += search.ranked(image, quartered(best), covariance)
             free = search.control.free_turns
             yield [best] + [
                 pose for pose, other in ranked[1:] if turned_by(best, pose, free) > OTHER_RAD
@@ -128,7 +128,7 @@ class Arrival:
 
         """
         vertices = self._search.control.visible_model.model.vertices - self._search.control.centre
-        if self._search.outlined or not len(vertices):
+        if self._search.control.is_outlined or not len(vertices):
             return []
         first = poses[0]
         tree = cKDTree(vertices)

@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from selfcal_ros.geometry.robust_loss import tukey_weight
@@ -28,11 +26,13 @@ from selfcal_ros.rorapid.edges.edge_noise import (
     CommonScatter, EdgeNoise, shared_by_outline, sums_of, UNSEEN, UNSEEN_OUTLINE)
 from selfcal_ros.rorapid.edges.edgels import BOW_OF_LANES, find_edgels, sample_normals
 from selfcal_ros.rorapid.edges.limb import limb_shift
+from selfcal_ros.rorapid.estimation.edge_fit import (
+    EdgeCandidates, EdgeChoice, EdgeFit, NOWHERE_PX, PosePrior, SearchRound)
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.projection.free_directions import apart_from
 from selfcal_ros.rorapid.region.outline_greys import OutlineGreys
-from selfcal_ros.rorapid.texture.corner_fit import CornerFit
+from selfcal_ros.rorapid.texture.corner_fit import AgreeingCorners, CornerFit
 
 #: Noise of the edges in one image against what was learned, at the least.
 _MIN_NOISE = 0.7
@@ -46,50 +46,6 @@ _STRONG = 40.0
 _NOISE_EVERY = 2
 #: Pixels beside a guessed outline that are learned from.
 _GLANCE_PX = 10
-_NONE = np.zeros(0, bool)
-
-
-@dataclass(frozen=True)
-class EdgeFit:
-    """
-    Attributes of one round of search and solution; rows of the C control points searched.
-
-    Attributes
-    ----------
-    state : ObjectPose
-    edges, measured, solved : ndarray, shape (m, m)
-        Information of the edges, edgels taken as independent; the same with the corners; with
-        the prior as well, the matrix of the last solution.
-    pull : ndarray, shape (m,)
-        measured (z - state), z being what the image says without the prior.
-    view : ControlView
-    at : ndarray of int, shape (C,)
-        Which control points of the view.
-    clutter_weight : ndarray, shape (C,)
-        Weight by what runs alongside.
-    rows : ndarray, shape (C, m)
-    residual, contrast, weight, off : ndarray, shape (C,)
-        Pixels, NaN without an edge; grey levels; Tukey's weight over the variance; and the
-        squared distance over Tukey's squared limit.
-    profiles : ndarray, shape (C, S)
-        Grey levels along the normals, from before the last correction.
-
-    """
-
-    state: ObjectPose
-    edges: np.ndarray
-    measured: np.ndarray
-    solved: np.ndarray
-    pull: np.ndarray
-    view: ControlView
-    at: np.ndarray
-    clutter_weight: np.ndarray
-    rows: np.ndarray
-    residual: np.ndarray
-    contrast: np.ndarray
-    weight: np.ndarray
-    off: np.ndarray
-    profiles: np.ndarray
 
 
 class EdgeSearch:
@@ -160,7 +116,7 @@ class EdgeSearch:
         # in clutter the edge of one is that of another: it speaks for no line
         return float(fit.clutter_weight @ same / fit.clutter_weight.sum())
 
-    def scatter(self, fit: EdgeFit):
+    def scatter(self, fit: EdgeFit) -> tuple[np.ndarray, np.ndarray]:
         """
         Judge how the edges of one image scatter.
 
@@ -211,14 +167,14 @@ class EdgeSearch:
             profiles = sample_normals(image, pixels, view.normal[at], _GLANCE_PX)
             self._greys.learn(profiles, pixels, view.inside[at], anew=True)
 
-    def reach(self, state, view, spread) -> int:
-        """Search range from the spread (m, m) of the prediction, pixels."""
+    def reach(self, state: ObjectPose, view: ControlView, covariance: np.ndarray) -> int:
+        """Search range from the covariance (m, m) of the prediction, pixels."""
         rows = self._control.rows(state, view) @ self.basis
-        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, spread, rows).max(initial=0.0))
+        sigma = np.sqrt(np.einsum('ci,ij,cj->c', rows, covariance, rows).max(initial=0.0))
         options = self.options
         return int(np.clip(np.ceil(3 * sigma), options.search_least_px, options.search_most_px))
 
-    def limits(self, reach: int, first: bool, last: bool) -> list:
+    def limits(self, reach: int, first: bool, last: bool) -> list[float]:
         """Limits of the steps of the first, last or another round, from wide to narrow."""
         narrow = [_NARROW_PX] * (_LAST_STEPS if last else 1)
         if not first:
@@ -227,7 +183,7 @@ class EdgeSearch:
         steps = max(self.options.steps - 1, 1)
         return [wide * (_NARROW_PX / wide)**(k / steps) for k in range(steps)] + narrow
 
-    def score(self, image, view) -> float:
+    def score(self, image: np.ndarray, view: ControlView) -> float:
         """Strength of the edges that lie on the control points, grey levels."""
         at = np.flatnonzero(view.searched)
         if not len(at):
@@ -237,100 +193,117 @@ class EdgeSearch:
         near = np.maximum(1 - (edgels.offset[:, 0] / 2)**2, 0)
         return float(np.nansum(near * np.minimum(np.abs(edgels.contrast[:, 0]), _STRONG)))
 
-    def fit(self, image, view, state, predicted, prior, reach, limits, weights, matches=None,
-            agree=_NONE) -> EdgeFit:
+    def fit(self, image: np.ndarray, prior: PosePrior, around: SearchRound,
+            corners: AgreeingCorners | None = None) -> EdgeFit:
         """
         Search the edges and solve for the state, corners included.
 
         Parameters
         ----------
         image : ndarray, shape (H, W), uint8
-        view : ControlView
-            At `state`.
-        state, predicted : ObjectPose
-        prior : ndarray, shape (m, m)
-            Information of the prediction.
-        reach : int
-            Search range to each side, pixels.
-        limits : sequence of float
-            Of Tukey's biweight, one for each step, pixels.
-        weights : ndarray, shape (C,)
-            Weights of the control points.
-        matches : TextureMatches, optional
-        agree : ndarray of bool, shape (N,)
-            Which of the matches count.
+        prior : PosePrior
+        around : SearchRound
+        corners : AgreeingCorners, optional
 
         Returns
         -------
         EdgeFit
 
         """
-        options = self.options
-        at = np.flatnonzero(view.searched)
+        found = self._candidates(image, around)
+        rows = self._control.rows(around.state, around.view)[found.at] @ self.basis
         m = self.basis.shape[1]
-        rows = self._control.rows(state, view)[at] @ self.basis
-        wanted = self.contrast[view.ids[at]]
-        if len(at):
-            profiles = sample_normals(image, view.projected.pixels[at], view.normal[at], reach)
-            edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
-            # the outer lanes meet a curve where it has bent away
-            offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
-            contrast, worse = edgels.contrast, np.ones(offset.shape)
-            limb = np.flatnonzero(view.primitive[at] >= view.limb)
-            if len(limb):
-                shift, worse[limb] = limb_shift(profiles[limb], edgels.offset[limb],
-                                                contrast[limb], view.inside[at[limb]])
-                offset[limb] -= shift
-            further = contrast_penalty(contrast, wanted)
-            if self._greys is not None:
-                further += self._greys.penalty(
-                    profiles, view.projected.pixels[at], view.inside[at], offset)
-        else:
-            offset = contrast = further = worse = np.zeros((0, options.candidates))
-            profiles = np.zeros((0, 1))
-        missing = ~np.isfinite(offset)
-        offset = np.where(missing, 1e6, offset)
-        weights = weights[at]
         corner_H, corner_g = np.zeros((m, m)), np.zeros(m)
-        if agree.any():
-            corner_H, corner_g = self._corners.terms(state, matches, agree,
+        if corners is not None and corners.matches is not None and corners.agree.any():
+            corner_H, corner_g = self._corners.terms(around.state, corners.matches, corners.agree,
                                                      self.share)
-        back = self.basis.T @ self._control.projection.difference(state, predicted)
+        back = self.basis.T @ self._control.projection.difference(around.state, prior.state)
         q = np.zeros(m)
-        line = np.arange(len(at))
-        sigma: np.ndarray | float
-        for step, limit in enumerate(limits):
-            along = rows @ q
-            distance = np.abs(offset - along[:, None]) + min(limit / 8, 1.0) * further
-            best = distance.argmin(axis=1) if len(at) else line
-            chosen = offset[line, best]
-            residual = chosen - along
-            near = distance[line, best] < limit
-            if limit == limits[-1]:
-                own = self._noise.sigma(contrast[line, best], view.end_px[at])
-                share = fast_robust_sigma((residual / own)[near & (np.abs(residual) < 3)],
-                                          _MIN_NOISE)
-                sigma = share * own
-                limit = np.minimum(_TUKEY * sigma, limit)
-            else:
-                sigma = max(limit / 3, 0.5)
-            off = distance[line, best] / limit
-            w = weights * tukey_weight(off, 1.0) / sigma**2
-            if step + 1 == len(limits):
-                # not before: from afar every edge is needed to draw the pose near
-                w = w / worse[line, best]**2
-            H = (rows * w[:, None]).T @ rows
-            g = rows.T @ (w * np.where(near, chosen, 0.0))
-            information = H + corner_H + prior
-            q = np.linalg.solve(information, g + corner_g - prior @ back)
-        after = self._control.projection.moved(state, self.basis @ q)
-        residual = np.where(near, chosen - rows @ q, np.nan)
+        for step, limit in enumerate(around.limits):
+            choice = self._chosen(found, rows @ q, limit, limit == around.limits[-1],
+                                  step + 1 == len(around.limits))
+            H = (rows * choice.weight[:, None]).T @ rows
+            g = rows.T @ (choice.weight * np.where(choice.near, choice.offset, 0.0))
+            q = np.linalg.solve(H + corner_H + prior.information,
+                                g + corner_g - prior.information @ back)
+        after = self._control.projection.moved(around.state, self.basis @ q)
+        residual = np.where(choice.near, choice.offset - rows @ q, np.nan)
         free = self.basis.T @ self._control.free(after)
         if free.size:
             # the last step has turned what the shape leaves open
             keep = apart_from(free)
             H, rows = keep @ H @ keep, rows @ keep
         measured = H + corner_H
-        return EdgeFit(after, H, measured, measured + prior, prior @ (back + q), view, at,
-                       weights, rows, residual,
-                       contrast[line, best] if len(at) else np.zeros(0), w, off * off, profiles)
+        return EdgeFit(
+            state=after, edges=H, measured=measured, solved=measured + prior.information,
+            pull=prior.information @ (back + q), view=around.view, at=found.at,
+            clutter_weight=found.weight, rows=rows, residual=residual, contrast=choice.contrast,
+            weight=choice.weight, off=choice.off * choice.off, profiles=found.profiles)
+
+    def _candidates(self, image: np.ndarray, around: SearchRound) -> EdgeCandidates:
+        """Search the edges along the normals of all control points that are to be searched."""
+        view, options = around.view, self.options
+        at = np.flatnonzero(view.searched)
+        weight, end_px = around.weights[at], view.end_px[at]
+        if not len(at):
+            none = np.zeros((0, options.candidates))
+            return EdgeCandidates(at, none, none, none, none, weight, end_px, np.zeros((0, 1)))
+        wanted, pixels = self.contrast[view.ids[at]], view.projected.pixels[at]
+        profiles = sample_normals(image, pixels, view.normal[at], around.reach)
+        edgels = find_edgels(profiles, options.candidates, options.least_contrast, wanted)
+        # the outer lanes meet a curve where it has bent away
+        offset = edgels.offset - BOW_OF_LANES * view.curvature[at][:, None]
+        worse = np.ones(offset.shape)
+        limb = np.flatnonzero(view.primitive[at] >= view.limb)
+        if len(limb):
+            shift, worse[limb] = limb_shift(profiles[limb], edgels.offset[limb],
+                                            edgels.contrast[limb], view.inside[at[limb]])
+            offset[limb] -= shift
+        penalty = contrast_penalty(edgels.contrast, wanted)
+        if self._greys is not None:
+            penalty += self._greys.penalty(profiles, pixels, view.inside[at], offset)
+        offset = np.where(np.isfinite(offset), offset, NOWHERE_PX)
+        return EdgeCandidates(at, offset, edgels.contrast, penalty, worse, weight, end_px,
+                              profiles)
+
+    def _chosen(self, found: EdgeCandidates, along: np.ndarray, limit: float, narrow: bool,
+                last: bool) -> EdgeChoice:
+        """
+        Choose one edge for each control point, and weigh it.
+
+        Parameters
+        ----------
+        found : EdgeCandidates
+        along : ndarray, shape (C,)
+            Where the correction so far puts each control point on its normal, pixels.
+        limit : float
+            Of Tukey's biweight, pixels.
+        narrow : bool
+            The correction is nearly right: the noise is known, and tells the limit.
+        last : bool
+            It is the last step.
+
+        Returns
+        -------
+        EdgeChoice
+
+        """
+        distances = np.abs(found.offset - along[:, None]) + min(limit / 8, 1.0) * found.penalty
+        line = np.arange(len(found.at))
+        best = distances.argmin(axis=1) if len(line) else line
+        distance, offset = distances[line, best], found.offset[line, best]
+        contrast = found.contrast[line, best]
+        near = distance < limit
+        sigma: np.ndarray | float = max(limit / 3, 0.5)
+        most: np.ndarray | float = limit
+        if narrow:
+            residual, own = offset - along, self._noise.sigma(contrast, found.end_px)
+            sigma = own * fast_robust_sigma(
+                (residual / own)[near & (np.abs(residual) < 3)], _MIN_NOISE)
+            most = np.minimum(_TUKEY * sigma, limit)
+        off = distance / most
+        weight = found.weight * tukey_weight(off, 1.0) / sigma**2
+        if last:
+            # not before: from afar every edge is needed to draw the pose near
+            weight = weight / found.worse[line, best]**2
+        return EdgeChoice(offset, contrast, near, weight, off)

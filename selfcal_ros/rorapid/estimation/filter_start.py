@@ -54,8 +54,8 @@ def checked_start(rotation: ArrayLike, translation: ArrayLike) -> tuple[np.ndarr
     return U @ Vt, translation
 
 
-def start_spread(rotation: np.ndarray, centred: np.ndarray, centre: np.ndarray,
-                 diameter_m: float, covariance: ArrayLike | None) -> np.ndarray:
+def start_covariance(rotation: np.ndarray, centred: np.ndarray, centre: np.ndarray,
+                     diameter_m: float, covariance: ArrayLike | None) -> np.ndarray:
     """
     Covariance (6, 6) of (theta, Delta) of a guess, about the object's middle.
 
@@ -82,17 +82,17 @@ def start_spread(rotation: np.ndarray, centred: np.ndarray, centre: np.ndarray,
         depth = _START_FRACTION * centred[2]
         lateral = min(depth, _START_DIAMETERS * diameter_m)
         return np.diag(np.square([_START_RAD] * 3 + [lateral, lateral, depth]))
-    spread = np.asarray(covariance, float)
-    if spread.shape != (6, 6) or not np.isfinite(spread).all():
+    given = np.asarray(covariance, float)
+    if given.shape != (6, 6) or not np.isfinite(given).all():
         raise ArgumentError('The covariance of a start pose is a finite 6x6 matrix.')
     back = np.linalg.inv(recentring(rotation @ centre))
-    spread = back @ spread[TURN_LAST] @ back.T
-    return spread + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
+    given = back @ given[TURN_LAST] @ back.T
+    return given + np.diag([1e-8] * 3 + [(1e-4 * centred[2])**2] * 3)
 
 
 def started_filter(projection: Projection, basis: np.ndarray, free: int, options: TrackerOptions,
                    diameter: float, state: ObjectPose,
-                   spread: np.ndarray) -> ConstantVelocityFilter:
+                   covariance: np.ndarray) -> ConstantVelocityFilter:
     """
     Return a Kalman filter at a state with a covariance (6, 6) of (theta, Delta).
 
@@ -106,7 +106,7 @@ def started_filter(projection: Projection, basis: np.ndarray, free: int, options
     diameter : float
         Of the object, metres.
     state : ObjectPose
-    spread : ndarray, shape (6, 6)
+    covariance : ndarray, shape (6, 6)
 
     """
     size = projection.size
@@ -120,7 +120,7 @@ def started_filter(projection: Projection, basis: np.ndarray, free: int, options
         turn[:6] = options.acceleration_rad_s2 * scale
         turn[6:] = options.acceleration_m_s2 * scale
     else:
-        full[:6, :6] = spread
+        full[:6, :6] = covariance
         speed[:6] = [_START_TURN] * 3 + [_START_SPEED * diameter] * 3
         turn[:6] = [options.acceleration_rad_s2] * 3 + [options.acceleration_m_s2] * 3
         if size == 7:

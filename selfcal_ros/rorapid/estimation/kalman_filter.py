@@ -75,8 +75,12 @@ class ConstantVelocityFilter:
         self.covariance[:m, :m] = covariance
         self.covariance[m:, m:] = np.diag(self._velocity)
 
+    def take_over(self, state: ObjectPose, velocity: np.ndarray, covariance: np.ndarray) -> None:
+        """Go on from another filter's state, velocity (m,) and covariance (2 m, 2 m)."""
+        self.state, self.velocity, self.covariance = state, velocity, covariance
+
     @property
-    def spread(self) -> np.ndarray:
+    def pose_covariance(self) -> np.ndarray:
         """Covariance of the mean, shape (m, m)."""
         m = self.basis.shape[1]
         return self.covariance[:m, :m]
@@ -116,7 +120,7 @@ class ConstantVelocityFilter:
         """Take in a measured state with its covariance (m, m)."""
         m = self.basis.shape[1]
         innovation = self.basis.T @ self.projection.difference(measured, self.state)
-        gain = np.linalg.solve(self.spread + noise, self.covariance[:m]).T
+        gain = np.linalg.solve(self.pose_covariance + noise, self.covariance[:m]).T
         step = gain @ innovation
         self.state = self.projection.moved(self.state, self.basis @ step[:m])
         self.velocity = self.velocity + step[m:]
@@ -137,7 +141,7 @@ class ConstantVelocityFilter:
         """
         m = self.basis.shape[1]
         step = self.basis.T @ self.projection.difference(state, self.state)
-        carry = np.linalg.solve(self.spread, self.covariance[:m, m:]).T
+        carry = np.linalg.solve(self.pose_covariance, self.covariance[:m, m:]).T
         self.velocity = self.velocity + carry @ step
         cross = carry @ covariance
         new = np.empty_like(self.covariance)
@@ -171,7 +175,7 @@ class ConstantVelocityFilter:
     def innovation_share(self, state: ObjectPose, noise: np.ndarray) -> float:
         """Squared Mahalanobis distance of a state from the prediction, per degree of freedom."""
         step = self.basis.T @ self.projection.difference(state, self.state)
-        return float(step @ np.linalg.solve(self.spread + noise, step) / len(step))
+        return float(step @ np.linalg.solve(self.pose_covariance + noise, step) / len(step))
 
 
 def seconds_between(before_ns: int | None, now_ns: int | None, frame_rate_hz: float) -> float:

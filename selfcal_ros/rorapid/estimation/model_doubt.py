@@ -255,7 +255,9 @@ class ModelDoubt:
 
 def patterns_of(control: ControlModel) -> list[_Pattern]:
     """Return the ways in which a camera and a model can be wrong; the focal length first."""
-    visible = control.visible_model
+    visible = control.visible_model.faceted
+    if visible is None:
+        return []
     model = visible.model
     found = [_Pattern('focal', "The camera's focal length", None)]
     places = visible.resting_points() - control.centre

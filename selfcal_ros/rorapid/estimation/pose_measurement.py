@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlView
-from selfcal_ros.rorapid.estimation.edge_search import EdgeFit
+from selfcal_ros.rorapid.estimation.edge_fit import EdgeFit
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.region.region_of_interest import Region
 from selfcal_ros.rorapid.texture.texture_memory import TextureMatches

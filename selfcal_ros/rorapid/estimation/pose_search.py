@@ -19,11 +19,11 @@ import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
+from selfcal_ros.rorapid.estimation.edge_fit import PosePrior, SearchRound
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.start_check import quartered, StartCheck, Support, turned
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.values.mesh import MeshModel
 
 #: Rounds of the search from each start, the first of them wide; range of the others, pixels.
 _START_ROUNDS, _WIDE_ROUNDS, _GUESS_REACH_PX = 4, 2, 8
@@ -48,18 +48,12 @@ class PoseSearch:
     edges : EdgeSearch
     check : StartCheck
 
-    Attributes
-    ----------
-    outlined : bool
-        The object is known by the outline of its round parts.
-
     """
 
     def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
                  edges: EdgeSearch, check: StartCheck):
         """Take what measures and what judges."""
         self.basis, self._edges = basis, edges
-        self.outlined = isinstance(control.visible_model.model, MeshModel)
         self.adopt(options, control, check)
 
     def switch(self, basis: np.ndarray) -> None:
@@ -70,7 +64,7 @@ class PoseSearch:
         """Go on by other settings."""
         self.options, self.control, self.check = options, control, check
 
-    def nearby(self, image: np.ndarray, guess: ObjectPose, spread: np.ndarray) -> ObjectPose:
+    def nearby(self, image: np.ndarray, guess: ObjectPose, covariance: np.ndarray) -> ObjectPose:
         """
         Try starts around a guess, one sigma away; return the pose with the strongest edges.
 
@@ -78,7 +72,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         guess : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -86,21 +80,21 @@ class PoseSearch:
         ObjectPose
 
         """
-        values, vectors = np.linalg.eigh(spread)
+        values, vectors = np.linalg.eigh(covariance)
         shifts = vectors * np.sqrt(values)
-        starts = np.concatenate([np.zeros((1, len(spread))), shifts.T, -shifts.T])
-        prior = np.linalg.inv(spread)
+        starts = np.concatenate([np.zeros((1, len(covariance))), shifts.T, -shifts.T])
+        prior = PosePrior.of(guess, covariance)
         best, best_score = guess, -1.0
         for start in starts:
             state = self.control.projection.moved(guess, self.basis @ start)
-            state = self._drawn_in(image, state, guess, prior, _START_ROUNDS)
+            state = self._drawn_in(image, state, prior, _START_ROUNDS)
             score = self._edges.score(image, self.control.view(state))
             if score > best_score:
                 best, best_score = state, score
         return best
 
     def rivals(self, image: np.ndarray, guess: ObjectPose, found: ObjectPose,
-               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
+               covariance: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
         Find poses from starts that are turned from a guess, or by quarters from what was found.
 
@@ -108,7 +102,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         guess, found : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -117,27 +111,27 @@ class PoseSearch:
             The best first. What was found may be among them.
 
         """
-        if self.outlined:
+        if self.control.is_outlined:
             # the outline of a round part looks much the same from other sides: nearby ones only
             starts = turned(guess)
-            return self.ranked(image, starts[:len(starts) // 2], spread)
-        poses = self.ranked(image, turned(guess) + quartered(found), spread)
+            return self.ranked(image, starts[:len(starts) // 2], covariance)
+        poses = self.ranked(image, turned(guess) + quartered(found), covariance)
         state, support = poses[0]
         if not self.check.plain(support):
             # what looks nearly right may be right but for a quarter of a turn
-            other = self.ranked(image, quartered(state), spread)[0]
+            other = self.ranked(image, quartered(state), covariance)[0]
             if other[1].length > support.length:
                 return [other, *poses]
         return poses
 
-    def turned_rival(self, image: np.ndarray, found: ObjectPose, spread: np.ndarray) -> float:
+    def turned_rival(self, image: np.ndarray, found: ObjectPose, covariance: np.ndarray) -> float:
         """Share of the length seen of the best pose that is turned from what was found."""
         starts = turned(found)
-        return best_turned(self.ranked(image, starts[:len(starts) // 2], spread), found,
+        return best_turned(self.ranked(image, starts[:len(starts) // 2], covariance), found,
                            self.control.free_turns).length
 
     def ranked(self, image: np.ndarray, starts: list[ObjectPose],
-               spread: np.ndarray) -> list[tuple[ObjectPose, Support]]:
+               covariance: np.ndarray) -> list[tuple[ObjectPose, Support]]:
         """
         Draw all starts in a little and the best ones wholly.
 
@@ -145,7 +139,7 @@ class PoseSearch:
         ----------
         image : ndarray, shape (H, W), uint8
         starts : list of ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of each start.
 
         Returns
@@ -154,10 +148,11 @@ class PoseSearch:
             What was drawn in wholly, the best first.
 
         """
-        prior = np.linalg.inv(spread)
+        information = np.linalg.inv(covariance)
 
-        def drawn(states, rounds):
-            poses = [self._drawn_in(image, state, state, prior, rounds) for state in states]
+        def drawn(states: list[ObjectPose], rounds: int) -> list[tuple[ObjectPose, Support]]:
+            poses = [self._drawn_in(image, state, PosePrior(state, covariance, information),
+                                    rounds) for state in states]
             found = [(pose, self.check.support(image, pose)) for pose in poses]
             return sorted(found, key=lambda pair: -pair[1].length)
 
@@ -168,14 +163,15 @@ class PoseSearch:
                 chosen.append(pose)
         return drawn(chosen[:_CLOSELY], _START_ROUNDS)
 
-    def _drawn_in(self, image, state, guess, prior, rounds: int) -> ObjectPose:
+    def _drawn_in(self, image: np.ndarray, state: ObjectPose, prior: PosePrior,
+                  rounds: int) -> ObjectPose:
         """Let the edges draw a start to themselves."""
         reach = int(np.ceil(self.options.search_most_px))
         for turn in range(rounds):
             wide, view = turn < _WIDE_ROUNDS, self.control.view(state)
-            state = self._edges.fit(
-                image, view, state, guess, prior, reach if wide else _GUESS_REACH_PX,
-                self._edges.limits(reach, wide, not wide), clutter_weight(view)).state
+            state = self._edges.fit(image, prior, SearchRound(
+                state, view, reach if wide else _GUESS_REACH_PX,
+                self._edges.limits(reach, wide, not wide), clutter_weight(view))).state
         return state
 
 

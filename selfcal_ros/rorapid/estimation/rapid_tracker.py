@@ -15,10 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
+from selfcal_ros.errors import ArgumentError
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
 from selfcal_ros.geometry.scaled_inverse import least_scaled_eigenvalue
 from selfcal_ros.rorapid.edges.control_points import ControlModel, ControlView
@@ -85,19 +84,23 @@ class RapidTracker:
         self._weight = self._weight[nearest]
         self._reach = self._reach.clip(options.search_least_px, options.search_most_px)
 
-    def initialise(self, image: np.ndarray, guess: ObjectPose, spread=None) -> PoseMeasurement:
+    def initialise(self, image: np.ndarray, guess: ObjectPose,
+                   covariance: np.ndarray | None = None) -> PoseMeasurement:
         """Measure from a first guess as from a prediction."""
-        return self.measure(image, guess, spread)
+        return self.measure(image, guess, covariance)
 
-    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
-                  spread) -> Iterator[ObjectPose]:
-        """Propose nothing: the thesis's trackers do not search for a lost object."""
-        return iter(())
+    #: The thesis's trackers neither test a pose nor search for a lost object.
+    placed, verifier, seeker = True, None, None
+
+    def seek(self) -> None:
+        """Refuse to begin without a place to search around."""
+        raise ArgumentError('A start without a pose needs the method modern.')
 
     def remember(self, measured: PoseMeasurement, confirmed: bool) -> None:
         """Learn nothing of the object's appearance."""
 
-    def measure(self, image: np.ndarray, predicted: ObjectPose, spread=None) -> PoseMeasurement:
+    def measure(self, image: np.ndarray, predicted: ObjectPose,
+                covariance: np.ndarray | None = None) -> PoseMeasurement:
         """Search from the predicted state and correct it once."""
         options, control = self.options, self.control
         view = control.view(predicted)

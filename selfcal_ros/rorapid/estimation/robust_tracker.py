@@ -15,11 +15,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
 from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edge_choice import clutter_weight
 from selfcal_ros.rorapid.estimation.arrival import Arrival
+from selfcal_ros.rorapid.estimation.edge_fit import EdgeFit, PosePrior, SearchRound
 from selfcal_ros.rorapid.estimation.edge_search import EdgeSearch
 from selfcal_ros.rorapid.estimation.free_turn import with_turn_counted
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement, SearchDetails
@@ -30,12 +34,12 @@ from selfcal_ros.rorapid.estimation.track_quality import (
     track_quality)
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
-from selfcal_ros.rorapid.region.region_of_interest import region_of_interest, Undistorter
-from selfcal_ros.rorapid.texture.corner_fit import AGREE_PX, CornerFit, MIN_TEXTURE
-from selfcal_ros.rorapid.texture.surface_views import SurfaceViews
-from selfcal_ros.rorapid.texture.texture_memory import TextureMemory
+from selfcal_ros.rorapid.region.region_of_interest import (
+    Region, region_of_interest, Undistorter)
+from selfcal_ros.rorapid.texture.appearance import appearance_of
+from selfcal_ros.rorapid.texture.corner_fit import (
+    AGREE_PX, AgreeingCorners, CornerFit, MIN_TEXTURE)
 from selfcal_ros.rorapid.texture.view_memory import ViewMemory
-from selfcal_ros.values.mesh import MeshModel
 
 #: With fewer of the corners agreeing much is hidden.
 _MUCH_HIDDEN = 0.5
@@ -69,16 +73,11 @@ class RobustTracker:
         """Start without memory."""
         self.control, self.basis, self.options = control, basis, options
         self.projection = control.projection
-        model = control.visible_model.model
-        faces = [model.vertices[list(face.indices)] - control.centre for face in model.faces]
-        corners = model.vertices[model.triangles] - control.centre
         # texture lives in parts of the image without distortion; edges in the image as it is
         self._lens = Undistorter(self.projection.camera)
         self._pinhole = Projection(self._lens.pinhole, self.projection.model)
-        self.texture = SurfaceViews(
-            control.visible_model, control.centre, self._pinhole, options.texture_points
-        ) if isinstance(model, MeshModel) else TextureMemory(
-            faces, corners, self._pinhole, options.texture_points)
+        self.texture = appearance_of(control.visible_model, control.centre, self._pinhole,
+                                     options.texture_points)
         self._distorted = not self.projection.camera.is_pinhole
         self._use_texture = options.texture and options.camera_model != 'affine'
         self._lost_images = 0
@@ -86,13 +85,27 @@ class RobustTracker:
         self.placed = True
         #: Whether much of the object is hidden by other things: then more corners are followed.
         self._much_hidden = False
-        self._outline = np.asarray(model.extent, float) - control.centre
+        self._outline = np.asarray(control.visible_model.model.extent, float) - control.centre
         self._corners = CornerFit(self._pinhole, basis, rng)
         self._edges = EdgeSearch(control, basis, options, self._corners)
         self._views = ViewMemory(self._pinhole, self._outline, rng)
         self.check = StartCheck(control, options.least_contrast)
         self.search = PoseSearch(control, basis, options, self._edges, self.check)
         self._arrival = Arrival(self.search, self._lens.pinhole.K)
+
+    @property
+    def verifier(self) -> RobustTracker | None:
+        """What tests starts, and what was found again: itself, if the options ask for it."""
+        return self if self.options.verifies else None
+
+    @property
+    def seeker(self) -> RobustTracker | None:
+        """What seeks an object that is lost: itself, if the options ask for it."""
+        return self if self.options.seeks else None
+
+    def seek(self) -> None:
+        """Begin without any place to search around."""
+        self.placed = False
 
     def reset(self) -> None:
         """Forget what the object looks like."""
@@ -120,7 +133,8 @@ class RobustTracker:
         self.search.adopt(options, control, self.check)
         self._use_texture = options.texture and options.camera_model != 'affine'
 
-    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool, spread):
+    def proposals(self, image: np.ndarray, state: ObjectPose, everywhere: bool,
+                  covariance: np.ndarray) -> Iterator[ObjectPose]:
         """
         Propose other states, one at a time, the cheapest first.
 
@@ -131,7 +145,7 @@ class RobustTracker:
             Expected.
         everywhere : bool
             Search the whole image, not only around the expected state.
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of where it may be.
 
         Yields
@@ -153,18 +167,18 @@ class RobustTracker:
             size = np.array(image.shape[::-1])
             whole = self._lens.part(image, 0 * size, size)
             yield from self._views.recognised(whole)
-            if not (self.search.outlined and self.texture.patterned):
+            if not (self.control.is_outlined and self.texture.patterned):
                 # what is patterned shows edges where a wrong outline would have them
-                for poses in self._arrival.poses(image, whole, spread, self.placed):
+                for poses in self._arrival.poses(image, whole, covariance, self.placed):
                     yield from poses if len(poses) == 1 else self._told_apart(
-                        image, poses, spread, state)
+                        image, poses, covariance, state)
             # without texture there are the edges alone; a slow search, and not in every image
             self._lost_images += 1
             if self.placed and self._lost_images % _EDGE_SEARCH_EVERY == 0:
-                yield self.search.nearby(image, state, spread)
+                yield self.search.nearby(image, state, covariance)
 
     def measure(self, image: np.ndarray, predicted: ObjectPose,
-                spread: np.ndarray) -> PoseMeasurement:
+                covariance: np.ndarray) -> PoseMeasurement:
         """
         Find the object near a predicted state.
 
@@ -172,7 +186,7 @@ class RobustTracker:
         ----------
         image : ndarray, shape (H, W), uint8
         predicted : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the prediction.
 
         Returns
@@ -180,89 +194,108 @@ class RobustTracker:
         PoseMeasurement
 
         """
-        prior = np.linalg.inv(spread)
-        state = predicted
+        prior = PosePrior.of(predicted, covariance)
         outline = self._pinhole.project(predicted, self._outline).pixels
         region = region_of_interest(image, outline, 40.0, self._lens)
-        matches, agree = None, np.zeros(0, bool)
+        corners = AgreeingCorners(predicted, None, np.zeros(0, bool))
         if region is not None and self._use_texture and self.texture.known:
-            state, matches, agree = self._by_texture(region, predicted, prior)
-        count = int(agree.sum())
+            corners = self._by_texture(region, prior)
+        count, matches = int(corners.agree.sum()), corners.matches
         led = count >= MIN_TEXTURE
-        measured = self._search(image, region, predicted, spread, prior, state, matches, agree,
-                                led)
+        measured = self._search(image, region, prior, corners, led)
         if led and matches is not None and count < max(
                 RECOGNISED_CORNERS, RECOGNISED_FOLLOWED * matches.followed.sum()):
             # few corners may agree on a wrong pose by chance; the edges decide
             near = self._corners.near(predicted, matches)
-            by_edges = self._search(image, region, predicted, spread, prior, predicted, matches,
-                                    near, False)
+            by_edges = self._search(image, region, prior,
+                                    AgreeingCorners(predicted, matches, near), False)
             if _quality(by_edges) > _quality(measured):
                 measured = by_edges
         return measured
 
-    def _told_apart(self, image, poses, spread, expected) -> list[ObjectPose]:
+    def _told_apart(self, image: np.ndarray, poses: list[ObjectPose], covariance: np.ndarray,
+                    expected: ObjectPose) -> list[ObjectPose]:
         """Return that of several poses which the texture alone recognises, if there is any."""
         if not (self._use_texture and self.texture.patterned):
             return self._arrival.nearest(poses, expected)
-        known = [pose for pose in poses if self.measure(image, pose, spread).by_texture]
+        known = [pose for pose in poses if self.measure(image, pose, covariance).by_texture]
         return known if len(known) == 1 else []
 
     def measured_anew(self, image: np.ndarray, state: ObjectPose,
-                      spread: np.ndarray) -> PoseMeasurement:
+                      covariance: np.ndarray) -> PoseMeasurement:
         """Measure without regard to what edges looked like: before another background."""
         remembered = self._edges.contrast.copy()
         self._edges.contrast[:] = 0
-        measured = self.measure(image, state, spread)
+        measured = self.measure(image, state, covariance)
         if not measured.recognised:
             self._edges.contrast[:] = remembered
         return measured
 
-    def _search(self, image, region, predicted, spread, prior, state, matches, agree, led):
-        """Search the edges about a state, in some rounds, and conclude."""
-        edges, rounds = self._edges, self.options.rounds
+    def _search(self, image: np.ndarray, region: Region | None, prior: PosePrior,
+                corners: AgreeingCorners, led: bool) -> PoseMeasurement:
+        """
+        Search the edges about a state, in some rounds, and conclude.
+
+        Parameters
+        ----------
+        image : ndarray, shape (H, W), uint8
+        region : Region or None
+            Part of the image around the object; None outside of the image.
+        prior : PosePrior
+        corners : AgreeingCorners
+            And the state to begin from.
+        led : bool
+            That state is from the corners, and nearly right; else edges may be further away.
+
+        Returns
+        -------
+        PoseMeasurement
+
+        """
+        edges, rounds, state = self._edges, self.options.rounds, corners.state
         view = self.control.view(state)
         weights = clutter_weight(view)
         reach = int(np.ceil(self.options.search_least_px)) if led else edges.reach(
-            state, view, spread)
+            state, view, prior.covariance)
         for turn in range(rounds):
             if turn:
                 view = self.control.again(view, state)
                 reach = min(reach, _NEAR_REACH_PX)
-                if not led and matches is not None:
-                    agree = self._corners.near(state, matches)
+                if not led and corners.matches is not None:
+                    corners = replace(corners, agree=self._corners.near(state, corners.matches))
             limits = edges.limits(reach, turn == 0 and not led, turn + 1 == rounds)
-            fit = edges.fit(image, view, state, predicted, prior, reach, limits, weights,
-                            matches, agree)
+            fit = edges.fit(image, prior, SearchRound(state, view, reach, limits, weights),
+                            corners)
             state = fit.state
-        return self._conclude(region, fit, matches, agree)
+        return self._conclude(region, fit, corners)
 
-    def _by_texture(self, region, predicted, prior):
+    def _by_texture(self, region: Region, prior: PosePrior) -> AgreeingCorners:
         """
         Follow the texture's corners and find the pose on which most of them agree.
 
         First from close by, where what is before the object disturbs least; then from further.
         """
-        best = predicted, None, np.zeros(0, bool)
+        best = AgreeingCorners(prior.state, None, np.zeros(0, bool))
         for levels, reduced in _ATTEMPTS:
-            if reduced and best[1].followed.mean() < 0.5:
+            if reduced and best.matches is not None and best.matches.followed.mean() < 0.5:
                 break                 # not blurred but hidden
-            matches = self.texture.follow(region.halved() if reduced else region, predicted,
+            matches = self.texture.follow(region.halved() if reduced else region, prior.state,
                                           levels, self._much_hidden)
             if matches is None:
                 break
             near = AGREE_PX * (1.5 if reduced else 1.0)
-            state, agree = self._corners.agreement(matches, predicted, prior, near)
+            state, agree = self._corners.agreement(matches, prior.state, prior.information, near)
             gain = 1.5 if reduced else 1.0
-            if best[1] is None or agree @ matches.score > gain * (best[2] @ best[1].score):
-                best = state, matches, agree
+            if best.matches is None or agree @ matches.score > gain * (
+                    best.agree @ best.matches.score):
+                best = AgreeingCorners(state, matches, agree)
             if agree.mean() > 0.4:
                 break
-        self._much_hidden = best[1] is not None and best[2].mean() < _MUCH_HIDDEN
+        self._much_hidden = best.matches is not None and best.agree.mean() < _MUCH_HIDDEN
         return best
 
     def initialise(self, image: np.ndarray, guess: ObjectPose,
-                   spread: np.ndarray) -> PoseMeasurement:
+                   covariance: np.ndarray) -> PoseMeasurement:
         """
         Find the object from a guess: from many starts around it, the one with the best edges.
 
@@ -270,7 +303,7 @@ class RobustTracker:
         ----------
         image : ndarray, shape (H, W), uint8
         guess : ObjectPose
-        spread : ndarray, shape (m, m)
+        covariance : ndarray, shape (m, m)
             Covariance of the guess.
 
         Returns
@@ -279,14 +312,16 @@ class RobustTracker:
 
         """
         self._edges.glance(image, self.control.view(guess))
-        return self.measure(image, self.search.nearby(image, guess, spread), spread)
+        return self.measure(image, self.search.nearby(image, guess, covariance), covariance)
 
     def glance(self, image: np.ndarray, state: ObjectPose) -> None:
         """Learn anew what object and background look like, from a state that is not confirmed."""
         self._edges.glance(image, self.control.view(state))
 
-    def _conclude(self, region, fit, matches, agree):
+    def _conclude(self, region: Region | None, fit: EdgeFit,
+                  corners: AgreeingCorners) -> PoseMeasurement:
         """Count what confirms the state."""
+        matches, agree = corners.matches, corners.agree
         edge_px = np.full(len(fit.view.ids), np.nan)
         edge_px[fit.at] = fit.residual
         found = np.abs(edge_px) < _FOUND_PX

@@ -25,8 +25,8 @@ import cv2
 import numpy as np
 
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.visibility.visible_mesh import VisibleMesh
-from selfcal_ros.values.wireframe import across_axes, WireframeModel
+from selfcal_ros.rorapid.visibility.visible_geometry import VisibleGeometry
+from selfcal_ros.values.wireframe import across_axes
 
 #: Directions, turns in the image, and the side of the grid that silhouettes are compared on.
 _DIRECTIONS, _TURNS, _GRID = 200, 36, 32
@@ -45,13 +45,13 @@ class SampledViews:
 
     Parameters
     ----------
-    visible : VisibleModel or VisibleMesh
+    visible : VisibleGeometry
     centre : ndarray, shape (3,)
         Origin of the tracker's object frame.
 
     """
 
-    def __init__(self, visible, centre: np.ndarray) -> None:
+    def __init__(self, visible: VisibleGeometry, centre: np.ndarray) -> None:
         """Draw all silhouettes."""
         self._rotations, self._areas, self._offsets, silhouettes = [], [], [], []
         self._diameter = visible.model.diameter_m
@@ -153,7 +153,7 @@ def _normalised(mask: np.ndarray, area: float, middle: np.ndarray, turn: float) 
                           flags=cv2.INTER_LINEAR) > 127
 
 
-def _drawing_of(visible, centre: np.ndarray):
+def _drawing_of(visible: VisibleGeometry, centre: np.ndarray):
     """Return what draws the silhouette (canvas, uint8) of a pose (rotation, translation)."""
     shape = int(_CANVAS[1]), int(_CANVAS[0])
 
@@ -161,11 +161,12 @@ def _drawing_of(visible, centre: np.ndarray):
         seen = points @ rotation.T + translation
         return _FOCAL * seen[..., :2] / seen[..., 2:] + _CANVAS / 2
 
-    if isinstance(visible, VisibleMesh):
-        return lambda rotation, translation: visible.mask(
+    surface = visible.surface
+    if surface is not None:
+        return lambda rotation, translation: surface.mask(
             rotation, translation - rotation @ centre, shape,
             lambda points: place(points - centre, rotation, translation))
-    model: WireframeModel = visible.model
+    model = visible.model
     triangles = model.vertices[model.triangles] - centre
     angle = np.arange(_RIM) * 2 * np.pi / _RIM
     solids = []

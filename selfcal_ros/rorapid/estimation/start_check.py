@@ -34,7 +34,6 @@ from selfcal_ros.rorapid.edges.control_points import ControlModel
 from selfcal_ros.rorapid.edges.edgels import find_edgels, sample_normals
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
 from selfcal_ros.rorapid.visibility.visible_mesh import visible_of
-from selfcal_ros.values.mesh import MeshModel
 
 #: Places on a line, on a conic and on the outline of a mesh.
 _ON_LINE, _ON_CONIC, _ON_OUTLINE = 16, 32, 180
@@ -103,7 +102,6 @@ class StartCheck:
     def __init__(self, control: ControlModel, least_contrast: float):
         """Take the model; places are laid out when they are first needed."""
         self._control, self._least = control, least_contrast
-        self._outlined = isinstance(control.visible_model.model, MeshModel)
         self._dense: ControlModel | None = None
         self.forget()
 
@@ -185,16 +183,17 @@ class StartCheck:
 
     def rivals(self, support: Support, rival: Support) -> bool:
         """Whether another pose is seen so well that lines do not decide."""
-        return rival.length > support.length - (_CLEAR if self._outlined else _ALIKE)
+        return rival.length > support.length - (_CLEAR if self._control.is_outlined else _ALIKE)
 
     def stands_out(self, support: Support, was_seen: bool) -> bool:
         """Whether something that came in may be the object."""
-        whole = not self._outlined or was_seen or support.length >= _WHOLE
+        whole = not self._control.is_outlined or was_seen or support.length >= _WHOLE
         return whole and self.fair(support)
 
     def found(self, support: Support, by_texture: bool) -> bool:
         """Whether an object that was lost is found; its texture may have recognised it."""
-        return support.reaches((0.0, _RECOGNISED[self._outlined]) if by_texture else _FAIR)
+        least = 0.0, _RECOGNISED[self._control.is_outlined]
+        return support.reaches(least if by_texture else _FAIR)
 
 
 def turned(state: ObjectPose) -> list[ObjectPose]:

@@ -20,13 +20,14 @@ not confirm it, other poses around are tried in some of them; after `TRIES` imag
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from selfcal_ros.rorapid.estimation.pose_estimator import SearchingEstimator
 from selfcal_ros.rorapid.estimation.pose_measurement import PoseMeasurement
 from selfcal_ros.rorapid.estimation.pose_search import best_turned, NOT_FREE
-from selfcal_ros.rorapid.estimation.robust_tracker import RobustTracker
 from selfcal_ros.rorapid.estimation.start_check import Support
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 
@@ -49,7 +50,7 @@ class StartSearch:
     Parameters
     ----------
     guess : ObjectPose
-    spread : ndarray, shape (m, m)
+    covariance : ndarray, shape (m, m)
         Covariance of the guess.
     outline : bool
         The object is a mesh, known by its outline.
@@ -67,12 +68,12 @@ class StartSearch:
 
     """
 
-    def __init__(self, guess: ObjectPose, spread: np.ndarray, outline: bool,
+    def __init__(self, guess: ObjectPose, covariance: np.ndarray, outline: bool,
                  free: np.ndarray = NOT_FREE):
         """Begin."""
         self._free = free
         self.guess, self.tries, self.support = guess, 0, Support()
-        self._spread, self._outline = spread, outline
+        self._covariance, self._outline = covariance, outline
         self._searches, self._held, self.sure = 0, 0, False
         # before a search nothing is known of poses that are turned
         self._rival, self._turned = Support(), Support(1.0, 1.0)
@@ -80,10 +81,10 @@ class StartSearch:
         self._images = 1
 
     @classmethod
-    def again(cls, guess: ObjectPose, spread: np.ndarray,
+    def again(cls, guess: ObjectPose, covariance: np.ndarray,
               free: np.ndarray = NOT_FREE) -> StartSearch:
         """Confirm an outline that was found; it must be sure in several images in a row."""
-        search = cls(guess, spread, True, free)
+        search = cls(guess, covariance, True, free)
         search._images = _OUTLINE_IMAGES
         return search
 
@@ -92,14 +93,14 @@ class StartSearch:
         """Whether there were images enough."""
         return self.tries >= TRIES
 
-    def look(self, method: RobustTracker, image: np.ndarray, measured: PoseMeasurement,
+    def look(self, method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
              wide: np.ndarray) -> tuple[PoseMeasurement, bool]:
         """
         Look at a pose in an image, and at others around it where it is not seen well.
 
         Parameters
         ----------
-        method : RobustTracker
+        method : SearchingEstimator
         image : ndarray, shape (H, W), uint8
         measured : PoseMeasurement
         wide : ndarray, shape (m, m)
@@ -118,7 +119,7 @@ class StartSearch:
         fair = check.fair(support) and self._searches < len(_SEARCHES)
         if not check.plain(support) and (fair or self.tries in _SEARCHES):
             self._searches += 1
-            poses = method.search.rivals(image, self.guess, measured.state, self._spread)
+            poses = method.search.rivals(image, self.guess, measured.state, self._covariance)
             state, self._rival = poses[0]
             # of nearly equal poses (a box turned by half a turn) that next to the guess is right
             if self._rival.length > support.length + _BETTER:
@@ -136,7 +137,7 @@ class StartSearch:
         self.support = support
         return measured, other
 
-    def confirmed(self, method: RobustTracker) -> bool:
+    def confirmed(self, method: SearchingEstimator) -> bool:
         """Whether the last pose is confirmed; asked once an image where it was determined."""
         if not method.check.confirms(self.support, self._rival, self._turned):
             return False
@@ -151,8 +152,8 @@ class StartSearch:
         return f'The image does not confirm the start pose: {seen}.'
 
 
-def proposed_spread(projection: Projection, basis: np.ndarray, diameter_m: float,
-                    state: ObjectPose) -> np.ndarray:
+def proposed_covariance(projection: Projection, basis: np.ndarray, diameter_m: float,
+                        state: ObjectPose) -> np.ndarray:
     """Covariance (m, m) of a state that is only proposed."""
     sigma = np.full(projection.size, 0.1)
     if projection.size == 8:
@@ -164,14 +165,15 @@ def proposed_spread(projection: Projection, basis: np.ndarray, diameter_m: float
     return (basis.T * sigma**2) @ basis
 
 
-def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: ObjectPose,
-                lost: bool, wide) -> PoseMeasurement:
+def relocalised(method: SearchingEstimator, image: np.ndarray, measured: PoseMeasurement,
+                expected: ObjectPose, lost: bool,
+                wide: Callable[[ObjectPose], np.ndarray]) -> PoseMeasurement:
     """
     Try other places for an object; return the measurement that is confirmed best.
 
     Parameters
     ----------
-    method : RapidTracker or RobustTracker
+    method : SearchingEstimator
     image : ndarray, shape (H, W), uint8
     measured : PoseMeasurement
         Where it was expected.
@@ -199,7 +201,7 @@ def relocalised(method, image: np.ndarray, measured: PoseMeasurement, expected: 
     return measured
 
 
-def confirmed_again(method: RobustTracker, image: np.ndarray,
+def confirmed_again(method: SearchingEstimator, image: np.ndarray,
                     measured: PoseMeasurement) -> PoseMeasurement:
     """Return what was found of a lost object, recognised only if its lines are seen."""
     check = method.check

@@ -16,5 +16,5 @@ What is object and what is not: the part of an image around it, and both sides o
 
 Ours, not the thesis's. `region_of_interest` cuts the part out, without lens distortion, at a scale
 that is fast; texture is compared in it. `outline_greys` knows the grey levels of both sides,
-and `newcomer` the scene without the object.
+and `background_change` the scene without the object.
 """

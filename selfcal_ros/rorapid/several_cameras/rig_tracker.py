@@ -24,7 +24,7 @@ whole difference, and the finding is told.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,34 +41,14 @@ from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.projection.free_directions import free_at
 from selfcal_ros.rorapid.projection.motion_models import recentring
 from selfcal_ros.rorapid.several_cameras.agreement import Agreement, CONFLICT
-from selfcal_ros.rorapid.several_cameras.eye import Eye, Glimpse
+from selfcal_ros.rorapid.several_cameras.rig_camera import PoseInformation, RigCamera
+from selfcal_ros.rorapid.several_cameras.rig_frame import RigFrame, unseen
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
 from selfcal_ros.values.camera_rig import placed_beside, PlacedCamera
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: Instants in a row without an image of a camera that saw the object last.
 _UNSEEN = 3
-
-
-@dataclass(frozen=True)
-class RigFrame:
-    """
-    What the images of one instant gave.
-
-    Attributes
-    ----------
-    tracked : TrackedFrame
-        Pose and covariance in the frame of the rig, which is that of the first camera. What it
-        says of control points is of the first camera that had an image.
-    views : tuple of TrackedFrame or None
-        Of each camera, in its own frame and by itself; None without an image.
-    sees : tuple of bool
-        Which cameras the pose is from.
-
-    """
-
-    tracked: TrackedFrame
-    views: tuple[TrackedFrame | None, ...]
-    sees: tuple[bool, ...]
 
 
 class RigTracker:
@@ -90,18 +70,18 @@ class RigTracker:
 
     """
 
-    def __init__(self, model, cameras: Sequence[PlacedCamera],
+    def __init__(self, model: WireframeModel, cameras: Sequence[PlacedCamera],
                  options: TrackerOptions | None = None, seed: int = 0):
         """Prepare the model for each camera."""
         self.options = options = TrackerOptions() if options is None else options
         check_rig_options(options)
         self.model, self.cameras = model, placed_beside(cameras)
-        self.eyes = [Eye(model, placed, options, np.random.default_rng(seed))
-                     for placed in self.cameras]
+        self.members = [RigCamera(model, placed, options, np.random.default_rng(seed))
+                        for placed in self.cameras]
         self._names = [placed.name for placed in self.cameras]
         self._projection = Projection(cameras[0].camera)
-        self._centre = self.eyes[0].tracker.centre
-        self._agreement = Agreement(np.array([eye.place for eye in self.eyes]))
+        self._centre = self.members[0].tracker.centre
+        self._agreement = Agreement(np.array([camera.place for camera in self.members]))
         self.reset()
 
     @property
@@ -111,8 +91,8 @@ class RigTracker:
 
     def reset(self) -> None:
         """Forget all that was learned; a new start is needed."""
-        for eye in self.eyes:
-            eye.reset()
+        for camera in self.members:
+            camera.reset()
         self._begin(TrackerState.LOST)
 
     def _begin(self, state: TrackerState) -> None:
@@ -137,15 +117,15 @@ class RigTracker:
         """
         rotation, translation = checked_start(rotation, translation)
         # of all cameras: each may be the one that sees the object
-        if not any([eye.start(rotation, translation, covariance, lost, distance_sigma_m)
-                    for eye in self.eyes]):
+        if not any([camera.start(rotation, translation, covariance, lost, distance_sigma_m)
+                    for camera in self.members]):
             raise ArgumentError('The start pose puts the object behind all cameras.')
         self._begin(TrackerState.LOST if lost else TrackerState.INITIALISING)
 
     def seek(self) -> None:
         """Begin without a pose; see `RorapidTracker.seek`."""
-        for eye in self.eyes:
-            eye.seek()
+        for camera in self.members:
+            camera.seek()
         self._begin(TrackerState.LOST)
 
     def adopt(self, options: TrackerOptions) -> bool:
@@ -153,8 +133,8 @@ class RigTracker:
         check_rig_options(options)
         if options.built_in != self.options.built_in:
             return False
-        for eye in self.eyes:
-            eye.tracker.adopt(options)
+        for camera in self.members:
+            camera.tracker.adopt(options)
         self.options = options
         return True
 
@@ -186,13 +166,13 @@ class RigTracker:
             raise ArgumentError('There is no image of any camera.')
         kalman = self._kalman
         views: list[TrackedFrame | None] = []
-        for eye, image in zip(self.eyes, images):
+        for camera, image in zip(self.members, images):
             if image is not None and kalman is not None:
-                eye.expect(kalman, self._stamp_ns)
-            views.append(None if image is None else eye.look(image, stamp_ns))
+                camera.expect(kalman, self._stamp_ns)
+            views.append(None if image is None else camera.look(image, stamp_ns))
         self._shown = next((view for view in views if view is not None), self._shown)
         if self._shown is None:
-            if any(eye.is_started for eye in self.eyes):
+            if any(camera.is_started for camera in self.members):
                 raise InputError('The only image of this instant is of a camera that looks away '
                                  'from where the object is to start.')
             raise ArgumentError('The tracker needs a start pose before the first image.')
@@ -200,13 +180,13 @@ class RigTracker:
         self._stamp_ns = stamp_ns
         if kalman is not None:
             kalman.predict(seconds, DAMPING if self._misses else 0.0)
-        seen = {k: glimpse for k, (eye, view) in enumerate(zip(self.eyes, views))
-                if view is not None and (glimpse := eye.glimpse()) is not None}
+        seen = {k: part for k, (camera, view) in enumerate(zip(self.members, views))
+                if view is not None and (part := camera.pose_information()) is not None}
         return self._judged(views, seen, stamp_ns)
 
     # one pose from all
 
-    def _group(self, seen: dict[int, Glimpse]) -> list[int]:
+    def _group(self, seen: dict[int, PoseInformation]) -> list[int]:
         """Return the largest group of cameras that agree; of equals the first."""
         best: list[int] = []
         for k in seen:
@@ -217,26 +197,26 @@ class RigTracker:
                 best = group
         return best
 
-    def _joined(self, glimpses: Sequence[Glimpse]) -> tuple[ObjectPose, np.ndarray]:
-        """Return the pose and information (6, 6) of some glimpses with the prediction."""
+    def _joined(self, parts: Sequence[PoseInformation]) -> tuple[ObjectPose, np.ndarray]:
+        """Return the pose and information (6, 6) of some images with the prediction."""
         if self._kalman is None:
-            place, known = glimpses[0].state, np.zeros((6, 6))
+            place, known = parts[0].state, np.zeros((6, 6))
         else:
-            place, known = self._kalman.state, np.linalg.inv(self._kalman.spread)
+            place, known = self._kalman.state, np.linalg.inv(self._kalman.pose_covariance)
         pull = np.zeros(6)
-        for glimpse in glimpses:
-            known = known + glimpse.information
-            pull += glimpse.about(place, self._projection.difference)
+        for part in parts:
+            known = known + part.information
+            pull += part.about(place, self._projection.difference)
         return self._projection.moved(place, np.linalg.solve(known, pull)), known
 
-    def _square(self, glimpse: Glimpse, place: ObjectPose, known: np.ndarray) -> float:
-        """Squared difference of a glimpse from a pose, in sigmas."""
-        pull = glimpse.about(place, self._projection.difference)
-        M = glimpse.information
-        spread = M + M @ np.linalg.solve(known, M)
-        return float(pull @ np.linalg.pinv(spread, 1e-9, hermitian=True) @ pull)
+    def _square(self, part: PoseInformation, place: ObjectPose, known: np.ndarray) -> float:
+        """Squared difference of what one image says from a pose, in sigmas."""
+        pull = part.about(place, self._projection.difference)
+        M = part.information
+        covariance = M + M @ np.linalg.solve(known, M)
+        return float(pull @ np.linalg.pinv(covariance, 1e-9, hermitian=True) @ pull)
 
-    def _judged(self, views, seen: dict[int, Glimpse], stamp_ns) -> RigFrame:
+    def _judged(self, views, seen: dict[int, PoseInformation], stamp_ns) -> RigFrame:
         """Join what is seen, and say what the state is."""
         doubt, apart = '', np.zeros((6, 6))
         if seen:
@@ -245,12 +225,12 @@ class RigTracker:
             found = self._agreement.found
             if found is not None and len(seen) > 1:
                 # no mixture of what contradicts: it would be far from all of them
-                out = found.which if len(self.eyes) > 2 else max(seen)
+                out = found.which if len(self.members) > 2 else max(seen)
                 group = [k for k in seen if k != out]
             place, known = self._joined([seen[k] for k in group])
             others = [k for k in seen if k not in group and seen[k].good]
             for k in seen:
-                self.eyes[k].is_apart = k in others or found is not None
+                self.members[k].is_apart = k in others or found is not None
             doubt, apart = self._told(seen, others, place)
             self._take(place, np.linalg.inv(known))
             if self._kalman is not None and len(self.model.free_turns):
@@ -258,47 +238,47 @@ class RigTracker:
                           np.sum([seen[k].information for k in group], axis=0))
             self._misses = self._unseen = 0
             good = any(seen[k].good for k in group)
-            told = [(f'{self._names[k]}: {view.doubt}', self.eyes[k].doubted()) for k in group
+            told = [(f'{self._names[k]}: {view.doubt}', self.members[k].doubted()) for k in group
                     if (view := views[k]) is not None and view.doubt]
-            for text, spread in told:
-                doubt, apart = doubt or text, apart + spread
+            for text, covariance in told:
+                doubt, apart = doubt or text, apart + covariance
             self._state = (TrackerState.TRACKING if good and not doubt
                            else TrackerState.DEGRADED)
             reason = doubt if good else 'No camera sees more than a little of the object.'
         else:
             group, others, reason = [], [], self._missed(views)
         self._reason = reason
-        for k, (eye, view) in enumerate(zip(self.eyes, views)):
+        for k, (camera, view) in enumerate(zip(self.members, views)):
             if view is not None:
-                eye.settle(k in group or k in others)
+                camera.settle(k in group or k in others)
         return self._frame(views, group, reason, doubt, apart, stamp_ns)
 
     def _free(self, place: ObjectPose) -> np.ndarray:
         """Corrections (6, k) that the shape leaves open."""
         return free_at(self.model.free_turns, place, self._projection)
 
-    def _take(self, place: ObjectPose, spread: np.ndarray) -> None:
+    def _take(self, place: ObjectPose, covariance: np.ndarray) -> None:
         """Take over a pose with its covariance (6, 6)."""
         if self._kalman is not None:
-            self._kalman.absorb(place, spread)
+            self._kalman.absorb(place, covariance)
             return
         self._kalman = started_filter(self._projection, np.eye(6), 6, self.options,
-                                      self.model.diameter_m, place, spread)
-        self._kalman.restart(place, spread)
+                                      self.model.diameter_m, place, covariance)
+        self._kalman.restart(place, covariance)
 
     def _missed(self, views) -> str:
         """No camera sees the object; returns why."""
-        alone = [eye for eye, view in zip(self.eyes, views) if view is None]
-        if self._kalman is not None and all(
-                eye.is_blind for eye, view in zip(self.eyes, views) if view is not None) and any(
-                    not eye.is_blind for eye in alone) and self._unseen < _UNSEEN:
+        alone = [camera for camera, view in zip(self.members, views) if view is None]
+        looked = [camera for camera, view in zip(self.members, views) if view is not None]
+        if self._kalman is not None and all(camera.is_blind for camera in looked) and any(
+                not camera.is_blind for camera in alone) and self._unseen < _UNSEEN:
             # who sees the object has no image of this instant: nothing is new
             self._unseen += 1
             return self._reason
         self._misses += 1
         if self._kalman is not None and self._misses >= self.options.frames_to_lost:
-            for eye in self.eyes:
-                eye.search(self._kalman.state)
+            for camera in self.members:
+                camera.search(self._kalman.state)
             self._kalman, self._state = None, TrackerState.LOST
             self._agreement.forget()
         elif self._kalman is not None:
@@ -308,13 +288,13 @@ class RigTracker:
                         for view in views)
             if begun or self._state is not TrackerState.INITIALISING:
                 self._state = TrackerState.INITIALISING if begun else TrackerState.LOST
-            elif not any(eye.confirms for eye in self.eyes):
+            elif not any(camera.confirms for camera in self.members):
                 self._state = TrackerState.LOST
         reasons = [f'{name}: {view.reason}' for name, view in zip(self._names, views)
                    if view is not None and view.reason]
         return reasons[0] if reasons else 'No camera sees the object where it was expected.'
 
-    def _compare(self, seen: dict[int, Glimpse]) -> None:
+    def _compare(self, seen: dict[int, PoseInformation]) -> None:
         """Hold each camera against the others."""
         sure = [k for k in seen if seen[k].good and _determined(seen[k].own)]
         if len(sure) < 2:
@@ -336,39 +316,39 @@ class RigTracker:
 
     def _told(self, seen, others: list[int], place: ObjectPose) -> tuple[str, np.ndarray]:
         """Say what contradicts, and return the covariance (6, 6) that counts it."""
-        found, spread = self._agreement.found, np.zeros((6, 6))
+        found, covariance = self._agreement.found, np.zeros((6, 6))
         for k in others:
             pull = seen[k].about(place, self._projection.difference)
             M = seen[k].information
             d = np.linalg.solve(M + 1e-9 * np.diag(np.diag(M)), pull)
-            spread += np.outer(d, d)
+            covariance += np.outer(d, d)
             if found is None:
                 # it may be the size of the model, which one image does not tell from other causes
-                apart = np.mean([self.eyes[j].place for j in seen if j not in others], axis=0)
-                apart = apart - self.eyes[k].place
+                apart = np.mean([self.members[j].place for j in seen if j not in others], axis=0)
+                apart = apart - self.members[k].place
                 size = float(apart @ d[3:]) / max(float(apart @ apart), 1e-12)
                 farther = np.r_[np.zeros(3), size * place.translation]
-                spread += np.outer(farther, farther)
+                covariance += np.outer(farther, farther)
         if found is not None:
-            spread += 0.0 if others else np.outer(found.difference, found.difference)
+            covariance += 0.0 if others else np.outer(found.difference, found.difference)
             if found.size is not None:
                 farther = np.r_[np.zeros(3), found.size[0] * place.translation]
-                spread += np.outer(farther, farther)
-            return found.text(self._names), spread
+                covariance += np.outer(farther, farther)
+            return found.text(self._names), covariance
         if not others:
-            return '', spread
+            return '', covariance
         turn, shift = np.rad2deg(np.linalg.norm(d[:3])), 1000 * np.linalg.norm(d[3:])
         return (f'The camera {self._names[others[-1]]} sees the object elsewhere than the others, '
-                f'by {turn:.2f}° and {shift:.1f} mm.'), spread
+                f'by {turn:.2f}° and {shift:.1f} mm.'), covariance
 
     def _frame(self, views, group, reason: str, doubt: str, apart: np.ndarray,
                stamp_ns) -> RigFrame:
         """Put the result into the object's own frame."""
-        sees = tuple(k in group for k in range(len(self.eyes)))
+        sees = tuple(k in group for k in range(len(self.members)))
         first = next((view for view in views if view is not None), None)
         if first is None:
             assert self._shown is not None
-            first = _unseen(self._shown)
+            first = unseen(self._shown)
         kalman = self._kalman
         if kalman is None:
             tracked = replace(first, state=self._state, reason=reason, doubt='',
@@ -376,10 +356,10 @@ class RigTracker:
             return RigFrame(tracked, tuple(views), sees)
         arm = kalman.state.rotation @ self._centre
         carry = recentring(arm)
-        spread = kalman.spread
+        covariance = kalman.pose_covariance
         if len(self.model.free_turns):
-            spread = with_any_turn(spread, self._free(kalman.state))
-        pose = carry @ (spread + apart) @ carry.T
+            covariance = with_any_turn(covariance, self._free(kalman.state))
+        pose = carry @ (covariance + apart) @ carry.T
         shares = [view.share_found for k, view in enumerate(views)
                   if view is not None and (k in group or not group)]
         tracked = replace(
@@ -387,14 +367,6 @@ class RigTracker:
             rotation=kalman.state.rotation, translation=kalman.state.translation - arm,
             covariance=pose[TURN_LAST], share_found=max(shares, default=0.0))
         return RigFrame(tracked, tuple(views), sees)
-
-
-def _unseen(frame: TrackedFrame) -> TrackedFrame:
-    """Return a frame as if nothing had been looked for."""
-    nothing = np.zeros_like(frame.found)
-    return replace(frame, edge_px=np.full_like(frame.edge_px, np.nan), found=nothing,
-                   rejected=nothing, hidden=~nothing, texture_px=frame.texture_px[:0],
-                   rms_px=float('nan'), share_found=0.0, innovation=float('nan'))
 
 
 def check_rig_options(options: TrackerOptions) -> None:

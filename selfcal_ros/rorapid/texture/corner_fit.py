@@ -15,11 +15,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from selfcal_ros.geometry.robust_loss import tukey_weight
 from selfcal_ros.geometry.robust_scale import fast_robust_sigma
-from selfcal_ros.rorapid.projection.camera_models import ProjectedPoints, Projection
+from selfcal_ros.rorapid.projection.camera_models import ObjectPose, ProjectedPoints, Projection
+from selfcal_ros.rorapid.texture.texture_memory import TextureMatches
 
 #: Standard deviation that corners have at the least, pixels, and Tukey's limit in sigmas.
 _TEXTURE_SIGMA_PX, _TUKEY = 0.1, 4.5
@@ -30,6 +33,26 @@ _EDGE_FRACTIONS, _BESIDE_EDGES_PX = (0.35, 0.7), (0.5, 2.0)
 AGREE_PX = 2.5
 #: So many corners must agree before they lead the edges.
 MIN_TEXTURE = 5
+
+
+@dataclass(frozen=True)
+class AgreeingCorners:
+    """
+    A pose, and the corners of the texture that agree with it.
+
+    Attributes
+    ----------
+    state : ObjectPose
+    matches : TextureMatches or None
+        None where no texture is known.
+    agree : ndarray of bool, shape (N,)
+        Which of the matches.
+
+    """
+
+    state: ObjectPose
+    matches: TextureMatches | None
+    agree: np.ndarray
 
 
 class CornerFit:

@@ -31,6 +31,7 @@ from selfcal_ros.rorapid.projection.camera_models import ObjectPose, Projection
 from selfcal_ros.rorapid.region.region_of_interest import Region
 from selfcal_ros.rorapid.texture.face_picture import FAINT, LEARN, MIN_SCORE
 from selfcal_ros.rorapid.texture.texture_memory import follow_corners, TextureMatches
+from selfcal_ros.rorapid.visibility.visible_geometry import SurfaceGeometry
 
 #: A view is kept when its direction differs by so much from all others, or its scale by so much;
 #: so many are kept, the oldest goes.
@@ -68,11 +69,11 @@ class _View:
 
 class SurfaceViews:
     """
-    Views of one curved object; used as `TextureMemory` is.
+    Views of one curved object; an `AppearanceModel`.
 
     Parameters
     ----------
-    visible : VisibleMesh
+    visible : SurfaceGeometry
     centre : ndarray, shape (3,)
         Origin of the tracker's object frame.
     projection : Projection
@@ -82,7 +83,7 @@ class SurfaceViews:
 
     """
 
-    def __init__(self, visible, centre: np.ndarray, projection: Projection,
+    def __init__(self, visible: SurfaceGeometry, centre: np.ndarray, projection: Projection,
                  most_points: int = 48):
         """Start without any view."""
         self._visible, self._centre = visible, centre

@@ -80,7 +80,7 @@ class TextureMatches:
 
 class TextureMemory:
     """
-    Pictures of the faces of one model.
+    Pictures of the faces of one model; an `AppearanceModel`.
 
     Parameters
     ----------

@@ -27,9 +27,11 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.rorapid.visibility.depth_buffer import DepthBuffer
-from selfcal_ros.rorapid.visibility.visible_model import ControlPoints, VisibleModel
+from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints, VisibleGeometry
+from selfcal_ros.rorapid.visibility.visible_model import VisibleModel
 from selfcal_ros.values.mesh import MeshModel
 from selfcal_ros.values.wireframe import WireframeModel
 
@@ -46,8 +48,9 @@ _APART = 0.04
 
 
 def visible_of(model: WireframeModel, per_line: int, per_conic: int,
-               outline: int | None = None) -> VisibleModel | VisibleMesh:
+               outline: int | None = None) -> VisibleGeometry:
     """Return what a model shows: of a mesh with so many places on its outline."""
+    # the one place that asks for the kind of model: here it is chosen what stands for it
     if isinstance(model, MeshModel):
         return VisibleMesh(model, outline or OUTLINE_POINTS)
     return VisibleModel(model, per_line, per_conic)
@@ -55,9 +58,7 @@ def visible_of(model: WireframeModel, per_line: int, per_conic: int,
 
 class VisibleMesh:
     """
-    A mesh with control points on its creases and its outline.
-
-    It has the attributes and methods of `VisibleModel` that the tracker uses.
+    A mesh with control points on its creases and its outline; a `SurfaceGeometry`.
 
     Parameters
     ----------
@@ -91,6 +92,7 @@ class VisibleMesh:
         self.kind = ('line',) * len(length) + ('contour',) * groups
         self.names = tuple(f'{kind} {k}' for k, kind in enumerate(self.kind))
         self.size = len(self.primitive)
+        self.counts = np.concatenate([counts, np.full(groups, _TOGETHER)])
         #: Primitives from this on are pieces of one outline.
         self.outline = self.limb = len(length)
         end_m = np.minimum(share, 1 - share) * length[line]
@@ -118,7 +120,17 @@ class VisibleMesh:
         self._heights = (self._normals * self._places).sum(axis=1)
         self._first, self._second = (np.ascontiguousarray(ends) for ends in model.smooth_edges.T)
 
-    def nearest_in(self, other) -> np.ndarray:
+    @property
+    def surface(self) -> VisibleMesh:
+        """The mesh itself is a curved surface."""
+        return self
+
+    @property
+    def faceted(self) -> None:
+        """It is not made of plane faces."""
+        return None
+
+    def nearest_in(self, other: VisibleGeometry) -> np.ndarray:
         """Return the number of the control point in another layout; the layouts are alike."""
         return np.arange(self.size)
 
@@ -126,7 +138,8 @@ class VisibleMesh:
         """Which control points stay where they are on the object, (size,) bool."""
         return np.arange(self.size) < len(self._points)
 
-    def control_points(self, rotation, translation, focal_px=None) -> ControlPoints:
+    def control_points(self, rotation: ArrayLike, translation: ArrayLike,
+                       focal_px: float | None = None) -> ControlPoints:
         """
         Control points that are seen from a pose.
 
@@ -187,7 +200,8 @@ class VisibleMesh:
         length = np.linalg.norm(tangents, axis=1, keepdims=True)
         return points, tangents / np.maximum(length, 1e-300), normals
 
-    def mask(self, rotation, translation, shape: tuple[int, int], place: Callable) -> np.ndarray:
+    def mask(self, rotation: ArrayLike, translation: ArrayLike, shape: tuple[int, int],
+             place: Callable) -> np.ndarray:
         """
         Mask of the object in an image, roughly: its surface's points, joined.
 
@@ -218,7 +232,8 @@ class VisibleMesh:
         gap = 2 * int(np.ceil(np.sqrt(2 * span.prod() / len(self._surface)))) + 1
         return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((gap, gap), np.uint8))
 
-    def behind(self, points, rotation, translation) -> np.ndarray:
+    def behind(self, points: np.ndarray, rotation: np.ndarray,
+               translation: np.ndarray) -> np.ndarray:
         """Which points (N, 3) lie behind the surface, by the depth buffer, (N,) bool."""
         buffer = DepthBuffer(rotation @ self._surface_rows + translation[:, None])
         return buffer.hides(rotation @ points.T + translation[:, None],

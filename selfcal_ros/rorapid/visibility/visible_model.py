@@ -22,13 +22,12 @@ every set of plane faces, convex or not, closed or open.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from selfcal_ros.errors import ArgumentError
 from selfcal_ros.rorapid.visibility.silhouettes import SolidCylinders
-from selfcal_ros.values.mesh import MeshModel
+from selfcal_ros.rorapid.visibility.visible_geometry import ControlPoints, VisibleGeometry
 from selfcal_ros.values.wireframe import WireframeModel
 
 #: A primitive that lies in the plane of a face up to this share of the object's diameter is
@@ -38,51 +37,6 @@ ON_FACE = 5e-4
 MAX_TESTS = 50_000_000
 #: Numbers in the largest array that the test may make.
 _LARGEST = 2_000_000
-
-
-@dataclass(frozen=True)
-class ControlPoints:
-    """
-    The control points of the primitives that can be seen from one pose.
-
-    Parameters
-    ----------
-    object_points : ndarray, shape (C, 3)
-        Metres, object frame.
-    tangents : ndarray, shape (C, 3)
-        Unit direction of the primitive there, object frame.
-    primitive : ndarray of int, shape (C,)
-        Primitive, an index into `kind` and `names`, the same in all views.
-    visible : ndarray of bool, shape (C,)
-        False where a face or cylinder hides the point, or it is not in front of the camera.
-    ids : ndarray of int, shape (C,)
-        Number of the control point, 0 to `VisibleModel.size` - 1, the same in all views.
-    inward : ndarray, shape (C, 3)
-        Direction from the outline into the object, object frame; zero where the object, not the
-        background, is seen on both sides of the primitive.
-    kind : tuple of str, length P
-        'line', 'conic' or 'silhouette' for each primitive of the model.
-    names : tuple of str, length P
-
-    """
-
-    object_points: np.ndarray
-    tangents: np.ndarray
-    primitive: np.ndarray
-    visible: np.ndarray
-    ids: np.ndarray
-    inward: np.ndarray
-    kind: tuple
-    names: tuple
-
-    def __len__(self):
-        """Return the number of control points."""
-        return len(self.ids)
-
-    @property
-    def contour(self) -> np.ndarray:
-        """Where the background is seen on one side, (C,) bool."""
-        return np.any(self.inward, axis=1)
 
 
 def check_size(model: WireframeModel, control_points_per_line: int, per_conic: int) -> None:
@@ -95,7 +49,7 @@ def check_size(model: WireframeModel, control_points_per_line: int, per_conic: i
         If there were more than `MAX_TESTS` tests.
 
     """
-    if isinstance(model, MeshModel):
+    if model.is_outlined:
         return                        # its depth buffer takes the same time whatever it is made of
     points = control_points_per_line * len(model.lines) + per_conic * len(model.conics)
     if points * len(model.triangles) > MAX_TESTS:
@@ -153,10 +107,11 @@ class VisibleModel:
         self._points = np.concatenate(
             [(ends[:, :1] + share[:, None] * span[:, None]).reshape(-1, 3), *conics])
         self._tangents = np.concatenate([np.repeat(along, n, axis=0), *slopes])
-        self._counts = np.array([n] * L + [per_conic] * K + [n] * S)
+        #: Control points of each primitive, (P,).
+        self.counts = np.array([n] * L + [per_conic] * K + [n] * S)
         #: Primitive of each control point, (size,).
-        self.primitive = np.repeat(np.arange(L + K + S), self._counts)
-        self._first = np.concatenate([[0], np.cumsum(self._counts)[:-1]]).astype(int)
+        self.primitive = np.repeat(np.arange(L + K + S), self.counts)
+        self._first = np.concatenate([[0], np.cumsum(self.counts)[:-1]]).astype(int)
         self._static = len(self._points)
         #: Number of all control points.
         self.size = len(self.primitive)
@@ -193,7 +148,7 @@ class VisibleModel:
         offset = (normals * self._corners[:, 0]).sum(axis=1)
         spans = [ends, *(c.points(np.linspace(0, 2 * np.pi, 8))[None] for c in model.conics)]
         worst = np.concatenate([np.abs(part @ normals.T - offset).max(axis=1) for part in spans])
-        return np.repeat(worst < ON_FACE * model.diameter_m, self._counts[:len(worst)], axis=0)
+        return np.repeat(worst < ON_FACE * model.diameter_m, self.counts[:len(worst)], axis=0)
 
     def _contour_sides(self):
         """Directions (L, K, 3) from each line into its faces; the first is repeated."""
@@ -205,6 +160,16 @@ class VisibleModel:
             for j, face in enumerate(around[1:], start=1):
                 sides[k, j] = self.model.into_face(k, face)
         return sides
+
+    @property
+    def surface(self) -> None:
+        """All faces are plane: there is no curved surface."""
+        return None
+
+    @property
+    def faceted(self) -> VisibleModel:
+        """The model itself is made of plane faces."""
+        return self
 
     def remembered(self) -> np.ndarray:
         """Which control points stay where they are on the object, (size,) bool."""
@@ -229,12 +194,12 @@ class VisibleModel:
         out[:self._L * self._line] = ((1 - share) * a[:, None] + share * b[:, None]).reshape(-1, 3)
         return out
 
-    def nearest_in(self, other: VisibleModel) -> np.ndarray:
+    def nearest_in(self, other: VisibleGeometry) -> np.ndarray:
         """Return the number of the control point in another layout that lies nearest to each."""
-        primitive = self.primitive
+        primitive, first = self.primitive, np.cumsum(other.counts) - other.counts
         place = np.arange(self.size) - self._first[primitive] + 0.5
-        along = place / self._counts[primitive] * other._counts[primitive]
-        return other._first[primitive] + along.astype(int)
+        along = place / self.counts[primitive] * other.counts[primitive]
+        return first[primitive] + along.astype(int)
 
     def hidden(self, points: np.ndarray, centre: np.ndarray, on_face=None,
                triangles=None) -> np.ndarray:
@@ -281,8 +246,8 @@ class VisibleModel:
             hidden |= behind.any(axis=1)
         return hidden
 
-    def control_points(self, rotation, translation, focal_px: float | None = None,
-                       ) -> ControlPoints:
+    def control_points(self, rotation: ArrayLike, translation: ArrayLike,
+                       focal_px: float | None = None) -> ControlPoints:
         """
         Control points of the primitives that are seen from a pose.
 

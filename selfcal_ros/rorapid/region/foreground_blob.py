@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from selfcal_ros.geometry.robust_scale import robust_sigma
-from selfcal_ros.rorapid.region.newcomer import closed, pieces_of
+from selfcal_ros.rorapid.region.background_change import closed, pieces_of
 
 #: Width of the border, share of the smaller side; rounds of the fit, and what is left out of it.
 _BORDER, _ROUNDS, _LEAVE_OUT = 0.06, 4, 3.0
@@ -36,7 +36,7 @@ _SIGMAS, _LEAST, _PLAIN = 6.0, 6.0, 6.0
 _STEP = 4
 
 
-def what_stands_out(image: np.ndarray) -> list[np.ndarray]:
+def foreground_blobs(image: np.ndarray) -> list[np.ndarray]:
     """
     Find what stands out from a plain background.
 

@@ -39,7 +39,7 @@ from selfcal_ros.nodes.rig_worker import RigWorker
 from selfcal_ros.nodes.rival_publishers import RivalPublishers
 from selfcal_ros.nodes.tf_messages import transform_type
 from selfcal_ros.nodes.tracking_status import tracking_status
-from selfcal_ros.nodes.tracking_worker import TrackingWorker
+from selfcal_ros.nodes.tracking_worker import InstantMessages, TrackingWorker
 from selfcal_ros.pipeline.depth_pairing import DepthPairing
 from selfcal_ros.pipeline.rig_session import RigSession
 from selfcal_ros.pipeline.several_objects import object_names, parted_starts, several
@@ -52,7 +52,7 @@ from selfcal_ros.rorapid.visibility.visible_model import check_size
 from sensor_msgs.msg import Image
 
 
-class RorapidNode(Node):
+class ObjectTrackerNode(Node):
     """Follows objects through `image` or `image/compressed` and publishes each one's `pose`."""
 
     def __init__(self):
@@ -163,7 +163,7 @@ class RorapidNode(Node):
 
     def _on_instant(self, header, images):
         self._hear(header.frame_id)
-        self._worker.submit((header, images), self._are_drawn())
+        self._worker.submit(InstantMessages(header, tuple(images), self._are_drawn()))
 
     def _are_drawn(self) -> list[bool]:
         """Of which cameras somebody looks at the overlay."""
@@ -175,7 +175,7 @@ class RorapidNode(Node):
     def _submit(self, pairs):
         """Hand over images, each with its depth or None."""
         for msg, depth in pairs:
-            self._worker.submit(msg, self._are_drawn()[0], depth)
+            self._worker.submit(InstantMessages(msg.header, (msg,), self._are_drawn(), depth))
 
     # what goes out
 
@@ -185,7 +185,7 @@ class RorapidNode(Node):
             if isinstance(done, str):
                 self.get_logger().warning(in_parameters(done))
                 continue
-            for publisher, picture in zip(self._overlays, done.overlays or (done.overlay,)):
+            for publisher, picture in zip(self._overlays, done.overlays):
                 if picture is not None:
                     publisher.publish(picture)
             for topics, one in zip(self._objects, done.objects):

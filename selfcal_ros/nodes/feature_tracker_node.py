@@ -60,7 +60,7 @@ class TracksListener(Protocol):
         """Take the tracks of the image that was announced."""
 
 
-class FeatureTracker(Node):
+class FeatureTrackerNode(Node):
     """
     Follows corners through `image` or `image/compressed` and publishes `tracks`.
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What may be wrong with an object that is followed: its model, its size, or it is another."""
+"""Is it plausible? Whether the model, its size, or the object itself may be another."""
 
 from __future__ import annotations
 
@@ -25,10 +25,9 @@ from selfcal_ros.rorapid.estimation.size_check import SizeCheck
 from selfcal_ros.rorapid.estimation.start_check import StartCheck
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.values.mesh import MeshModel
 
 
-class Doubts:
+class PlausibilityChecks:
     """
     Gathers what speaks against an object.
 
@@ -37,8 +36,6 @@ class Doubts:
     control : ControlModel
     basis : ndarray, shape (size, m)
     options : TrackerOptions
-    perspective : bool
-        The camera model lets wrong proportions be seen.
 
     Attributes
     ----------
@@ -46,18 +43,18 @@ class Doubts:
 
     """
 
-    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
-                 perspective: bool):
+    def __init__(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions):
         """Wait for a start."""
         self._sure, self._size = True, SizeCheck(1.0, None)
-        self.adopt(control, basis, options, perspective)
+        self.adopt(control, basis, options)
 
-    def adopt(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions,
-              perspective: bool) -> None:
+    def adopt(self, control: ControlModel, basis: np.ndarray, options: TrackerOptions) -> None:
         """Go on by other settings, or another camera model; what was found is found anew."""
-        round_parts = isinstance(control.visible_model.model, MeshModel)
+        # plane faces before a perspective camera let wrong proportions be seen
+        shown = (control.projection.model == 'perspective'
+                 and control.visible_model.faceted is not None)
         self._model = ModelDoubt(control, basis, options.least_contrast) if (
-            options.doubts and perspective and not round_parts) else None
+            options.verifies and shown) else None
         self.depths = DepthImages(control, options.depth_scale_sigma)
 
     def begin(self, distance_m: float, sigma_m: float | None, sure: bool) -> None:

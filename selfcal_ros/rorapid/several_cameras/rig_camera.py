@@ -21,15 +21,19 @@ turned to the rig and added, and so is M (z - x), which pulls a pose x towards t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from selfcal_ros.rorapid.estimation.kalman_filter import ConstantVelocityFilter
 from selfcal_ros.rorapid.options import TrackerOptions
 from selfcal_ros.rorapid.projection.camera_models import ObjectPose
-from selfcal_ros.rorapid.several_cameras.led_tracker import LedTracker
 from selfcal_ros.rorapid.tracked_frame import TrackedFrame, TrackerState
+from selfcal_ros.rorapid.tracker import RorapidTracker
 from selfcal_ros.values.camera_rig import PlacedCamera
+from selfcal_ros.values.wireframe import WireframeModel
 
 #: A camera that sees nothing where the others see the object searches by itself in these images
 #: after it did, and then in every so many.
@@ -37,7 +41,7 @@ _SEARCHES, _SEARCH_EVERY = range(3, 9), 3
 
 
 @dataclass(frozen=True)
-class Glimpse:
+class PoseInformation:
     """
     What one image says of the pose of the object in the rig.
 
@@ -65,13 +69,14 @@ class Glimpse:
     misplaced: np.ndarray
     good: bool
 
-    def about(self, place: ObjectPose, difference) -> np.ndarray:
+    def about(self, place: ObjectPose,
+              difference: Callable[[ObjectPose, ObjectPose], np.ndarray]) -> np.ndarray:
         """Pull (6,) on another pose near by."""
         pull: np.ndarray = self.pull + self.information @ difference(self.state, place)
         return pull
 
 
-class Eye:
+class RigCamera:
     """
     A camera of a rig.
 
@@ -84,17 +89,18 @@ class Eye:
 
     Attributes
     ----------
-    tracker : LedTracker
+    tracker : RorapidTracker
     placed : PlacedCamera
     is_apart : bool
         It contradicts the others, and follows what it sees by itself until it loses that.
 
     """
 
-    def __init__(self, model, placed: PlacedCamera, options: TrackerOptions, rng):
+    def __init__(self, model: WireframeModel, placed: PlacedCamera, options: TrackerOptions,
+                 rng: np.random.Generator):
         """Prepare the camera."""
         self.placed = placed
-        self.tracker = LedTracker(model, placed.camera, options, rng)
+        self.tracker = RorapidTracker(model, placed.camera, options, rng)
         self._turn = placed.T_rig_camera[:3, :3]
         self._shift = placed.T_rig_camera[:3, 3]
         self._both = np.kron(np.eye(2), self._turn)
@@ -106,8 +112,8 @@ class Eye:
         self._started, self._blind = False, 0
         self.is_apart = False
 
-    def start(self, rotation: np.ndarray, translation: np.ndarray, covariance, lost: bool,
-              distance_sigma_m: float | None) -> bool:
+    def start(self, rotation: np.ndarray, translation: np.ndarray,
+              covariance: ArrayLike | None, lost: bool, distance_sigma_m: float | None) -> bool:
         """
         Take a guess of the pose in the rig; see `RorapidTracker.start`.
 
@@ -133,7 +139,7 @@ class Eye:
         self.tracker.seek()
         self._started = True
 
-    def expect(self, kalman, stamp_ns: int | None) -> None:
+    def expect(self, kalman: ConstantVelocityFilter, stamp_ns: int | None) -> None:
         """
         Go on from where all cameras together saw the object.
 
@@ -155,10 +161,12 @@ class Eye:
         searches = self._blind in _SEARCHES or (
             self._blind > 0 and self._blind % _SEARCH_EVERY == 0)
         self._started = True
-        back = self._both.T
-        twice = np.kron(np.eye(2), back)
-        tracker.follow_from(place, twice[:6, :6] @ kalman.velocity,
-                            twice @ kalman.covariance @ twice.T, stamp_ns, searches)
+        if searches:
+            tracker.search_around(place, stamp_ns)
+            return
+        twice = np.kron(np.eye(2), self._both.T)
+        tracker.follow(place, twice[:6, :6] @ kalman.velocity,
+                       twice @ kalman.covariance @ twice.T, stamp_ns)
 
     def look(self, image: np.ndarray, stamp_ns: int | None) -> TrackedFrame | None:
         """Find the object in an image (H, W) of uint8; None where it is behind the camera."""
@@ -190,9 +198,9 @@ class Eye:
         place = self._here(state)
         self.is_apart = False
         if self._started and place.translation[2] > 0:
-            self.tracker.follow_from(place, np.zeros(6), np.zeros((12, 12)), None, True)
+            self.tracker.search_around(place, None)
 
-    def glimpse(self) -> Glimpse | None:
+    def pose_information(self) -> PoseInformation | None:
         """Return what the last image said; None where it did not confirm a pose."""
         measured = self.tracker.measured
         if measured is None or measured.details is None:
@@ -217,12 +225,12 @@ class Eye:
         misplaced = lever @ self.placed.covariance @ lever.T
         less = np.linalg.inv(np.eye(6) + own @ misplaced)
         known = less @ own
-        return Glimpse(there, own, 0.5 * (known + known.T), less @ self._both @ pull, misplaced,
-                       good)
+        return PoseInformation(there, own, 0.5 * (known + known.T), less @ self._both @ pull,
+                               misplaced, good)
 
     def doubted(self) -> np.ndarray:
         """Covariance (6, 6) that a doubt of model or camera adds in the rig."""
-        return self._both @ self.tracker.doubted() @ self._both.T
+        return self._both @ self.tracker.doubt_covariance @ self._both.T
 
     def _here(self, state: ObjectPose) -> ObjectPose:
         return ObjectPose(self._turn.T @ state.rotation,

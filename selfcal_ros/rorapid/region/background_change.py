@@ -36,7 +36,7 @@ _SMALLEST_PX, _LARGEST, _PIECES = 150, 0.4, 2
 _GAP, _SPECK = 7, 3
 
 
-class Newcomer:
+class BackgroundChange:
     """Remembers a scene without the object."""
 
     def __init__(self) -> None:

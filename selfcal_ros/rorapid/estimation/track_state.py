@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""How an object that is followed stands: what confirms it, and what speaks against it."""
+"""The state of an object that is followed: when a measurement is accepted, and what then."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,9 +34,41 @@ _SEEKING = ('The object was not seen yet: nothing that stands out from a plain b
             'comes in before a still camera, has its silhouette.')
 
 
-class Standing:
+@dataclass(frozen=True)
+class SearchPolicy:
     """
-    State of an object.
+    What is asked of an image, by who says where the object is.
+
+    Attributes
+    ----------
+    relocalises : bool
+        An object that is not seen where it was expected is sought around there.
+    needs_whole_pose : bool
+        An image must determine all of a pose to be accepted.
+    learns_from_little : bool
+        The appearance is learned from an image that confirms little of the object, too.
+
+    """
+
+    relocalises: bool
+    needs_whole_pose: bool
+    learns_from_little: bool
+
+
+#: The camera finds the object by itself.
+ALONE = SearchPolicy(relocalises=True, needs_whole_pose=True, learns_from_little=True)
+#: Other cameras see the object and say where it is: a part of a pose is of use, but what little is
+#: seen there may be something else.
+GUIDED = SearchPolicy(relocalises=False, needs_whole_pose=False, learns_from_little=False)
+
+
+class TrackStateMachine:
+    """
+    State of an object that is followed, and what each image makes of it.
+
+    A measurement is accepted or not (`accepts`). What was accepted confirms the object
+    (`confirm`); what was not may lose it (`rejects`), as may a start that nothing confirms
+    (`gives_up`).
 
     Attributes
     ----------
@@ -61,8 +95,36 @@ class Standing:
         if self.state is TrackerState.LOST:
             self.state, self.misses = TrackerState.DEGRADED, 0.0
 
-    def weighs(self, measured: PoseMeasurement, open_turn: bool, led: bool,
-               options: TrackerOptions) -> bool:
+    def gives_up(self, found: bool, given_up: bool, options: TrackerOptions) -> bool:
+        """
+        Take note of an image of a start that is not confirmed yet.
+
+        Parameters
+        ----------
+        found : bool
+            Whether enough was found near it.
+        given_up : bool
+            There were images enough.
+        options : TrackerOptions
+
+        Returns
+        -------
+        bool
+            Whether the object is lost now.
+
+        """
+        self.misses = 0.0 if found else self.misses + 1
+        lost_now = given_up or self.misses >= options.frames_to_lost
+        if lost_now:
+            self.lose()
+        return lost_now
+
+    def lose(self) -> None:
+        """Seek it: it is not where it was thought to be."""
+        self.state = TrackerState.LOST
+
+    def accepts(self, measured: PoseMeasurement, open_turn: bool, policy: SearchPolicy,
+                options: TrackerOptions) -> bool:
         """
         Accept or refuse a measurement, and count misses.
 
@@ -71,8 +133,7 @@ class Standing:
         measured : PoseMeasurement
         open_turn : bool
             It leaves a rotation open.
-        led : bool
-            Other cameras say where to look: part of a pose is of use, too.
+        policy : SearchPolicy
         options : TrackerOptions
 
         Returns
@@ -81,7 +142,7 @@ class Standing:
             Whether it is accepted.
 
         """
-        accepted = (measured.determined or led) and (
+        accepted = (measured.determined or not policy.needs_whole_pose) and (
             measured.recognised if self.state is TrackerState.LOST
             else measured.share >= options.lost_share)
         if accepted and (open_turn or not measured.recognised
@@ -102,7 +163,7 @@ class Standing:
         return doubt if tracking else (
             f'Only {100 * measured.share:.0f} % of what should be visible is found.')
 
-    def refuse(self, options: TrackerOptions) -> bool:
+    def rejects(self, options: TrackerOptions) -> bool:
         """Take note of an image that did not confirm the pose; returns whether it is lost now."""
         if self.state is TrackerState.LOST:
             return False
@@ -114,8 +175,8 @@ class Standing:
         return lost_now
 
 
-def refusal(measured: PoseMeasurement, seeking: bool, open_turn: bool,
-            options: TrackerOptions) -> str:
+def rejection_reason(measured: PoseMeasurement, seeking: bool, open_turn: bool,
+                     options: TrackerOptions) -> str:
     """
     Say why a measurement is refused.
 
