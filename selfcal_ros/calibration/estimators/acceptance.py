@@ -130,11 +130,8 @@ def _is_explained(found: _Optimum) -> NoEstimate | None:
 
 def _lens_fits(found: _Optimum) -> NoEstimate | None:
     """Refuse deviations that are smooth over the image and larger than a lens's."""
-    field, limit = found.field, max(FIELD_FRACTION * max(found.problem.size),
-                                    FIELD_SIGMAS * found.fit.bundle.sigma_px)
-    if field is None or found.problem.facts.distortion == 'none' or field.rms_px <= limit:
-        return None
-    return NoEstimate('smooth_misfit', rms_px=float(field.rms_px))
+    return deviates_too_far(found.field, found.problem.size, found.fit.bundle.sigma_px,
+                            found.problem.facts)
 
 
 def _can_be_checked(found: _Optimum) -> NoEstimate | None:
@@ -323,6 +320,15 @@ def most_agree(rejected: float, zooms: bool = False) -> NoEstimate | None:
     """Refuse what a larger share of the observations contradicts than may."""
     return (NoEstimate('too_many_outliers', rejected=float(rejected))
             if rejected > (MAX_BESIDE_ZOOM if zooms else MAX_OUTLIERS) else None)
+
+
+def deviates_too_far(field: DistortionMisfit | None, size: tuple[int, int], sigma_px: float,
+                     facts: CameraFacts) -> NoEstimate | None:
+    """Refuse a field that is larger than what a lens does beyond its model."""
+    limit = max(FIELD_FRACTION * max(size), FIELD_SIGMAS * sigma_px)
+    if field is None or facts.distortion == 'none' or field.rms_px <= limit:
+        return None
+    return NoEstimate('smooth_misfit', rms_px=float(field.rms_px))
 
 
 def unchecked(bundle: Bundle) -> NoEstimate | None:

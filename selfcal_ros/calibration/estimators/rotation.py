@@ -36,13 +36,14 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, Observations,
                                                        OUTLIER_SIGMAS, RobustFit)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.bundle.zoom import ZoomModel
-from selfcal_ros.calibration.estimators.acceptance import most_agree, unchecked
+from selfcal_ros.calibration.estimators.acceptance import (deviates_too_far, most_agree,
+                                                           unchecked)
 from selfcal_ros.calibration.estimators.lens_selection import choose_lens, LensDecision
 from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
 from selfcal_ros.calibration.estimators.shutter_choice import (choose_shutter, readout_of,
                                                                shutter_findings, timed)
 from selfcal_ros.calibration.estimators.sliding_images import only_slides
-from selfcal_ros.calibration.estimators.stated_facts import examine_facts
+from selfcal_ros.calibration.estimators.supported_optimum import verdict_on_facts
 from selfcal_ros.calibration.estimators.zoom_selection import (seems_to_vary, settle_zoom,
                                                                START_SIGMA)
 from selfcal_ros.calibration.initialisation.rotation_homographies import (MIN_MATCHES,
@@ -278,11 +279,11 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
     refusal = _refused(fit, facts, found, size)
     if refusal is not None:
         return refusal
-    bundle, state, motion = fit.bundle, fit.state, fit.motion
-    camera = state.camera(*size)
-    choices = lens.excess + decided.covariance(len(state.lens), bundle.unknowns.free)
+    bundle, motion = fit.bundle, fit.motion
+    choices = lens.excess + decided.covariance(len(fit.state.lens), bundle.unknowns.free)
     assessed = rotation_corrections(may_miss, choices).applied_to(AssessedEstimate.of(fit, size))
     inner, variance_inflation = assessed.covariance, assessed.variance_inflation
+    state, camera = assessed.state, assessed.state.camera(*size)
     course = focal_course(fit, state, frames, inner, variance_inflation)
     covariance = without_held(to_parameters(inner, state.lens), camera, facts)
     status = parameter_status(camera, covariance, facts, bundle.sigma_px)
@@ -296,14 +297,17 @@ def _assess(lens: LensDecision, found: RotationFit, size: tuple[int, int], state
         return NoEstimate('images_slide', motion='rotation', facts=facts, status={
             **status, 'fx': 'unobservable', 'fy': 'unobservable'})
     # the gates of every other motion
-    verdict = examine_facts(fit, stated, size, variance_inflation, assessed.hidden)
+    verdict = verdict_on_facts(assessed, size, facts, stated)
+    deviates = None if verdict.is_kept else deviates_too_far(assessed.misfit, size,
+                                                             bundle.sigma_px, facts)
     for refused in (most_agree(fit.outliers / len(found.observed.view)), unchecked(bundle),
-                    verdict.refusal(covariance, state.lens['f'])):
+                    verdict.refusal(covariance, state.lens['f']),
+                    deviates and (verdict.cause or deviates)):
         if refused is not None:
             return refused.saying(**{'status': status, **refused.values, 'motion': 'rotation',
                                      'facts': facts})
     covariance, of_facts = verdict.widened(covariance, camera.parameter_names)
-    residuals = bundle.residuals(state)
+    residuals = assessed.residual
     shutter = readout_of(fit, assessed.clusters.sigma_inflation)
     return Calibration(
         camera=camera, covariance=covariance, status=status, held_by=held_facts(facts),

@@ -19,21 +19,8 @@ import numpy as np
 
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_distortion_misfit, allow_for_hidden_decentring, allow_for_prism, allow_for_segments,
-    apply_lens_posterior, AssessedEstimate, Chain, Correction)
+    apply_lens_posterior, AssessedEstimate, Chain)
 from selfcal_ros.calibration.uncertainty.hidden_lever import hidden_lever
-
-#: Corrections of other motions that rotations do not have, and why. What is said of heads is of
-#: those that `test_rotating.py` simulates, their lenses chosen: three kinds, eight seeds each.
-LEFT_OUT: dict[Correction, str] = {
-    # With a lens 0.3 px beside its model cy errs by 3.8 sigma rms, by 2.3 with this step. Where
-    # the lens follows its model it changes nothing. A lever too short to be seen may pass for it.
-    allow_for_distortion_misfit: 'a gap, not measured yet',
-    # It changed one head, which had a lever.
-    allow_for_segments: 'levers have a step',
-    # The choice of the lens weighs what lenses are like. It changed no head.
-    apply_lens_posterior: 'weighed with the lens',
-    # Decentring has the prior of ordinary lenses. It changed no head.
-    allow_for_prism: 'decentring is ordinary'}
 
 
 def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
@@ -55,8 +42,9 @@ def rotation_corrections(may_miss: bool, choices: np.ndarray) -> Chain:
     def allow_for_choices(found: AssessedEstimate) -> AssessedEstimate:
         return found.widened(choices)
 
-    return Chain((allow_for_choices, allow_for_hidden_decentring,
-                  *((_allow_for_lever,) if may_miss else ())), LEFT_OUT)
+    return Chain((allow_for_distortion_misfit, allow_for_segments, allow_for_choices,
+                  apply_lens_posterior, allow_for_hidden_decentring, allow_for_prism,
+                  *((_allow_for_lever,) if may_miss else ())))
 
 
 def _allow_for_lever(found: AssessedEstimate) -> AssessedEstimate:

@@ -92,20 +92,34 @@ def supported_optimum(fit: RobustFit, model: ModelDecision, problem: SelfCalibra
     """
     found = corrections(model, problem).applied_to(replace(
         AssessedEstimate.of(fit, problem.size), jackknife=model.jackknife))
-    return found, _of_facts(found, problem, stated)
+    return found, verdict_on_facts(found, problem.size, problem.facts, stated)
 
 
-def _of_facts(found: AssessedEstimate, problem: SelfCalibrationProblem, stated: CameraFacts,
-              ) -> FactsVerdict:
-    """Hold the facts against the images."""
-    verdict = examine_facts(found.fit, stated, problem.size, found.variance_inflation,
-                            found.hidden)
-    if found.misfit is None or problem.facts.distortion == 'none':
+def verdict_on_facts(found: AssessedEstimate, size: tuple[int, int], chosen: CameraFacts,
+                     stated: CameraFacts) -> FactsVerdict:
+    """
+    Hold the facts against the images.
+
+    Parameters
+    ----------
+    found : AssessedEstimate
+    size : (int, int)
+        Width and height of the image.
+    chosen, stated : CameraFacts
+        Those that the estimate obeys, and those of the user among them.
+
+    Returns
+    -------
+    FactsVerdict
+
+    """
+    verdict = examine_facts(found.fit, stated, size, found.variance_inflation, found.hidden)
+    if found.misfit is None or chosen.distortion == 'none':
         return verdict
     # what the lens does beyond its model is in the sigmas, or too much for any lens; unless
     # another model does the same
     return verdict.without(LENS_MODEL).blaming(contradicted_lens(
-        found.fit, stated, problem.size, found.variance_inflation, found.misfit))
+        found.fit, stated, size, found.variance_inflation, found.misfit))
 
 
 def _with_points_ahead(found: AssessedEstimate, is_pivot: bool) -> AssessedEstimate:
