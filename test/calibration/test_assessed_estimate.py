@@ -19,8 +19,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from selfcal_ros.calibration.bundle.motion import GENERAL, PIVOT
-from selfcal_ros.calibration.estimators.rotation_corrections import LEFT_OUT, rotation_corrections
+from selfcal_ros.calibration.estimators.rotation_corrections import rotation_corrections
 from selfcal_ros.calibration.estimators.supported_optimum import corrections
+from selfcal_ros.calibration.uncertainty import assessed_estimate
 from selfcal_ros.calibration.uncertainty.assessed_estimate import (
     allow_for_prism, allow_for_segments, AssessedEstimate, Chain, SHARED)
 from selfcal_ros.calibration.uncertainty.cluster_covariance import ClusterCovariance
@@ -35,25 +36,25 @@ def estimate(**values):
 
 
 def test_a_chain_lacks_no_shared_correction_in_silence():
-    with pytest.raises(ValueError, match='reason'):
-        Chain(SHARED[1:])
-    with pytest.raises(ValueError, match='order'):
-        Chain(SHARED[::-1])
-    with pytest.raises(ValueError, match='reason'):
-        Chain((*SHARED, allow_for_prism))
-    assert Chain(SHARED[1:], {SHARED[0]: 'why'}).steps == SHARED[1:]
+    for steps in (SHARED[1:], SHARED[::-1], (*SHARED, allow_for_prism)):
+        with pytest.raises(ValueError, match='every shared correction'):
+            Chain(steps)
+    own = (lambda found: found)
+    assert Chain((own, *SHARED)).steps == (own, *SHARED)
 
 
-def test_steps_run_one_after_another():
+def test_steps_run_one_after_another(monkeypatch):
+    # the shared ones need an adjustment
+    monkeypatch.setattr(assessed_estimate, 'SHARED', ())
+
     def doubled(found):
         return replace(found, covariance=2 * found.covariance)
 
     def wider(found):
         return found.widened(np.eye(2))
 
-    lacking = dict.fromkeys(SHARED, 'a test')
     for steps, expected in (((doubled, wider), 3.0), ((wider, doubled), 4.0)):
-        assert Chain(steps, lacking).applied_to(estimate()).covariance[0, 0] == expected
+        assert Chain(steps).applied_to(estimate()).covariance[0, 0] == expected
 
 
 def test_motions_add_steps_of_their_own():
@@ -64,10 +65,9 @@ def test_motions_add_steps_of_their_own():
     assert len(general) == len(SHARED) + 1 and len(pivot) == len(SHARED) + 2
     # what was chosen on the way counts as often as errors count
     assert general[2](estimate()).covariance[0, 0] == 1 + CLUSTERS.variance_inflation
-    assert all(LEFT_OUT.values())
     turned, missed = (rotation_corrections(may_miss, np.eye(2)).steps
                       for may_miss in (False, True))
-    assert len(missed) == len(turned) + 1 and missed[1] is turned[1]
+    assert len(missed) == len(turned) + 1 and missed[-2] is turned[-1]
 
 
 def test_what_segments_were_found_to_add_is_not_sought_again():

@@ -22,8 +22,8 @@ leaves a shared one out it says why.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -169,20 +169,15 @@ class Chain:
     Attributes
     ----------
     steps : tuple of Correction
-    left_out : mapping of Correction to str
-        Shared ones that the motion does not have, and why.
 
     """
 
     steps: tuple[Correction, ...]
-    left_out: Mapping[Correction, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Let no motion differ from the others in silence."""
-        shared = tuple(step for step in self.steps if step in SHARED)
-        if shared != tuple(step for step in SHARED if step not in self.left_out):
-            raise ValueError('A chain has every shared correction in its order, or a reason why '
-                             'it is left out.')
+        if tuple(step for step in self.steps if step in SHARED) != SHARED:
+            raise ValueError('A chain has every shared correction, each once and in its order.')
 
     def applied_to(self, found: AssessedEstimate) -> AssessedEstimate:
         """Run an estimate through all steps."""
