@@ -86,6 +86,13 @@ class DivisionModel:
         """
         return lifted(self.units(xy), np.array(self.coefficients))
 
+    def straightened(self, xy: np.ndarray) -> np.ndarray:
+        """Return where a perspective camera would see pixels (..., 2); NaN beyond 90 degrees."""
+        raised = self.lifted(xy)
+        ahead = np.where(raised[..., 2:] > 0, raised[..., 2:], np.nan)
+        straight: np.ndarray = raised[..., :2] / ahead * self.half_diagonal_px + self.centre
+        return straight
+
     def lifted_slope(self, xy: np.ndarray) -> np.ndarray:
         """Derivative (..., 3, 2) of lifted pixels (..., 2) by their place in half diagonals."""
         place = self.units(xy)

@@ -43,6 +43,7 @@ from selfcal_ros.geometry.rotation import rotation_matrix, swing_twist
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.synthetic.hard_scenes import CAMERA, s_curve, scene, vehicle
 from selfcal_ros.synthetic.special_scenes import drive
+from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 STRAIGHT = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2')
 
@@ -74,6 +75,21 @@ def test_a_short_lever_is_found_and_the_result_is_right_from_any_start():
         assert result.motion == 'pivot'
         assert away(result) < 4
     assert np.ptp([result.camera.K[0, 0] for result in results]) < 0.1 * results[0].sigma['fx']
+
+
+@pytest.mark.parametrize('seed, lever, turn_deg', [(2, (0.0, -0.006, -0.02), 14.0),
+                                                   (2, (0.0, -0.01, -0.03), 20.0)])
+def test_a_head_with_a_lever_may_zoom(seed, lever, turn_deg):
+    # the first was taken for a free path, 4.1 sigma off; the second was refused
+    rng = np.random.default_rng([seed, 43])
+    scale = np.linspace(1.0, 1.1, 14)
+    sequence = zoomed(head(seed, lever, turn_deg, 14, 400), scale, rng)
+    result = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert result.motion == 'pivot'
+    fx = CAMERA.K[0, 0] * scale[list(result.focal.frames)]
+    assert np.abs((result.focal.fx - fx) / result.focal.sigma).max() < 4
+    assert np.abs(result.focal.fx / result.focal.fx[0] / (fx / fx[0]) - 1).max() < 0.01
 
 
 @pytest.mark.parametrize('seed, turn_deg, views', [(101, 28, 14), (110, 28, 14), (104, 36, 12),

@@ -27,7 +27,8 @@ from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, 
                                                        with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import (choose_lens, lens_priors,
-                                                               LensDecision, REGULARISED)
+                                                               LensDecision, REGULARISED,
+                                                               with_lens)
 from selfcal_ros.calibration.estimators.motion_class import DOUBTFUL_ROTATION_RAD, largest_turn_rad
 from selfcal_ros.calibration.initialisation.problem import (SelfCalibrationProblem, start_priors,
                                                             usual_matrix)
@@ -84,8 +85,9 @@ def first_fit(problem: SelfCalibrationProblem, observations: Observations, state
     stated = LENS_CHOICES.get(facts.distortion)
     if stated is None or stated[0] is not state.lens.model:
         # of the family that the start is of, with all that such lenses do
-        facts = replace(facts, distortion='plumb_bob' if state.lens.model.is_perspective
-                        else 'equidistant')
+        family = 'plumb_bob' if state.lens.model.is_perspective else 'equidistant'
+        facts = replace(facts, distortion=family)
+        state = with_lens(state, observations.xy, family)
     priors = start_priors(problem, state.camera())
     if facts.distortion in REGULARISED:
         known = replace(facts, lens_population=True)

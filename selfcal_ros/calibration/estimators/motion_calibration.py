@@ -80,6 +80,10 @@ UNEXPLAINED = ('no_start', 'tracks_unexplained', 'too_many_outliers')
 MAY_BE_MOVING = (*UNEXPLAINED, 'parameters_undetermined', 'circle_undetermined')
 #: Noise of still tracks over that of pairs of images, which what moves only adds to.
 PARTED_NOISE = 1.3
+#: Refusals of cameras that the images leave open, and how much less they leave to be believed.
+OPEN, CLEARLY_LESS = ('parameters_undetermined', 'circle_undetermined'), 0.9
+#: What a refused estimate leaves, over what pairs do: a motion that is too simple may be why.
+POORLY_EXPLAINED = 1.5
 #: Things that move bend the focal length, too: factors of the ones to part them from.
 BESIDE_BENT = (1.0, 0.9, 1.1)
 
@@ -119,10 +123,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
     if isinstance(problem, NoEstimate):
         return problem
     problem = replace(problem, is_weak=is_weak, supposes_plane=GENERAL in motions)
-    for motion in motions:
-        result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
-        if result or result.values.get('motion') != 'general':
-            break
+    result, motion = _simplest_motion(problem, graph, proposals, motions)
     if (result and motion is not motions[-1] and _rejected(result, graph) > MANY_REJECTED
             and widest_turn_rad(result.reconstructed.cam_from_world[:, :, :3]) < LITTLE_TURN_RAD):
         # a plane far from the truth, from where no way leads to what free motion explains
@@ -141,7 +142,7 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
             found = calibrate_coherent_tracks(replace(problem, motion=motion), graph,
                                               straight_and_bent(problem), _attempt_any_focal,
                                               may_stand=unexplained)
-            if found:
+            if found or (found is not None and _is_less_open(found, result)):
                 return found
     if result and result.focal is not None and motion is not motions[0]:
         # a focal length that was held constant may have hidden the plane
@@ -149,6 +150,38 @@ def calibrate_from_motion(graph: ViewGraph, size: tuple[int, int], facts: Camera
                           None).result()
         result = planar if planar and planar.focal is not None else result
     return result
+
+
+def _simplest_motion(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
+                     motions: tuple[MotionModel, ...],
+                     ) -> tuple[Calibration | NoEstimate, MotionModel]:
+    """Calibrate with the first kind of motion that explains the views; it comes second."""
+    before = None
+    for motion in motions:
+        result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
+        if before is not None and not result and not _left_px(result) < _left_px(before[0]):
+            return before
+        if result or not _may_be_freer(result, problem):
+            break
+        before = result, motion
+    return result, motion
+
+
+def _left_px(refusal: NoEstimate) -> float:
+    """Return what the refused estimate leaves unexplained, if it is told."""
+    return float(refusal.values.get('left_px', np.inf))
+
+
+def _is_less_open(refusal: NoEstimate, result: Calibration | NoEstimate) -> bool:
+    """Tell whether a camera that the images leave open explains clearly more than a result."""
+    left_px = result.noise_sigma_px if result else _left_px(result)
+    return refusal.kind in OPEN and _left_px(refusal) < CLEARLY_LESS * left_px
+
+
+def _may_be_freer(refusal: NoEstimate, problem: SelfCalibrationProblem) -> bool:
+    """Tell whether a refusal may be for want of freedom: it leaves more than pairs of views do."""
+    return (refusal.values.get('motion') == 'general'
+            or np.inf > _left_px(refusal) > POORLY_EXPLAINED * problem.noise_px)
 
 
 def _of_wrong_fact(problem: SelfCalibrationProblem, graph: ViewGraph, proposals: list[Camera],
@@ -374,4 +407,7 @@ def _parted_or_zooming(problem: SelfCalibrationProblem, graph: ViewGraph,
     bent = first.state.camera(*problem.size)
     parted = calibrate_coherent_tracks(problem, graph, [
         bent.magnified(factor) for factor in BESIDE_BENT], _attempt_any_focal, rival)
-    return parted or _Attempt(zooming(problem), graph, proposals, near).result()
+    if parted:
+        return parted
+    zoomed = _Attempt(zooming(problem), graph, proposals, near).result()
+    return parted if parted is not None and _is_less_open(parted, zoomed) else zoomed

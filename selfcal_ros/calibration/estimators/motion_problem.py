@@ -46,7 +46,7 @@ def problem_of(graph: ViewGraph, size: tuple[int, int], facts: CameraFacts, flat
         held = held_facts(facts)
         return NoEstimate('too_few_images', images=len(graph.frames), status={
             name: 'held' if name in held else 'unobservable' for name in MATRIX_PARAMETERS})
-    plane = FlatScene.of(graph.tracks, graph.frames) if flat else None
+    plane = FlatScene.of(graph.tracks, graph.frames, graph.lens) if flat else None
     problem = SelfCalibrationProblem(observations, graph.pairs, size, facts,
                                      max(graph.noise_px, LEAST_NOISE_PX), flat=plane,
                                      bend=graph.bend,

@@ -225,16 +225,26 @@ class MovingCamera:
         else:
             rotating = (judge_rotations(rotations, self.size, self.facts, may_miss=True)
                         if isinstance(rotations, RotationFit) else rotations)
+        hidden = not path and self.graph.parallax < PARALLAX_RATIO
+        if hidden and (not rotating or self._leaves_much(rotating)):
+            # what no pair shows in its noise, many views may
+            plane = self.over_a_plane(self.graph)
+            # a plane that turns in itself is not for want of parallax
+            path = plane if _settles(plane) else path
         if rotating:
             simpler = not _hides_path(rotating, path) and (
                 not path
                 or rotating.noise_sigma_px <= MAX_NOISE_OF_ROTATION * path.noise_sigma_px)
+            if simpler and not path and rotating.focal and self._leaves_much(rotating):
+                # a zoom of every view, or a step ahead: the images do not tell
+                return NoEstimate('moved_not_rotated', left_px=rotating.noise_sigma_px,
+                                  noise_px=self.graph.noise_px, facts=rotating.facts)
             return rotating if self.motion == 'auto' and simpler else path
-        if not path and self.graph.parallax < PARALLAX_RATIO:
-            plane = self.over_a_plane(self.graph)
-            # a plane that turns in itself is not for want of parallax
-            return plane if _settles(plane) else path
         return path
+
+    def _leaves_much(self, rotating: Calibration) -> bool:
+        """Tell whether rotations leave more than pairs of views do."""
+        return rotating.noise_sigma_px > MAX_NOISE_OF_ROTATION * self.graph.noise_px
 
     def unless_like_turns(self, result: Calibration | NoEstimate,
                           rotations: RotationFit | NoEstimate | None,
@@ -266,7 +276,7 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
     """
     graph, may_vary = case.graph, case.facts.focal == 'varying'
     rotations = case.rotations() if case.may_turn and not may_vary else None
-    turn, near_turn = None, False
+    turn, plane, near_turn = None, None, False
     if isinstance(rotations, RotationFit):
         mixed = of_two_turning(rotations, graph, case.size, case.facts)
         if mixed is not None:
@@ -283,6 +293,12 @@ def calibrate_moving(case: MovingCamera) -> Calibration | NoEstimate:
         if plane is not None and _settles(plane):
             return plane
     path = case.path(rotations, is_weak=near_turn)
+    if plane is not None and _leaves_open_as_well(plane, path):
+        return plane
+    if not path and path.kind in UNEXPLAINED and case.may_turn and plane is None:
+        # fundamental matrices of nearly a plane start nothing
+        plane = case.over_a_plane(graph)
+        path = plane if plane else path
     if (path and case.has_enough_views and rotations is None and not may_vary
             and left_by_turns(graph, path.camera) < MAX_NOISE_OF_WEAK_PATH):
         # what pairs show beside a homography was no parallax
@@ -305,6 +321,13 @@ def _of_turn_and_path(turn: Turn, path: Calibration | NoEstimate) -> Calibration
     left_px = turn.result.noise_sigma_px if turn.result else turn.noise_px
     clearer = path and path.noise_sigma_px < CLEARLY_LESS_NOISE * left_px
     return path if clearer or (path and turn.leaves_open) else turn.result
+
+
+def _leaves_open_as_well(plane: Calibration | NoEstimate, path: Calibration | NoEstimate) -> bool:
+    """Tell whether one plane explains as much as a path does, and leaves the camera open."""
+    return (isinstance(path, Calibration) and isinstance(plane, NoEstimate)
+            and plane.kind in OF_OPEN_PATH
+            and CLEARLY_LESS_NOISE * plane.values.get('left_px', np.inf) < path.noise_sigma_px)
 
 
 def _settles(plane: Calibration | NoEstimate) -> bool:

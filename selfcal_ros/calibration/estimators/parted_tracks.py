@@ -68,20 +68,22 @@ def calibrate_still_tracks(fit: RobustFit, tried: Observations, problem: SelfCal
     observations = Observations.of(given, given.frames)
     test = tested_as_still(fit, observations)
     if stands_out(fit, tried, graph.tracks.in_frames(frames), given, test):
-        return calibrate_sorted(fit, problem, graph, calibrate_path)
+        return calibrate_sorted(fit, problem, graph, calibrate_path) or None
     if test is None or not (crowd_in_few_views(test, observations)
                             or hides_body(fit, observations, test, problem.size)):
         return None
-    return calibrate_sorted(fit, problem, graph, calibrate_path, bodies_alone=True)
+    return calibrate_sorted(fit, problem, graph, calibrate_path, bodies_alone=True) or None
 
 
 def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: ViewGraph,
                      calibrate_path: CalibratePath, rival: RobustFit | None = None,
-                     least: float = FEW, bodies_alone: bool = False) -> Calibration | None:
+                     least: float = FEW, bodies_alone: bool = False,
+                     ) -> Calibration | NoEstimate | None:
     """
     Calibrate from what stands still by a fit, unless its rival explains that as well.
 
-    Of bodies alone where still tracks may fail as wholes, too: then all else tells nothing.
+    Of bodies alone where still tracks may fail as wholes, too: then all else tells nothing. What
+    stands still may leave the camera open: that refusal says how little it leaves.
     """
     frames = np.array(problem.instants, dtype=int)[:len(fit.state.path)]
     if graph.given is None:
@@ -108,7 +110,9 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
     # a zoom moves tracks, too: where the still ones ask for it, all of them are to tell
     result = calibrate_path(replace(problem, observations=observations, of_still=True), rest,
                             [still.state.camera(*problem.size)], still)
-    if not result or result.focal is not None:
+    if isinstance(result, NoEstimate):
+        return result
+    if result.focal is not None:
         return None
     return replace(result, labels=sorted_tracks.labels, findings=(*findings, *result.findings))
 
@@ -116,7 +120,7 @@ def calibrate_sorted(fit: RobustFit, problem: SelfCalibrationProblem, graph: Vie
 def calibrate_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
                               proposals: Iterable[Camera], calibrate_path: CalibratePath,
                               rival: RobustFit | None = None, may_stand: bool = False,
-                              ) -> Calibration | None:
+                              ) -> Calibration | NoEstimate | None:
     """
     Calibrate from what the most coherent half of the tracks says that stands still.
 
@@ -131,16 +135,15 @@ def calibrate_coherent_tracks(problem: SelfCalibrationProblem, graph: ViewGraph,
     if half is None:
         return None
     parted = calibrate_sorted(half, problem, graph, calibrate_path, rival)
-    if parted is not None or not may_stand:
+    if parted or not may_stand:
         return parted
     # where nothing moves it was the starts that failed: this one began with fewer tracks
     medium, _ = problem.observations.select(problem.observations.longest(MODEL_TRACKS_PER_VIEW))
     state = near_state(half, medium)
     if state is None or first_fit(problem, medium, state).outliers > (
             MANY_REJECTED * len(medium.view)):
-        return None
-    whole = calibrate_path(problem, graph, [half.state.camera(*problem.size)], half)
-    return whole or None
+        return parted
+    return calibrate_path(problem, graph, [half.state.camera(*problem.size)], half) or parted
 
 
 def _is_zoom_or_two(fit: RobustFit, found: SortedTracks, problem: SelfCalibrationProblem,

@@ -33,7 +33,8 @@ from selfcal_ros.calibration.bundle.path import AxisPath
 from selfcal_ros.calibration.bundle.point_of_rest import resting_near
 from selfcal_ros.calibration.bundle.priors import with_fixed
 from selfcal_ros.calibration.bundle.robust_fit import (bundle_of, fit_robustly, is_chance,
-                                                       Observations, refit, with_all_points)
+                                                       Observations, refit, RobustFit,
+                                                       with_all_points)
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.estimators.lens_selection import with_lens
 from selfcal_ros.calibration.estimators.model_selection import (choose_model, first_fit,
@@ -42,6 +43,9 @@ from selfcal_ros.calibration.estimators.motion_problem import (MODEL_TRACKS_PER_
                                                                of_two_cameras)
 from selfcal_ros.calibration.estimators.rotation import RotationFit, STRETCH
 from selfcal_ros.calibration.estimators.shutter_choice import choose_shutter
+from selfcal_ros.calibration.estimators.zoom_selection import (contradicted, may_zoom,
+                                                               near_state, settle_zoom,
+                                                               zoomed_fit, zooming)
 from selfcal_ros.calibration.initialisation.multi_start import START_TRACKS_PER_VIEW
 from selfcal_ros.calibration.initialisation.pivot_start import completed_rotations, PivotPath
 from selfcal_ros.calibration.initialisation.problem import SelfCalibrationProblem, start_priors
@@ -157,14 +161,21 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     if standing is None:
         return NoEstimate('start_distortion_not_invertible')
     fit = first_fit(window, medium, standing)
-    if is_no_rotation and (fit.bundle.sigma_px > HOPELESS * problem.noise_px
-                           or _lever_share(fit.state) > FAR_LEVER):
-        return moved.saying(left_px=fit.bundle.sigma_px)
+    if is_no_rotation and _is_hopeless(fit, problem):
+        zoomed = _zoomed_fit(fit, zooming(window), medium, state) if may_zoom(window) else fit
+        if _is_hopeless(zoomed, problem):
+            return moved.saying(left_px=fit.bundle.sigma_px)
+        problem, window, fit = zooming(problem), zooming(window), zoomed
     shutter = choose_shutter(fit, medium, window.facts, window.size)
     fit = shutter.fit
     mixed = of_two_cameras(fit, window, graph)
     if mixed is not None:
         return mixed
+    if contradicted(fit, window):
+        problem, window = zooming(problem), zooming(window)
+        fit = _zoomed_fit(fit, window, medium, state)
+    if fit.motion.zoom is not None:
+        fit = settle_zoom(fit, window.facts, window.size)
     model = shutter.widened(
         choose_model(window, fit, len(medium.view) / len(problem.observations.view)))
     fit = model.fit
@@ -172,12 +183,30 @@ def decide_pivot(problem: SelfCalibrationProblem, graph: ViewGraph, turning: Rot
     problem = replace(problem, pivot=replace(problem.pivot,
                                              lever=fit.state.path.translation[0]))
     variance_inflation = robust_covariance_of(fit, problem.size).variance_inflation
-    still = refit(fit, ROTATION, _without_lever(fit.state))
-    free = refit(fit, GENERAL)
+    zoom = fit.motion.zoom
+    still = refit(fit, replace(ROTATION, zoom=zoom), _without_lever(fit.state))
+    free = refit(fit, replace(GENERAL, zoom=zoom))
     return problem, PivotDecision(
         model, 2 * (still.cost - fit.cost) / variance_inflation, len(fit.state.points) + 2,
         2 * (fit.cost - free.cost) / variance_inflation,
         free.bundle.unknowns.count - fit.bundle.unknowns.count, *_moved_shares(fit.state))
+
+
+def _is_hopeless(fit: RobustFit, problem: SelfCalibrationProblem) -> bool:
+    """Tell whether what a turn leaves, or its lever, is too much for any model."""
+    return (fit.bundle.sigma_px > HOPELESS * problem.noise_px
+            or _lever_share(fit.state) > FAR_LEVER)
+
+
+def _zoomed_fit(fit: RobustFit, problem: SelfCalibrationProblem, medium: Observations,
+                turned: SceneState) -> RobustFit:
+    """Fit with any focal lengths: what a constant one left is no measure of the noise."""
+    near = near_state(zoomed_fit(fit, problem.instants), medium)
+    # the lever, too, may be that of a constant focal length
+    start = best_pivot_start(problem, turned)
+    anew = None if isinstance(start, NoEstimate) else with_all_points(start, medium)
+    fits = [first_fit(problem, medium, state) for state in (near, anew) if state is not None]
+    return min(fits, key=lambda one: cost_of_all_ahead(one, problem.noise_px)) if fits else fit
 
 
 def _of_all_views(problem: SelfCalibrationProblem, graph: ViewGraph, turning: RotationFit,

@@ -58,9 +58,9 @@ def on_one_plane(graph: ViewGraph) -> ViewGraph | None:
 
     """
     chosen = np.unique(np.linspace(0, len(graph.pairs) - 1, SAMPLE).astype(int))
-    if not _agree([_on_plane(graph.pairs[k], graph.noise_px) for k in chosen]):
+    if not _agree([_on_plane(graph.pairs[k], graph) for k in chosen]):
         return None
-    found = [_on_plane(pair, graph.noise_px) for pair in graph.pairs]
+    found = [_on_plane(pair, graph) for pair in graph.pairs]
     if not _agree(found):
         return None
     identity, point = np.unique(graph.tracks.track, return_inverse=True)
@@ -97,15 +97,21 @@ def _agree(found: list[tuple[np.ndarray, float] | None]) -> bool:
     return float(np.mean([one is not None for one in found])) >= PAIRS
 
 
-def _on_plane(pair: PairGeometry, noise_px: float) -> tuple[np.ndarray, float] | None:
+def _on_plane(pair: PairGeometry, graph: ViewGraph) -> tuple[np.ndarray, float] | None:
     """Which matches lie on the plane, and what it leaves of a coordinate; None if it is none."""
-    found = homography(pair.xy_first, pair.xy_second)
+    noise_px, xy_first, xy_second = graph.noise_px, pair.xy_first, pair.xy_second
+    if graph.lens is not None:
+        # a lens bends what a plane shows, and no homography follows that
+        xy_first, xy_second = map(graph.lens.straightened, (xy_first, xy_second))
+        if not (np.isfinite(xy_first).all() and np.isfinite(xy_second).all()):
+            return None
+    found = homography(xy_first, xy_second)
     limit_px = max(NOISE_RATIO * noise_px, FLAT_PX)
     if not found or found.sigma_px > limit_px:
         return None
     off = np.zeros(len(pair.track))
-    for matrix, source, target in ((found.H, pair.xy_first, pair.xy_second),
-                                   (np.linalg.inv(found.H), pair.xy_second, pair.xy_first)):
+    for matrix, source, target in ((found.H, xy_first, xy_second),
+                                   (np.linalg.inv(found.H), xy_second, xy_first)):
         there = homogeneous(source) @ matrix.T
         off = np.maximum(off, np.linalg.norm(there[:, :2] / there[:, 2:] - target, axis=1))
     near = off < max(OFF_SIGMAS * np.sqrt(2) * max(found.sigma_px, noise_px), OFF_PX)

@@ -21,7 +21,7 @@ ways (Ma et al. 2004, theorem 5.19); the normal that all views agree on tells wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from selfcal_ros.calibration.bundle.scene_model import rescaled
 from selfcal_ros.calibration.bundle.state import SceneState
 from selfcal_ros.calibration.initialisation.rotation_homographies import rotation_homographies
 from selfcal_ros.geometry.camera import Camera
+from selfcal_ros.geometry.division import DivisionModel
 from selfcal_ros.geometry.rotation import align_z, rotation_vector, swing_twist
 from selfcal_ros.geometry.schur_complement import PointBlocks
 from selfcal_ros.values.tracks import Tracks
@@ -45,15 +46,20 @@ class FlatScene:
     Attributes
     ----------
     homographies : ndarray, shape (V, 3, 3)
-        From one of the views, whose own is the identity, in pixels.
+        From one of the views, whose own is the identity, in pixels without the lens's bend.
 
     """
 
     homographies: np.ndarray
 
     @classmethod
-    def of(cls, tracks: Tracks, frames: np.ndarray) -> FlatScene | None:
+    def of(cls, tracks: Tracks, frames: np.ndarray,
+           lens: DivisionModel | None = None) -> FlatScene | None:
         """Chain homographies between the frames; None where they do not connect all of them."""
+        if lens is not None:
+            xy = lens.straightened(tracks.xy)
+            ahead = np.isfinite(xy).all(axis=1)
+            tracks = replace(tracks, xy=np.where(ahead[:, None], xy, 0.0)).select(ahead)
         order, chained, _ = rotation_homographies(tracks)
         if set(order.tolist()) != {int(frame) for frame in frames}:
             return None
