@@ -36,7 +36,8 @@ from selfcal_ros.cli.result_text import result_text
 from selfcal_ros.findings.finding import Finding
 from selfcal_ros.geometry.no_estimate import NoEstimate
 from selfcal_ros.synthetic.few_view_scenes import general_views
-from selfcal_ros.synthetic.hard_scenes import s_curve, vehicle
+from selfcal_ros.synthetic.hard_scenes import hand, s_curve, vehicle
+from selfcal_ros.synthetic.zoomed_scenes import zoomed
 
 SQUARE = CameraFacts(aspect_ratio=1.0, skew=0.0, distortion='radial2', focal='constant',
                      shutter='global')
@@ -264,3 +265,16 @@ def test_a_lens_that_is_much_decentred_may_be_a_prism():
     assert np.sqrt(np.diag(wider)[2:4]).min() > 1
     fit = optimum(seen_by(7, lens=(-0.12, 0.05, 0.0003, 0)), facts)
     assert possible_prism(fit, fit.lens_covariance, 1.0) is None
+
+
+def test_images_of_a_second_camera_in_a_hand_are_left_out():
+    # what no plane explains is for free motion to refuse, with its own reason
+    rng = np.random.default_rng([0, 5])
+    time, starts = np.linspace(0, 2 * np.pi, 14), rng.uniform(0, 6, (3, 2))
+    turns_deg = 18 * np.column_stack([np.sin(time + a) + np.sin(2 * time + b) for a, b in starts])
+    scale = np.where(np.arange(14) % 3 == 1, 1.08, 1.0)
+    sequence = zoomed(hand(rng, turns_deg, count=200), scale, rng)
+    found = calibrate(sequence.tracks, facts=CameraFacts(aspect_ratio=1.0, skew=0.0))
+
+    assert 'other_camera_left_out' in [one.kind for one in found.findings]
+    assert abs(found.camera.K[0, 0] - sequence.camera.K[0, 0]) < 4 * found.sigma['fx']

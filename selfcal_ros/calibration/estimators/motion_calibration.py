@@ -156,15 +156,23 @@ def _simplest_motion(problem: SelfCalibrationProblem, graph: ViewGraph, proposal
                      motions: tuple[MotionModel, ...],
                      ) -> tuple[Calibration | NoEstimate, MotionModel]:
     """Calibrate with the first kind of motion that explains the views; it comes second."""
-    before = None
+    refused: list[tuple[NoEstimate, MotionModel]] = []
     for motion in motions:
         result = _attempt_any_focal(replace(problem, motion=motion), graph, proposals)
-        if before is not None and not result and not _left_px(result) < _left_px(before[0]):
-            return before
-        if result or not _may_be_freer(result, problem):
+        if isinstance(result, Calibration):
+            return result, motion
+        refused.append((result, motion))
+        if not _may_be_freer(result, problem):
             break
-        before = result, motion
-    return result, motion
+    # a refusal that more freedom does not mend, and that explains more, stays
+    return next((one for one in refused[:-1]
+                 if _is_final(one[0]) and _left_px(one[0]) <= _left_px(refused[-1][0])),
+                refused[-1])
+
+
+def _is_final(refusal: NoEstimate) -> bool:
+    """Tell whether a refusal is not for what the kind of motion forbids."""
+    return refusal.values.get('motion') != 'general'
 
 
 def _left_px(refusal: NoEstimate) -> float:
@@ -180,7 +188,7 @@ def _is_less_open(refusal: NoEstimate, result: Calibration | NoEstimate) -> bool
 
 def _may_be_freer(refusal: NoEstimate, problem: SelfCalibrationProblem) -> bool:
     """Tell whether a refusal may be for want of freedom: it leaves more than pairs of views do."""
-    return (refusal.values.get('motion') == 'general'
+    return (not _is_final(refusal)
             or np.inf > _left_px(refusal) > POORLY_EXPLAINED * problem.noise_px)
 
 
